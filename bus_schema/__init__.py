@@ -1,1 +1,1 @@
-"""All that both sides of the bus must agree on, and what carries it."""
+"""The contract between both sides of the bus: messages, configuration, and links."""

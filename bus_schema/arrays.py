@@ -1,4 +1,4 @@
-"""Array types shared by every room, and tables that are read by name."""
+"""Array types shared by every room, and tables with named columns."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Records: TypeAlias = NDArray[np.void]
 
 
 def elementwise(function: Callable[[float], float], values: Vector) -> Vector:
-    """A function of Python's `math` of each value, the same bits on every CPU; shape (values,).
+    """Apply a function of Python's `math` to values, same bits on every CPU; shape (values,).
 
-    NumPy's own exp, log, tanh, arctan2 and powers have other last bits where it finds AVX-512.
+    NumPy's own exp, log, tanh, arctan2 and powers differ in their last bits on CPUs with AVX-512.
     """
     return np.array([function(value) for value in values.tolist()], dtype=np.float64)
 
 
 def records(rows: int, columns: Mapping[str, ArrayLike]) -> Records:
-    """A table from its columns, each with one value per row or one for all; shape (rows,)."""
+    """Build a table from columns, each with one value per row or one for all; shape (rows,)."""
     kinds = [(name, np.asarray(values).dtype) for name, values in columns.items()]
     table = np.zeros(rows, np.dtype(kinds, align=True))
     for name, values in columns.items():

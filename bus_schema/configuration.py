@@ -29,7 +29,7 @@ class ConfigurationError(BusError, ValueError):
         key: dotted key of the value.
         value: the value as given.
         allowed: what is allowed there.
-        beside: dotted keys of other values, or sections, that this one does not fit with.
+        beside: dotted keys of other values or sections that conflict with this one.
     """
 
     def __init__(self, key: str, value: Any, allowed: str, beside: Sequence[str] = ()) -> None:
@@ -48,21 +48,21 @@ class StrictModel(BaseModel):
 
 @dataclass(frozen=True)
 class Sections:
-    """For `Annotated`, where a function checks a value: the classes that have its keys.
+    """For `Annotated`, where a function validates a value: the classes that define its keys.
 
     Attributes:
-        find: gives them, as they are by now.
+        find: returns these classes, as registered at the time of the call.
     """
 
     find: Callable[[], Iterable[type]]
 
 
 LARGEST = 1e12
-"""No number may be larger, of either sign: what is computed from it would overflow."""
+"""Largest absolute value of a number: results computed from a larger one would overflow."""
 
 
 def _not_boolean(value: Any) -> Any:
-    """Pydantic takes true for 1."""
+    """Reject booleans, which pydantic accepts as 0 and 1."""
     if isinstance(value, bool):
         raise ValueError("a number, not true or false")  # noqa: TRY004 (pydantic takes these alone)
     return value
@@ -81,7 +81,7 @@ def _to_vector(value: Any) -> Vector:
 
 
 def _number_in(text: str) -> float | str:
-    """YAML 1.1 takes 1e3 for a string; pydantic's own numbers are as forgiving."""
+    """Parse a number; YAML 1.1 reads 1e3 as a string, and pydantic accepts that too."""
     try:
         return float(text)
     except ValueError:
@@ -119,7 +119,7 @@ Gains = TypeVar("Gains", bound=tuple[Any, ...])
 
 
 def expand(value: Vector, joints: int, key: str) -> Vector:
-    """One value per joint, shape (joints,), from one value for all or one for each.
+    """Return one value per joint, shape (joints,), from one value for all or one for each.
 
     Raises:
         ConfigurationError: the number of values is neither 1 nor `joints`.
@@ -132,7 +132,7 @@ def expand(value: Vector, joints: int, key: str) -> Vector:
 
 
 def expand_fields(gains: Gains, joints: int, key: str) -> Gains:
-    """A NamedTuple with every vector in it expanded to one value per joint."""
+    """Return a NamedTuple with every vector expanded to one value per joint."""
     values = {
         name: expand(value, joints, f"{key}.{name}")
         for name, value in gains._asdict().items()  # type: ignore[attr-defined]
@@ -142,10 +142,10 @@ def expand_fields(gains: Gains, joints: int, key: str) -> Gains:
 
 
 def shown(value: Any) -> str:
-    """A value as messages show it: as Python writes it but for null, cut off where that is long."""
+    """Format a value for messages: its Python form, `null` for None, shortened where it is long."""
     return "null" if value is None else shortened(repr(value))
 
 
 def shortened(text: str, longest: int = 120) -> str:
-    """A text, cut off where it is long."""
+    """Shorten a long text."""
     return text if len(text) <= longest else text[: longest - 3] + "..."

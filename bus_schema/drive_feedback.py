@@ -1,4 +1,4 @@
-"""A loop closed at the drive: what a drive adds to a torque of its own, around a target on the way.
+"""A loop closed at the drive: the torque that a drive adds around a moving target.
 
 A command carries a torque τ and a line q*(t) = q*₀ + v* (t − t₀), t₀ being the stamp of the state
 that it answers. Between commands the drive asks its motor for
@@ -21,10 +21,10 @@ from bus_schema.runtime.compiled import compiled
 
 
 class DriveGains(NamedTuple):
-    """What a drive adds of its own; arrays of shape (joints,).
+    """Gains of the loop inside a drive; arrays of shape (joints,).
 
     Attributes:
-        is_active: whether it adds anything.
+        is_active: whether any gain is above zero.
         stiffness_nm_rad: k_p.
         damping_nm_s: k_d.
     """
@@ -35,12 +35,12 @@ class DriveGains(NamedTuple):
 
 
 def no_drive_feedback(joints: int) -> DriveGains:
-    """A drive that follows torques alone."""
+    """Return the gains of a drive that follows torques alone."""
     return DriveGains(False, np.zeros(joints), np.zeros(joints))
 
 
 def critically_damped(inertia_kg_m2: Vector, bandwidth_rad_s: float) -> DriveGains:
-    """k_p = I ω² and k_d = 2 I ω for joints that feel these inertias, shape (joints,)."""
+    """Return k_p = I ω² and k_d = 2 I ω for joints with these inertias, shape (joints,)."""
     stiffness = inertia_kg_m2 * bandwidth_rad_s**2
     return DriveGains(True, stiffness, 2.0 * inertia_kg_m2 * bandwidth_rad_s)
 
@@ -50,7 +50,7 @@ def drive_torque(
     target: float, target_velocity: float, position: float, velocity: float, gains: DriveGains,
     joint: int,
 ) -> float:  # fmt: skip
-    """k_p (q* − q) + k_d (v* − q̇) of a joint, N m; positions in rad, velocities in rad/s."""
+    """Return k_p (q* − q) + k_d (v* − q̇) of a joint, N m; positions in rad, speeds in rad/s."""
     stiffness: float = gains.stiffness_nm_rad[joint]
     damping: float = gains.damping_nm_s[joint]
     return stiffness * (target - position) + damping * (target_velocity - velocity)

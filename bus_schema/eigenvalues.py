@@ -1,6 +1,6 @@
 """Eigenvalues of symmetric matrices, the same bits on every CPU.
 
-LAPACK's are not: OpenBLAS picks its kernels by CPU, and each rounds in another order.
+LAPACK's differ: OpenBLAS picks its kernels by CPU, and each kernel rounds in another order.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 
 _MOST_SWEEPS = 50
-"""Ten are plenty for the joints of an arm; a matrix with NaN needs an end too."""
+"""Ten suffice for the joints of an arm; the limit ends the loop for a matrix with NaN."""
 
 
 @compiled
 def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
-    """Eigenvalues of a symmetric matrix, in no order, and its unit eigenvectors as columns.
+    """Return a symmetric matrix's eigenvalues, in no order, and its unit eigenvectors as columns.
 
-    By Jacobi's rotations, row after row, until everything off the diagonal is below rounding.
+    Jacobi rotations run row by row until all off-diagonal values are below rounding.
     """
     n = matrix.shape[0]
     a, vectors = matrix.copy(), np.eye(n)
@@ -47,7 +47,7 @@ def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
 
 @compiled
 def _rotate(matrix: Matrix, p: int, q: int, c: float, s: float) -> None:
-    """Turn columns p and q into each other."""
+    """Rotate columns p and q in their plane."""
     for k in range(matrix.shape[0]):
         at_p, at_q = matrix[k, p], matrix[k, q]
         matrix[k, p] = c * at_p - s * at_q

@@ -14,7 +14,7 @@ class BusError(Exception):
     """Root of all errors of this package.
 
     Attributes:
-        is_cause: what else fails in a run follows from this.
+        is_cause: other failures of the same run are consequences of this one.
     """
 
     is_cause = False
@@ -33,7 +33,7 @@ class InvalidMessageError(BusError, ValueError):
 
 
 class PeerSilentError(BusError, TimeoutError):
-    """A peer that had to answer did not.
+    """A peer did not answer in time.
 
     Attributes:
         peer: role of the peer (``controller``, ``plant`` or ``recorder``).
@@ -47,7 +47,7 @@ class PeerSilentError(BusError, TimeoutError):
 
 
 def silent_peer(text: str) -> str | None:
-    """The peer whose silence a sentence tells of, as `PeerSilentError` does; None for none."""
+    """Return the silent peer in a `PeerSilentError`'s sentence; None for other sentences."""
     found = re.search(r"\bthe (\w+) is silent: no ", text)
     return found and found[1]
 
@@ -75,24 +75,24 @@ class RobotDescriptionError(BusError, ValueError):
 
 
 class JointNameError(RobotDescriptionError):
-    """A joint that is to be driven is none of the file's that can be."""
+    """The name of a joint to drive matches no joint that can be driven."""
 
 
 def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
-    """``; did you mean …?`` for what is none of the names but nearly one; else nothing.
+    """Return ``; did you mean …?`` if a name resembles an allowed one; else nothing.
 
     Args:
         unknown: what was given.
         names: what is allowed.
-        alike: 0 for any name, 1 for the same.
+        alike: similarity that is required, from 0 (any name) to 1 (the same name).
     """
     found = get_close_matches(unknown[:_LONGEST], list(names), n=1, cutoff=alike)
     return f"; did you mean {found[0]}?" if found else ""
 
 
 class InputError(Exception):
-    """What the user gave cannot be used; the message says what, and what is allowed."""
+    """The user's input cannot be used; the message says why, and what is allowed."""
 
 
 class Stopped(BaseException):
-    """A request to stop came while there was nothing to bring to an end in order."""
+    """A stop was requested before there was a run to end in order."""

@@ -1,4 +1,4 @@
-"""Section ``limits`` of a scenario, and the kernel by which both sides keep a torque within it."""
+"""Section ``limits`` of a scenario, and the kernel that applies it to torques on both sides."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Reaction = Literal["count", "cut", "stop"]
 
 
 class Hit(IntFlag):
-    """Limits that a torque or the motion ran into."""
+    """Limits that a torque or the motion exceeded."""
 
     TORQUE = 1
     TORQUE_RATE = 2
@@ -34,7 +34,7 @@ class Hit(IntFlag):
 
 
 class LimitsConfiguration(StrictModel):
-    """What no joint may exceed. The controller keeps a margin; the plant acts at the limit itself.
+    """Limits of the joints. The controller keeps a margin; the plant acts at the limit itself.
 
     Attributes:
         torque_nm: largest torque; by default the URDF's effort limits.
@@ -57,7 +57,7 @@ class LimitsConfiguration(StrictModel):
     on_velocity: Reaction = "count"
 
     def of_plant(self, robot: RobotDescription) -> JointLimits:
-        """The limits at which the plant acts.
+        """Return the limits at which the plant acts.
 
         Raises:
             ConfigurationError: a value does not fit the arm.
@@ -77,11 +77,11 @@ class LimitsConfiguration(StrictModel):
         )
 
     def of_controller(self, robot: RobotDescription, torque_rate_nm_s: Vector) -> JointLimits:
-        """The limits that the controller keeps: the margins are off.
+        """Return the limits that the controller keeps, with the margins subtracted.
 
         Args:
             robot: the arm.
-            torque_rate_nm_s: what the controller allows itself anyway, shape (joints,).
+            torque_rate_nm_s: the control law's own largest rate, shape (joints,).
 
         Raises:
             ConfigurationError: a value does not fit the arm.
@@ -109,7 +109,7 @@ class LimitsConfiguration(StrictModel):
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of one side, shape (joints,) each; infinite for none.
+    """Limits of one side, shape (joints,) each; infinite where there is no limit.
 
     Attributes:
         cuts_position: whether torques are cut that push out of the range.
@@ -126,12 +126,12 @@ class JointLimits:
 
     @staticmethod
     def of_torques(torque_nm: Vector, torque_rate_nm_s: Vector) -> JointLimits:
-        """Limits of torques alone."""
+        """Return limits of torques alone."""
         none = np.full(torque_nm.size, np.inf)
         return JointLimits(torque_nm, torque_rate_nm_s, -none, none, none)
 
     def packed(self, step_s: float = 1.0) -> Records:
-        """The limits as `limit_torques` takes them: fields named as here, shape (joints,).
+        """Return the limits for `limit_torques`: the same field names, shape (joints,).
 
         Args:
             step_s: time between two torques, where it is always the same.
@@ -141,7 +141,7 @@ class JointLimits:
 
 
 class LimitCounts:
-    """How often each limit was hit.
+    """Counts of limit hits.
 
     Attributes:
         seen: limits that were hit at all.
@@ -152,14 +152,14 @@ class LimitCounts:
         self.seen = Hit(0)
 
     def note(self, hits: int) -> Hit:
-        """Count a torque that hit these limits; those among them that were never hit before."""
+        """Count a torque that hit these limits; return those that were never hit before."""
         self._by_hits[hits] += 1
         new = Hit(hits & ~self.seen)
         self.seen |= new
         return new
 
     def summary(self) -> dict[str, int]:
-        """Number of torques that hit each limit, by its name."""
+        """Return the number of torques that hit each limit, by its name."""
         return {
             name_of(hit): sum(count for hits, count in self._by_hits.items() if hits & hit)
             for hit in Hit
@@ -167,22 +167,22 @@ class LimitCounts:
 
 
 def name_of(hit: Hit) -> str:
-    """Names of limits in words, as they stand in ``summary.json``."""
+    """Return names of limits in words, as they stand in ``summary.json``."""
     return ", ".join(str(single.name).lower() for single in hit)
 
 
 _TORQUE, _TORQUE_RATE, _POSITION, _VELOCITY = (hit.value for hit in Hit)
-"""For compiled code, which takes no flags."""
+"""Flags as integers: compiled code takes no enumerations."""
 
 
 @compiled
 def limit_torques(
     wanted: Vector, motion: Matrix, limits: Records, previous_and_out: Vector, step_s: float
 ) -> int:
-    """Write torques within the limits; which limits were hit.
+    """Write torques within the limits; return which limits were hit.
 
     A torque that pushes out of a joint's range, or accelerates beyond its largest speed, becomes
-    zero at once, whatever the largest rate of change: that is a soft limit, these are not.
+    zero at once, even beyond the largest rate of change: the rate is a soft limit, these are hard.
 
     Args:
         wanted: torques asked for, N m, shape (joints,).

@@ -1,4 +1,4 @@
-"""Percentiles of times, as they stand in ``summary.json``."""
+"""Percentiles of times for ``summary.json``."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ PERCENTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
 
 
 def percentiles(values: NDArray[Any], counts: NDArray[Any] | None = None) -> dict[str, Any]:
-    """Exact percentiles, each of them a value that occurred; null where there are none.
+    """Return exact percentiles, each a value that occurred; null where there are no values.
 
     Args:
         values: shape (values,).
-        counts: how often each of them occurred; once by default.
+        counts: how often each value occurred; once by default.
     """
     if not (values.size if counts is None else counts.any()):
         return dict.fromkeys(PERCENTILES)

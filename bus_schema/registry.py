@@ -1,4 +1,4 @@
-"""Tables of what the names in a scenario stand for, each imported when it is first needed."""
+"""Registries of the classes behind the names in a scenario, each imported when first needed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Registry(Generic[T]):
     """Classes by name.
 
     Args:
-        key: dotted key of the scenario that takes one of the names.
+        key: dotted key of the scenario whose value is one of the names.
         places: see below.
 
     Attributes:
-        places: where the class of each name is, as ``module:class``. One more entry is one more
-            class, wherever it comes from.
+        places: location of each name's class, as ``module:class``. A new entry registers a class of
+            any module.
     """
 
     def __init__(self, key: str, places: Mapping[str, str]) -> None:
@@ -34,10 +34,10 @@ class Registry(Generic[T]):
         return tuple(self.places)
 
     def check(self, name: str) -> None:
-        """Check that there is such a name.
+        """Check that a name is registered.
 
         Raises:
-            ConfigurationError: there is none.
+            ConfigurationError: it is not.
         """
         if name not in self.places:
             *others, last = (repr(each) for each in self.names)
@@ -45,7 +45,7 @@ class Registry(Generic[T]):
             raise ConfigurationError(self._key, name, allowed + did_you_mean(name, self.names))
 
     def load(self, name: str) -> type[T]:
-        """The class that a name stands for.
+        """Return the class behind a name.
 
         Raises:
             ConfigurationError: there is no such name.
@@ -55,7 +55,7 @@ class Registry(Generic[T]):
         return cast(type[T], getattr(import_module(module), attribute))
 
     def build(self, name: str) -> T:
-        """An instance of the class that a name stands for, made without arguments.
+        """Return an instance of the class behind a name, made without arguments.
 
         Raises:
             ConfigurationError: there is no such name.

@@ -1,4 +1,4 @@
-"""What a URDF file says about an arm, and a form of it that every simulator reads alike."""
+"""An arm as described by a URDF file, and a URDF that every simulator reads in the same way."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ Shapes = Literal["named", "drawable", "none"]
 class RobotDescription:
     """An arm as its URDF describes it; joints in the order of the file.
 
-    Joints that slide have metres, m/s and newtons where those that turn have rad, rad/s and N m.
+    Prismatic joints use m, m/s and N where revolute joints use rad, rad/s and N m.
 
     Attributes:
         path: the URDF file.
         text: its content.
-        joint_names: names of the driven joints; all others follow one of them or are held fixed.
+        joint_names: names of the driven joints; each other joint follows one of them or is fixed.
         effort_limits_nm: largest torque of each joint (inf where the URDF has none).
         velocity_limits_rad_s: largest speed of each joint (inf where the URDF has none).
         lower_rad: lower end of each joint's range (-inf for continuous joints).
         upper_rad: upper end of each joint's range (inf for continuous joints).
         tip_link: the last link of the longest chain, which carries the payload.
         slides: whether each joint is prismatic.
-        drives: what the file says of motors and gears.
-        followers: mimic joints, each moved along by a driven joint.
-        held: joints that could move but do not, and why.
-        warnings: what is odd about the file but was taken, a sentence each.
+        drives: motor and gear values of the file.
+        followers: mimic joints, each moved by a driven joint.
+        held: movable joints that are held fixed, and why.
+        warnings: accepted but suspicious contents of the file, a sentence each.
     """
 
     path: Path
@@ -74,7 +74,7 @@ class RobotDescription:
         return len(self.joint_names)
 
     def portable_urdf(self) -> str:
-        """The URDF as it is, for another folder: mesh files by absolute path."""
+        """Return the URDF for use in another folder: mesh files by absolute path."""
         root = ET.fromstring(self.text)
         if root.find(".//mesh") is None:
             return self.text
@@ -82,18 +82,18 @@ class RobotDescription:
         return ET.tostring(root, encoding="unicode")
 
     def viewer_urdf(self) -> str:
-        """The URDF for 3-D viewers: mesh files as ``file://`` and absolute path, where they are."""
+        """Return the URDF for 3-D viewers: existing mesh files as ``file://`` and absolute path."""
         root = ET.fromstring(self.resolved_urdf(shapes="drawable"))
         name_files(root)
         return ET.tostring(root, encoding="unicode")
 
     def resolved_urdf(self, payload_kg: float = 0.0, shapes: Shapes = "named") -> str:
-        """The URDF with every joint revolute, prismatic or fixed, with unit axes.
+        """Return the URDF with every joint revolute, prismatic or fixed, with unit axes.
 
         Args:
             payload_kg: point mass fixed to the origin of the tip link.
-            shapes: what becomes of all that is only seen or touched: mesh files ``named`` by
-                absolute path, those that are ``drawable`` alone, or ``none``, as physics needs.
+            shapes: visual and collision shapes to keep: all, with mesh files ``named`` by absolute
+                path; the ``drawable`` ones; or ``none``, as for physics.
         """
         root = ET.fromstring(self.text)
         resolve_joints(root, set(self.joint_names), {each.name for each in self.followers})
@@ -103,7 +103,7 @@ class RobotDescription:
             drop_shapes(root, but_drawable=shapes == "drawable")
         if payload_kg > 0.0:
             attach_payload(root, self.tip_link, payload_kg)
-        ET.indent(root)  # Bullet cuts lines of more than 8192 characters apart
+        ET.indent(root)  # Bullet splits lines of more than 8192 characters
         return ET.tostring(root, encoding="unicode")
 
 
@@ -114,11 +114,11 @@ def load_robot(
 
     Args:
         path: the file.
-        driven: joints to drive; None for all that have a motor, see `joint_roles`.
-        repair: mend inertias that no body has, however far off they are.
+        driven: joints to drive; None for all with a motor, see `joint_roles`.
+        repair: replace all impossible inertias, even those far off.
 
     Raises:
-        RobotDescriptionError: it cannot be read, or is of no arm with a joint to drive.
+        RobotDescriptionError: it cannot be read, or has no joint to drive.
     """
     text, root = _parse(path)
     left_out: list[str] = []
@@ -143,7 +143,7 @@ def _described(
     roles = joint_roles(root, driven)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
     check_moved_masses(root, moving)
-    oddities = _oddities(path, root, moving)
+    oddities = _warnings_of(path, root, moving)
     warnings = [*judge_inertias(root, moving, repair=repair), *oddities]
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
@@ -174,8 +174,8 @@ def _check_ranges(names: Sequence[str], lower: Vector, upper: Vector) -> None:
             )
 
 
-def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
-    """What is odd about a file that is taken all the same."""
+def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
+    """Return warnings about accepted but suspicious contents of a file."""
     said = [
         f"the axis of joint {name} is no unit vector: it is taken as a direction alone"
         for name in long_axes(root)

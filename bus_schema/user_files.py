@@ -1,4 +1,4 @@
-"""Files that a user names, which may be a stranger's: regular ones of a size that can be read."""
+"""Untrusted files that a user names: only regular ones of limited size are read."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ MOST_BYTES = 20_000_000
 
 
 class UserFileError(OSError):
-    """A file is none to read; the message says why, without its name."""
+    """A file cannot be read; the message says why, without its name."""
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a regular file; False for a path that no file can have."""
+    """Whether there is a regular file; False for an impossible path."""
     try:
         return path.is_file()
-    except (OSError, RuntimeError, ValueError):  # too long, links in a circle, or a NUL in it
+    except (OSError, RuntimeError, ValueError):  # too long, circular links, or a NUL in it
         return False
 
 
 def read_bytes(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
-    """The content of a regular file; devices and pipes, which may have no end, are not opened.
+    """Return the content of a regular file; devices and pipes, which may never end, are not opened.
 
     Raises:
         OSError: it cannot be read, is no regular file, or is too large.
@@ -42,10 +42,10 @@ def read_bytes(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path, most_bytes: int = MOST_BYTES, *, newline: str | None = None) -> str:
-    """The content of a regular file in UTF-8; `newline` as `open` has it.
+    """Return the content of a regular file in UTF-8; `newline` as in `open`.
 
     Raises:
-        OSError: as `read_bytes`, or it is not in UTF-8.
+        OSError: as for `read_bytes`, or it is not in UTF-8.
     """
     content = io.BytesIO(read_bytes(path, most_bytes))
     try:

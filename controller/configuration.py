@@ -1,4 +1,4 @@
-"""Section ``controller`` of a scenario, and the parts of a controller that it builds."""
+"""Section ``controller`` of a scenario, and the controller's parts built from it."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
 
 PROCESS = "process"
-"""In place of the name of a law: the controller is a process of the user's own on the bus."""
+"""In place of a law's name: the controller is a user's own process on the bus."""
 _INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
 _PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
 
 
 def _to_word(value: Any) -> Any:
-    """YAML has numbers where a command line has words."""
+    """Convert a number, as YAML reads it, to a word of a command line."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return str(value) if is_number else value
 
@@ -65,7 +65,7 @@ class DelayCompensationConfiguration(StrictModel):
 
     Attributes:
         enabled: whether the law sees the predicted state instead of the measured one.
-        observer_bandwidth_rad_s: bandwidth of the observer for what the model misses.
+        observer_bandwidth_rad_s: bandwidth of the observer for model errors and disturbances.
         learn_friction: whether Coulomb friction is identified too.
         identify_model: whether inertia, payload, viscous friction and actuator lag are identified
             while the arm moves.
@@ -81,10 +81,10 @@ class DelayCompensationConfiguration(StrictModel):
 
 
 class DriveFeedbackConfiguration(StrictModel):
-    """Targets for drives that close a loop of their own; for any law.
+    """Targets for drives that close their own loop; for any law.
 
     Attributes:
-        enabled: whether commands carry targets beside their torques, and the emulated drives take
+        enabled: whether commands carry targets beside their torques, and the emulated drives use
             them.
         bandwidth_rad_s: bandwidth ω of the drives' loop; stiffness is I ω², damping 2 I ω, with the
             joint's inertia I.
@@ -95,7 +95,7 @@ class DriveFeedbackConfiguration(StrictModel):
 
 
 def _check_gains(given: Any) -> dict[str, Any]:
-    """Gains by law, for the laws that the table has by now."""
+    """Validate gains by law, for the laws registered by now."""
     checked = _section_now().model_validate(given)
     return {law: gains for law, gains in checked if gains is not None}
 
@@ -104,9 +104,9 @@ def _section_now() -> type[StrictModel]:
     return _gains_section(tuple((law, entry.gains) for law, entry in LAWS.items()))
 
 
-@cache  # it takes 15 ms to make, as often as a scenario is read
+@cache  # creating it takes 15 ms, each time a scenario is read
 def _gains_section(types: tuple[tuple[str, Any], ...]) -> type[StrictModel]:
-    """A section with gains of these types, each under the name of its law, and ``custom`` ones."""
+    """Return a section with gains of these types by the name of their law, and ``custom`` ones."""
     fields: dict[str, Any] = {law: (gains | None, None) for law, gains in types}
     fields["custom"] = (dict[str, Any], Field(default_factory=dict))
     return create_model("Gains", __base__=StrictModel, **fields)
@@ -123,7 +123,7 @@ class ControllerConfiguration(StrictModel):
     Attributes:
         law: name of the control law, ``module:Class`` for your own law, or ``external`` for a law
             in a program; ``process`` if a process is given.
-        process: your own controller on the bus, in place of any law: a program and its arguments,
+        process: your own controller on the bus instead of a law: a program and its arguments,
             started in the current folder, without a shell.
         gains: gains by law. A law without an entry derives its gains from the arm's nominal
             inertia.
@@ -185,19 +185,19 @@ class ControllerConfiguration(StrictModel):
 
     @property
     def name(self) -> str:
-        """Whose controller it is: the law, or the process as its program is called."""
+        """Name of the controller: the law, or the program of the process."""
         return self.law if self.process is None else f"{PROCESS}: {_program_name(self.process)}"
 
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
-        """The gains of the configured law, expanded to the robot's joints.
+        """Return the gains of the configured law, expanded to the robot's joints.
 
         Args:
             robot: the arm.
-            inertia_kg_m2: nominal inertia that governs each joint, shape (joints,), by which gains
-                are sized that the scenario does not give.
+            inertia_kg_m2: nominal inertia that governs each joint, shape (joints,); sizes the gains
+                that the scenario does not give.
 
         Raises:
-            ConfigurationError: there are as many values of a gain as suits another arm.
+            ConfigurationError: the number of a gain's values does not fit the arm.
         """
         if self.law in (EXTERNAL, PROCESS):
             return {}
@@ -211,10 +211,10 @@ class ControllerConfiguration(StrictModel):
     def build_law(
         self, gains: Any, robot: RobotDescription, rotors_kg_m2: Vector | None = None
     ) -> ControlLaw:
-        """The configured law with gains from `build_gains`; rotors as for `nominal_model`.
+        """Return the configured law with gains from `build_gains`; rotors as for `nominal_model`.
 
         Raises:
-            ConfigurationError: a law of the user's own cannot be made; a process is no law.
+            ConfigurationError: a user's law cannot be created, or the controller is a process.
         """
         if self.law == PROCESS:
             allowed = "must be the name of a law: a process is there in `run` and studies alone"
@@ -222,7 +222,7 @@ class ControllerConfiguration(StrictModel):
         if self.law == EXTERNAL:
             if are_left_out():
                 return LeftOut(robot.joints)
-            assert self.external is not None  # as a validator saw to
+            assert self.external is not None  # ensured by a validator
             return ExternalLaw(self.external, robot.effort_limits_nm)
         model = self.nominal_model(robot, rotors_kg_m2)
         if self.law not in LAWS:
@@ -236,7 +236,7 @@ class ControllerConfiguration(StrictModel):
         *,
         payload_kg: float = 0.0,
     ) -> ManipulatorModel:
-        """What the controller believes about the arm.
+        """Return the controller's nominal model of the arm.
 
         Args:
             robot: the arm.
@@ -260,13 +260,13 @@ class ControllerConfiguration(StrictModel):
         link: LinkConfiguration,
         rotors_kg_m2: Vector | None = None,
     ) -> DelayCompensation | None:
-        """The configured delay compensation; None for none.
+        """Return the configured delay compensation; None if it is disabled.
 
         Args:
             robot: the arm.
             inertia_kg_m2: nominal inertia that governs each joint, shape (joints,).
-            drive: what the drives add of their own.
-            link: no torque acts sooner than its play-out time after the state it answers.
+            drive: gains of the drives' own loops.
+            link: its play-out time is the shortest time from a state until its torque acts.
             rotors_kg_m2: as for `nominal_model`.
         """
         settings = self.delay_compensation
@@ -291,13 +291,13 @@ class ControllerConfiguration(StrictModel):
         )
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
-        """Bound on the law's settling time, s; None for a law that has none."""
+        """Return the bound on the law's settling time, s; None for a law without one."""
         bound = LAWS[self.law].settling_bound_s if self.law in LAWS else None
         value = bound(gains, largest_inertia) if bound is not None else math.inf
         return value if math.isfinite(value) else None
 
     def torque_rate_limits(self, joints: int) -> Vector:
-        """Torque rate limit per joint, N m/s; inf for none."""
+        """Return the torque rate limit per joint, N m/s; inf for none."""
         if self.torque_rate_limit_nm_s is None:
             return np.full(joints, np.inf)
         key = "controller.torque_rate_limit_nm_s"
@@ -305,7 +305,7 @@ class ControllerConfiguration(StrictModel):
 
 
 def _program_name(command: tuple[str, ...]) -> str:
-    """What a command runs: what an interpreter is given is more telling than the interpreter."""
+    """Return the name of a command's program; for an interpreter, that of its script."""
     program, *arguments = command
     scripts = [word for word in arguments if not word.startswith("-")]
     is_interpreter = _INTERPRETER.fullmatch(PurePath(program).name) is not None

@@ -1,4 +1,4 @@
-"""What a control law is: from the tracking errors of a moment to joint torques."""
+"""Interface of control laws: from the current tracking errors to joint torques."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ UPPER, D_UPPER, DD_UPPER, LOWER, D_LOWER, DD_LOWER = 0, 1, 2, 3, 4, 5
 
 
 class Tracking:
-    """The situation a law has to answer.
+    """The situation that a law answers.
 
-    Arrays have shape (joints,), are reused every cycle and never replaced: compiled code keeps hold
-    of them. `position` and `velocity` are written before `update`, all else by it.
+    Arrays have shape (joints,), are reused every cycle and never replaced: compiled code keeps
+    references to them. The caller writes `position` and `velocity`; `update` writes all others.
 
     Args:
         joints: number of joints.
-        motion: where positions and velocities are found, shape (2, joints).
-        published: where to write what goes into a control status, rows named by `PUBLISHED`.
-            Both may lie in messages, which spares the control loop two copies in every cycle.
+        motion: array for positions and velocities, shape (2, joints).
+        published: array for the values of a control status, rows named by `PUBLISHED`. Both may be
+            part of messages, which saves the control loop two copies per cycle.
 
     Attributes:
         time_s: time of measurement since the start of the run.
         step_s: time since the previous measurement; 0 at the first.
-        horizon_s: how far this situation lies ahead of its measurement; 0 unless predicted.
+        horizon_s: time from the measurement to this situation; 0 unless predicted.
         position: rad; velocity: rad/s; as measured.
         motion: both as rows, shape (2, joints).
         reference_position: rad; reference_velocity: rad/s; reference_acceleration: rad/s².
@@ -69,7 +69,7 @@ class Tracking:
         self._funnel: Funnel | None = None
 
     def update(self, time_s: float, step_s: float, reference: Reference, funnel: Funnel) -> None:
-        """Work out errors and bounds at `time_s`."""
+        """Compute errors and bounds at `time_s`."""
         if funnel is not self._funnel or reference is not self._reference:
             self._bind(reference, funnel)
         self.time_s, self.step_s = time_s, step_s
@@ -89,7 +89,7 @@ class Tracking:
 
 
 _POSITION, _VELOCITY, _ERROR, _ERROR_RATE, _UPPER, _LOWER = range(6)
-"""Rows of what a `Tracking` publishes, in the order of its `PUBLISHED`."""
+"""Rows of a `Tracking`'s published values, in the order of its `PUBLISHED`."""
 
 
 @compiled
@@ -111,7 +111,7 @@ def _errors_and_bounds(
 
 
 class _Row:
-    """A row of a table as an attribute: what is assigned to it is copied into the row."""
+    """A row of a table as an attribute: assigning to it copies the values into the row."""
 
     def __set_name__(self, owner: type[Diagnostics], name: str) -> None:
         self._index = owner.PUBLISHED.index(name)
@@ -125,7 +125,7 @@ class _Row:
 
 
 class Diagnostics:
-    """What a law lets out about its inner state, shape (joints,) each; NaN for what it has not.
+    """A law's report of its internal state, shape (joints,) each; NaN for missing values.
 
     Attributes:
         transformed_error: ε; sliding_variable: s, rad/s; network_output: N m.
@@ -152,37 +152,37 @@ class Diagnostics:
 
 
 TRANSFORMED_ERROR, SLIDING_VARIABLE, NETWORK_OUTPUT = range(3)
-"""Rows of what `Diagnostics` publish, in the order of its `PUBLISHED`."""
+"""Rows of the published `Diagnostics`, in the order of its `PUBLISHED`."""
 
 
 class Dynamics(Protocol):
-    """What a model-based law may ask of a nominal model M(q) q̈ + C(q, q̇) q̇ + G(q) = τ.
+    """Methods of a nominal model M(q) q̈ + C(q, q̇) q̇ + G(q) = τ for a model-based law.
 
-    All vectors have shape (joints,); `ManipulatorModel` says more.
+    All vectors have shape (joints,); see `ManipulatorModel`.
     """
 
     joints: int
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
-        """M(q) a + C(q, q̇) q̇ + G(q), N m, in a fresh array."""
+        """Return M(q) a + C(q, q̇) q̇ + G(q), N m, in a new array."""
 
     def torque_along(
         self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
     ) -> Vector:
-        """M(q) a + C(q, q̇) v + G(q) for a velocity v that need not be q̇, N m, in a fresh array."""
+        """Return M(q) a + C(q, q̇) v + G(q), N m, in a new array; v may differ from q̇."""
 
 
 class ControlLaw(Protocol):
-    """A control law; all of its memory is its own, and all of its time comes from `Tracking`.
+    """A control law; its state is private, and its time comes only from `Tracking`.
 
     The same sequence of inputs after construction or `reset` gives the same bits. A law that holds
-    something which has to be given back, such as a process, has a `close` too.
+    a resource, such as a process, also has a method `close`.
     """
 
     diagnostics: Diagnostics
 
     def torque(self, tracking: Tracking) -> Vector:
-        """Joint torques in N m, shape (joints,); the array may be reused by the next call."""
+        """Return joint torques in N m, shape (joints,); the next call may reuse the array."""
 
     def reset(self) -> None:
         """Forget everything since construction."""
@@ -190,12 +190,12 @@ class ControlLaw(Protocol):
 
 @compiled
 def may_accumulate(torque_nm: float, signal: float, limit_nm: float) -> bool:
-    """Whether what a law remembers of a joint may take in a signal, after it asked for a torque.
+    """Whether a law's memory of a joint may integrate a signal, given the torque it requested.
 
     Conditional integration, after Åström and Hägglund, PID Controllers (1995), section 3.5. A
-    memory that answers a signal (an integral the error, a network the sliding variable) pushes the
-    torque against that signal. While the torque asked for last was beyond the joint's limit, a push
-    further out changes nothing but the memory, which has to be unlearned later: it is left out. A
-    push back inwards is always taken.
+    memory (an integral of the error, a network driven by the sliding variable) pushes the torque
+    against its signal. While the last requested torque exceeds the joint's limit, a push further
+    out would change only the memory, which must be unlearned later: it is skipped. A push back
+    inwards is always integrated.
     """
     return abs(torque_nm) <= limit_nm or torque_nm * signal > 0.0

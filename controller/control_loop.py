@@ -1,7 +1,7 @@
 """The control loop: receive a joint state, update the law, send torques.
 
-The loop has no clock of its own: a joint state drives each cycle, and its stamp is the time. So the
-same states give the same torques, bit for bit, in a simulation, over a bus and in a replay.
+The loop has no clock: a joint state drives each cycle, and its stamp is the time. So the same
+states give the same torques, bit for bit, in a simulation, over a bus and in a replay.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ControlTask:
-    """What the controller has to do: this arm, along this reference, inside this funnel.
+    """The controller's task: this arm, along this reference, inside this funnel.
 
     Attributes:
         law_name: name of the law, for error messages.
-        limits: what torques and motion are kept within.
+        limits: limits of torques and motion.
         compensation: predicts the state in which a torque will act; None for none.
-        sends_targets: commands carry targets for drives that close a loop of their own.
+        sends_targets: commands carry targets for drives that close their own loop.
     """
 
     robot: RobotDescription
@@ -63,12 +63,12 @@ class ControlTask:
 class ControlLoop:
     """One cycle per joint state: read, update, write.
 
-    There is no loop in here: the link's `spin` calls `cycle` for each state that arrives. `stop`
-    and `end` come after it has returned.
+    The link's `spin` is the loop: it calls `cycle` for each state that arrives. Call `stop` and
+    `end` after it has returned.
 
     Attributes:
-        mode: what the controller does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
-        cycles: states answered with a torque of their own.
+        mode: the controller's mode; it changes by `bus_schema.runtime.modes.TRANSITIONS`.
+        cycles: states answered with a new torque.
         late: states no newer than the newest seen, answered with the torque in force.
         rejections: unusable states, which are not answered.
         tracking: the situation at the newest state.
@@ -107,33 +107,33 @@ class ControlLoop:
         link.serve(self.cycle)
 
     def warm_up(self) -> None:
-        """Compile the law before time counts, and leave no trace of it.
+        """Compile the law before the run, without a trace in its state.
 
         Raises:
-            ControllerError: the law raised, or returned something that is no torque.
+            ControllerError: the law raised, or returned no valid torque.
         """
         reference, funnel = self._task.reference, self._task.funnel
         situation = self.tracking
         situation.update(0.0, 0.0, reference, funnel)
         if self._compensation is not None:
             self._compensation.warm_up(self.tracking, reference, funnel)
-            situation = self._compensation.predicted  # a law binds its kernels to what it is shown
+            situation = self._compensation.predicted  # a law binds its kernels to these
         try:
             torque_nm = self._task.law.torque(situation)
             self._task.law.reset()
         except BaseException as error:
-            raise self._of_the_law(error, None) from error
+            raise self._as_law_error(error, None) from error
         self._guard.admit(torque_nm, 0, 0.0)
         self._guard.reset()
-        # The codec of a message type is made at its first use, which takes longer than a few ticks.
+        # A message type's codec is created at its first use, which takes longer than a few ticks.
         RunEvent(0, Role.CONTROLLER, EventKind.STARTED, "").encode()
 
     def cycle(self, state: bytes, plant_status: bytes | None) -> None:
         """Answer one joint state.
 
         Raises:
-            InvalidTorqueError: the law returned something that is no torque.
-            LawError: it raised; the controller has stopped then.
+            InvalidTorqueError: the law returned no valid torque.
+            LawError: the law raised; the controller has stopped.
         """
         started_ns = time.perf_counter_ns()
         if self.mode not in COMMANDABLE:
@@ -148,15 +148,15 @@ class ControlLoop:
             raise
 
     def stop(self, reason: str) -> None:
-        """Stop for a fault: the last torque is zero, whatever rate limits say, without a target."""
+        """Stop for a fault: send a zero torque without a target, ignoring rate limits."""
         if self.mode not in COMMANDABLE:
             return
         self._change_mode(Trigger.FAIL, "zero torque")
         self._command.stamp_ns = max(self.stamp_ns, 0)
         self._command.fields["effort"][:] = 0.0
         if self._target is not None:
-            self._target[:] = math.nan  # none, or the drives would go on along the last one
-        with contextlib.suppress(Exception):  # the bus may be what has failed
+            self._target[:] = math.nan  # without targets, or the drives would follow the last one
+        with contextlib.suppress(Exception):  # the bus may be the fault
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         self._change_mode(Trigger.STOPPED, "gives no more torques")
         self._events.append((EventKind.FAULT, reason))
@@ -165,7 +165,7 @@ class ControlLoop:
             self._publish_events()
 
     def end(self) -> dict[str, object]:
-        """End the run; what was counted."""
+        """End the run; return the counts."""
         if self.mode in COMMANDABLE:
             self._change_mode(Trigger.END, "gives no more torques")
             self._release_law()
@@ -178,7 +178,7 @@ class ControlLoop:
         return counts
 
     def _read(self, state: bytes, plant_status: bytes | None) -> bool:
-        """Take in a state; whether it calls for a new torque."""
+        """Read a state; return whether it requires a new torque."""
         try:
             stamp_ns = self._state_layout.decode(state, self._state)
             if not self._is_finite():
@@ -202,9 +202,9 @@ class ControlLoop:
         return True
 
     def _read_plant_status(self, plant_status: bytes | None, stamp_ns: int) -> int:
-        """Take in what the plant says of the command in force; when it says the run began.
+        """Read the plant's report of the command in force and of the start of the run.
 
-        For a foreign plant, which says nothing, the run begins with its first state.
+        A foreign plant reports nothing: the run begins with its first state.
         """
         start_ns, self._feedback = stamp_ns, None
         if plant_status is not None:
@@ -219,7 +219,7 @@ class ControlLoop:
         return start_ns
 
     def _update(self) -> None:
-        """Write the torque for the situation, or for the one in which it will act, as a command."""
+        """Compute the torque for the situation, or its prediction, and write it as a command."""
         situation = self.tracking
         if self._compensation is not None:
             situation = self._compensation.predict(
@@ -227,12 +227,12 @@ class ControlLoop:
             )
         try:
             torque_nm = self._task.law.torque(situation)
-        except BaseException as error:  # a law of the user's own may raise anything
-            raise self._of_the_law(error, self.cycles) from error
+        except BaseException as error:  # a user's law may raise any exception
+            raise self._as_law_error(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
 
     def _release_law(self) -> None:
-        """Have the law give back what it holds; it is not asked for torques any more."""
+        """Release the law's resources; it is not called any more."""
         close = getattr(self._task.law, "close", None)
         try:
             if callable(close):
@@ -240,14 +240,14 @@ class ControlLoop:
         except BaseException as error:
             if not is_of_the_law(error):
                 raise
-            self._events.append((EventKind.FAULT, str(self._of_the_law(error, self.cycles))))
+            self._events.append((EventKind.FAULT, str(self._as_law_error(error, self.cycles))))
 
-    def _of_the_law(self, error: BaseException, tick: int | None) -> BaseException:
-        """What to raise for an error within the law: a request to stop goes on as it is."""
+    def _as_law_error(self, error: BaseException, tick: int | None) -> BaseException:
+        """Return the exception to raise for an error within the law; a stop request stays."""
         return LawError(self._task.law_name, tick, error) if is_of_the_law(error) else error
 
     def _write(self) -> int:
-        """Send the torque in force in answer to the state that was read; its number."""
+        """Send the current torque in answer to the state that was read; return its number."""
         self._command.stamp[:] = self._state.stamp
         if self._target is not None:
             self._write_target(self._target)
@@ -259,7 +259,7 @@ class ControlLoop:
         return sequence
 
     def _write_target(self, target: Matrix) -> None:
-        """Where the drives are to be: on the way foreseen or, without foresight, the reference."""
+        """Write the drives' target: from the prediction or, without one, the reference."""
         if self._compensation is not None:
             target[:] = self._compensation.target
         else:
@@ -267,7 +267,7 @@ class ControlLoop:
             target[1] = self.tracking.reference_velocity
 
     def _report(self, sequence: int, started_ns: int) -> None:
-        """Publish the law's inner state and its timing; the torque is already on its way."""
+        """Publish the law's internal state and its timing; the torque has already been sent."""
         payload = self._status.encode(self._state, self.cycles, sequence, started_ns)
         self._link.publish(topics.CONTROL_STATUS, payload)
         self.cycles += 1
@@ -288,7 +288,7 @@ class ControlLoop:
         self._events.append((EventKind.MODE, mode_event(self.mode, why)))
 
     def _publish_events(self) -> None:
-        """Publish what has happened; within a cycle, the torque is already on its way."""
+        """Publish pending events; within a cycle, the torque has already been sent."""
         events, self._events = self._events, []
         now_ns = max(self.stamp_ns, self._link.cycle_ns, 0)
         for kind, detail in events:
@@ -297,5 +297,5 @@ class ControlLoop:
 
 
 def reason_of(error: Exception) -> str:
-    """What stopped a controller, in one sentence; another exception is told by its name."""
+    """Return the reason why a controller stopped, in one sentence; name unknown exceptions."""
     return str(error) if isinstance(error, ControllerError) else f"{type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""What a controller publishes of every cycle: the law's inner state, and the loop's timing."""
+"""Status published every cycle: the law's internal state, and the loop's timing."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _LEARNED = (
     "foreseen_error", "learned_disturbance", "learned_friction", "learned_viscous",
     "inertia_factor", "payload_kg", "actuator_lag_s",
 )  # fmt: skip
-"""NaN until they are written, which some never are."""
+"""NaN until written; some fields are never written."""
 
 
 class ControlStatus:
-    """Makes control status messages.
+    """Encoder of control status messages.
 
     Args:
         joint_names: names of the joints.
@@ -33,7 +33,7 @@ class ControlStatus:
         compensation: the delay compensation, if there is one.
 
     Attributes:
-        tracking_rows: where the `Tracking` is to write what it publishes.
+        tracking_rows: array for the `Tracking`'s published values.
     """
 
     def __init__(
@@ -52,10 +52,10 @@ class ControlStatus:
         self._cycle_started_ns = 0
 
     def encode(self, state: Record, cycle: int, sequence: int, started_ns: int) -> bytes:
-        """The message for a cycle.
+        """Return the message of a cycle.
 
         Args:
-            state: the state answered, whose stamp the message bears.
+            state: the answered state, whose stamp the message has.
             cycle: number of the cycle.
             sequence: number of the command.
             started_ns: start of the cycle, by ``time.perf_counter_ns``.
@@ -76,16 +76,16 @@ class ControlStatus:
         return self._record.payload()
 
     def _bind(self, diagnostics: Diagnostics) -> None:
-        """Publish these from now on; a law may have new ones after a reset."""
-        # What a memoryview gives out is written in half the time of NumPy's own scalars.
+        """Publish these diagnostics from now on; a law may have new ones after a reset."""
+        # Reading from a memoryview takes half the time of NumPy's own scalars.
         self._diagnostics, self._network_norm = diagnostics, diagnostics.network_norm.data
-        # One bound copy of a table: a quarter of what a copy per array takes, in every cycle.
+        # One bound copy of a table takes a quarter of the time of a copy per array, in every cycle.
         self._take_diagnostics = copying(
             diagnostics.published, self._record.rows(*Diagnostics.PUBLISHED)
         )
 
     def _learned_by(self, compensation: DelayCompensation) -> Callable[[], None]:
-        """Writes what was predicted and learned: one bound call, a third of as many in Python."""
+        """Return a function that writes predictions and learned values in one fast bound call."""
         identification = compensation.identification
         return bind(
             _write_learned, compensation.commands.state, compensation.predicted.error,
@@ -101,7 +101,7 @@ def _write_learned(
     horizon_ns: NDArray[np.int64], foreseen_error: Vector, disturbance: Vector, friction: Vector,
     viscous: Vector, inertia_factor: Vector, payload_kg: Vector, lag_s: Vector,
 ) -> None:  # fmt: skip
-    """Write it as a message has it, the last eight arguments."""
+    """Write the learned values into a message's fields, the last eight arguments."""
     horizon_ns[0] = commands[0].horizon_ns
     foreseen_error[:] = error
     disturbance[:] = belief.disturbance_nm

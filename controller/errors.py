@@ -1,4 +1,4 @@
-"""The root of what goes wrong in a running controller."""
+"""Root of the errors of a running controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class ControllerError(Exception):
 
 _LONGEST = 300
 _FIRST, _LAST = 1, 2
-"""Frames that are told of a long traceback: where the law was called, and where it raised."""
+"""Frames shown of a long traceback: the call of the law, and where it raised."""
 
 
 class LawError(ControllerError):
@@ -22,8 +22,8 @@ class LawError(ControllerError):
 
     Args:
         law: its name.
-        tick: cycle in which it did; None before the first.
-        error: what it raised, with its traceback from the caller of the law on.
+        tick: cycle in which it raised; None before the first.
+        error: its exception, with the traceback from the caller of the law on.
     """
 
     def __init__(self, law: str, tick: int | None, error: BaseException) -> None:
@@ -32,21 +32,21 @@ class LawError(ControllerError):
 
 
 def is_of_the_law(error: BaseException) -> bool:
-    """Whether something raised within a law came from it, rather than from a request to stop."""
-    if isinstance(error, KeyboardInterrupt):  # which Ctrl-C raises only where nothing handles it
+    """Whether an exception within a law came from the law, not from a request to stop."""
+    if isinstance(error, KeyboardInterrupt):  # raised by Ctrl-C only if no handler is installed
         return signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     return not isinstance(error, Stopped)
 
 
 def _described(error: BaseException) -> str:
-    """Type and message on one line that can be shown and recorded, with any message."""
+    """Return type and message of an exception on one printable line."""
     text = " ".join("".join(traceback.format_exception_only(error)).split())
     text = "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def _places(error: BaseException) -> str:
-    """File, line and function of the first and the last frames, without that of the caller."""
+    """Return file, line and function of the first and the last frames, without the caller's."""
     frames = [
         f"{frame.filename}:{frame.lineno} in {frame.name}"
         for frame in traceback.extract_tb(error.__traceback__)[1:]

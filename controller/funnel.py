@@ -2,7 +2,7 @@
 
 After section 3 of the paper: one performance function bounds the side the error comes from
 (convergence), the other the far side (overshoot), both decreasing to one steady-state bound. The
-transformation that is zero exactly at zero error, also while the two bounds differ, is ours.
+transformation is ours: it is zero exactly at zero error, even if the two bounds differ.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Funnel:
     rate_per_s: float
 
     def bounds(self, time_s: Vector) -> tuple[Vector, Vector]:
-        """Upper and (negative) lower bound in rad at each time, shapes (times, joints)."""
+        """Return upper and (negative) lower bounds in rad at each time, shapes (times, joints)."""
         times = np.asarray(time_s, dtype=np.float64)
         decay = elementwise(math.exp, -self.rate_per_s * times)[:, None]
         upper = (self.initial_upper_rad - self.final_rad) * decay + self.final_rad
@@ -52,18 +52,18 @@ class Funnel:
         return upper, -lower
 
     def counting(self, position: Vector, wanted: Vector, counts: Vector) -> Callable[[float], None]:
-        """A function of time that counts one tick of a motion, as these arrays have it then.
+        """Return a function of time that updates `counts` for a tick of the motion in these arrays.
 
         Args:
             position: joint positions, rad, shape (joints,).
-            wanted: where they should be.
+            wanted: their references.
             counts: ticks, those outside the bounds, and the largest |e| over the bound.
         """
         bounds = self.initial_upper_rad, self.initial_lower_rad, self.final_rad, self.rate_per_s
         return bind(_count, *bounds, position, wanted, counts, free=["float64"])
 
     def copied(self) -> Funnel:
-        """The same bounds in arrays that nothing else has."""
+        """Return the same bounds in separate arrays."""
         names = ("initial_upper_rad", "initial_lower_rad", "final_rad")
         return replace(self, **{name: getattr(self, name).copy() for name in names})
 
@@ -74,7 +74,7 @@ Bound: TypeAlias = tuple[float, float, float]
 
 @compiled
 def performance_function(time_s: float, initial: float, final: float, rate: float) -> Bound:
-    """ρ(t) = (ρ₀ − ρ∞) e^(−μt) + ρ∞ with its first and second derivative."""
+    """Return ρ(t) = (ρ₀ − ρ∞) e^(−μt) + ρ∞ with its first and second derivative."""
     transient = (initial - final) * math.exp(-rate * time_s)
     return transient + final, -rate * transient, rate * rate * transient
 
@@ -97,13 +97,13 @@ def _count(
 
 @compiled
 def transform(error: float, upper: Bound, lower: Bound) -> float:
-    """ε = ½ ln[(1 + e/l) / (1 − e/u)] for −l < e < u."""
+    """Return ε = ½ ln[(1 + e/l) / (1 − e/u)] for −l < e < u."""
     return 0.5 * math.log((1.0 + error / lower[0]) / (1.0 - error / upper[0]))
 
 
 @compiled
 def transformation_rates(error: float, upper: Bound, lower: Bound) -> tuple[float, float]:
-    """R = ∂ε/∂e and the error rate v of the moving funnel, so that ε̇ = r (ė − v)."""
+    """Return r = ∂ε/∂e and the error rate v of the moving funnel, so that ε̇ = r (ė − v)."""
     u, d_u, _ = upper
     lo, d_lo, _ = lower
     r = 0.5 * (1.0 / (lo + error) + 1.0 / (u - error))
@@ -115,7 +115,7 @@ def transformation_rates(error: float, upper: Bound, lower: Bound) -> tuple[floa
 def transformation_accelerations(
     error: float, error_rate: float, upper: Bound, lower: Bound
 ) -> tuple[float, float]:
-    """ṙ and v̇ along a motion with error rate ė."""
+    """Return ṙ and v̇ along a motion with error rate ė."""
     r, v = transformation_rates(error, upper, lower)
     below, above = lower[0] + error, upper[0] - error
     d_below, d_above = lower[1] + error_rate, upper[1] - error_rate
@@ -131,7 +131,7 @@ def transformation_accelerations(
 def _rate_of_drift_term(
     error: float, error_rate: float, bound: Bound, gap: float, d_gap: float
 ) -> float:
-    """Time derivative of e ρ̇ / (ρ g), with g the gap between error and bound."""
+    """Return the time derivative of e ρ̇ / (ρ g), with g the gap between error and bound."""
     rho, d_rho, dd_rho = bound
     numerator = error * d_rho
     denominator = rho * gap
@@ -141,7 +141,7 @@ def _rate_of_drift_term(
 
 
 class FunnelConfiguration(StrictModel):
-    """The prescribed performance: how wide the funnel starts, how fast and how far it closes.
+    """The prescribed performance: initial width of the funnel, rate and final width of its closing.
 
     The funnel opens to ``convergence_scale × |e(0)| + convergence_margin_rad`` on the side of the
     initial error e(0) and to ``overshoot_scale × |e(0)| + overshoot_margin_rad`` on the other, but
@@ -157,7 +157,7 @@ class FunnelConfiguration(StrictModel):
     rate_per_s: Positive = 4.0
 
     def build(self, initial_error_rad: Vector) -> Funnel:
-        """The funnel for an initial error, shape (joints,).
+        """Return the funnel for an initial error, shape (joints,).
 
         Raises:
             ConfigurationError: the initial error is outside, or a side would have to widen.

@@ -19,14 +19,14 @@ from controller.rigid_bodies.vectors import invert, product
 
 
 class JointPlaces:
-    """Values per driven joint, in the URDF's order, and per moving joint, in the library's.
+    """Conversion between driven joints, in the URDF's order, and moving joints, in pinocchio's.
 
-    Mimic joints move with the joints that they follow: q = S q_driven + o, with constant S. So
-    torques come back as Sᵀ τ, and matrices as Sᵀ M S.
+    Mimic joints follow other joints: q = S q_driven + o, with constant S. So torques of the driven
+    joints are Sᵀ τ, and matrices Sᵀ M S.
 
     Args:
-        order: place of each driven joint in the library's lists, shape (joints,).
-        followers: place, number of the driven joint, multiplier and offset of each mimic joint.
+        order: index of each driven joint in the library's lists, shape (joints,).
+        followers: index, number of the driven joint, multiplier and offset of each mimic joint.
 
     Attributes:
         order: as above.
@@ -39,7 +39,7 @@ class JointPlaces:
         self.order = order
         self.couples = bool(followers)
         self._joints, total = order.size, order.size + len(followers)
-        # S has one number in each row: which joint moves this one, and how many times as far.
+        # S has one nonzero value per row: the multiplier, in the driven joint's column.
         self._leader = np.empty(total, dtype=np.int64)
         self._leader[order] = np.arange(order.size)
         self._factor: Vector = np.ones(total)
@@ -48,27 +48,27 @@ class JointPlaces:
             self._leader[place], self._factor[place] = leader, multiplier
             self._offset[place] = offset
         self._pairs = (self._joints * self._leader[:, None] + self._leader).ravel()
-        # Symmetric matrices have their upper triangle filled.
+        # For matrices of which only the upper triangle is filled.
         self._upper = (np.minimum.outer(order, order), np.maximum.outer(order, order))
 
     def positions(self, position: Vector) -> Vector:
-        """Positions of all joints in the library's order."""
+        """Return positions of all joints in the library's order."""
         moved = self.rates(position)
         return moved + self._offset if self.couples else moved
 
     def rates(self, values: Vector) -> Vector:
-        """Velocities or accelerations of all joints in the library's order."""
+        """Return velocities or accelerations of all joints in the library's order."""
         moved = values[self._leader]
         return moved * self._factor if self.couples else moved
 
     def torques(self, full: Vector) -> Vector:
-        """Torques as the driven joints feel them, shape (joints,)."""
+        """Return torques as the driven joints feel them, shape (joints,)."""
         if self.couples:  # not by @, which rounds as BLAS does on this CPU
             return np.asarray(np.bincount(self._leader, full * self._factor, self._joints), float)
         return full[self.order]
 
     def symmetric(self, full: Matrix) -> Matrix:
-        """A matrix between velocities and torques, of which the upper triangle is filled.
+        """Return a symmetric matrix for the driven joints from the upper triangle for all joints.
 
         Shape (joints, joints).
         """
@@ -83,7 +83,7 @@ class JointPlaces:
 _fault = ""
 try:
     import pinocchio
-except ImportError as error:  # pin 3.9.0 for one; commands that need no model of an arm go on
+except ImportError as error:  # as in pin 3.9.0; commands without a model still work
     _fault = f"pinocchio cannot be imported ({error}): pip install --upgrade pin"
 
 _POSITIONS = 500
@@ -114,7 +114,7 @@ class ManipulatorModel:
         if _fault:
             raise RobotDescriptionError(f"{robot.path}: {_fault}")
         try:
-            urdf = robot.resolved_urdf(payload_kg / scale, "none")  # which is scaled back below
+            urdf = robot.resolved_urdf(payload_kg / scale, "none")  # scaled back below
             self._model = pinocchio.buildModelFromXML(urdf)
             for index, inertia in enumerate(self._model.inertias):
                 self._model.inertias[index] = pinocchio.Inertia(
@@ -130,7 +130,7 @@ class ManipulatorModel:
         self._names = robot.joint_names
         self._tip = self._model.getFrameId(robot.tip_link, pinocchio.FrameType.BODY)
         self.joints = robot.joints
-        # pinocchio may order the joints otherwise than the URDF file
+        # pinocchio may order the joints differently from the URDF
         self._places = JointPlaces(
             np.array([self._place(name) for name in robot.joint_names]),
             [
@@ -147,10 +147,10 @@ class ManipulatorModel:
             self._model.armature = armature
 
     def rigid_bodies(self) -> RigidBodies:
-        """The arm's structure, for compiled code.
+        """Return the arm's structure, for compiled code.
 
         Raises:
-            ConfigurationError: it has mimic joints, of which compiled code knows nothing.
+            ConfigurationError: it has mimic joints, which compiled code does not support.
         """
         if self._places.couples:
             allowed = "must be false for an arm with mimic joints (robot.joints may leave them out)"
@@ -174,22 +174,23 @@ class ManipulatorModel:
         )
 
     def inertia_table(self) -> Matrix:
-        """Inertia of every body and rotor, shape (joints, 11), as `RigidBodies` has it."""
+        """Return inertias of bodies and rotors, shape (joints, 11), in `RigidBodies`' format."""
         numbers = (self._model.getJointId(name) for name in self._names)
         links = np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
         return np.column_stack([links, self._rotors])
 
     def mass_matrix(self, position: Vector) -> Matrix:
-        """M(q), shape (joints, joints), kg m² (kg for joints that slide)."""
+        """Return M(q), shape (joints, joints), kg m² (kg for prismatic joints)."""
         full = pinocchio.crba(self._model, self._data, self._places.positions(position))
         return self._places.symmetric(full)
 
     def governing_inertia(self, positions: Matrix) -> Vector:
-        """Inertia by which joint gains may be sized on a motion, shape (joints,), kg m².
+        """Return the inertia by which to size joint gains on a motion, shape (joints,), kg m².
 
         A joint feels 1 / (M⁻¹)ᵢᵢ while all others are free, far less than Mᵢᵢ where axes are nearly
-        parallel. The least of it over the motion, shrunk until no mode of the coupled arm feels a
-        gain of k per unit inertia as more than k: the eigenvalues of M⁻¹ diag(m) are at most 1.
+        parallel. The result m is its minimum over the motion, reduced until no mode of the coupled
+        arm sees a gain of k per unit inertia as more than k: the eigenvalues of M⁻¹ diag(m) are at
+        most 1.
 
         Args:
             positions: joint positions on the motion, shape (samples, joints), rad.
@@ -207,7 +208,7 @@ class ManipulatorModel:
         return np.asarray(felt / _largest_eigenvalue(inverses, np.sqrt(felt)))
 
     def largest_inertia(self, positions: Matrix, weights: Vector) -> float:
-        """Largest eigenvalue of W M(q) W, W = diag(weights), over positions, kg m² × weight².
+        """Return the largest eigenvalue of W M(q) W, W = diag(weights), in kg m² × weight².
 
         Args:
             positions: shape (samples, joints), rad.
@@ -216,7 +217,7 @@ class ManipulatorModel:
         return _largest_eigenvalue(map(self.mass_matrix, positions), weights)
 
     def gravity(self, position: Vector) -> Vector:
-        """G(q), shape (joints,), N m."""
+        """Return G(q), shape (joints,), N m."""
         full = pinocchio.computeGeneralizedGravity(
             self._model, self._data, self._places.positions(position)
         )
@@ -224,11 +225,11 @@ class ManipulatorModel:
 
     @property
     def moved_kg(self) -> float:
-        """Mass of all that moves."""
+        """Mass of all moving links, kg."""
         return float(sum(inertia.mass for inertia in self._model.inertias[1:]))
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
-        """Torque of a motion, shape (joints,), N m."""
+        """Return the torque of a motion, shape (joints,), N m."""
         places = self._places
         full = pinocchio.rnea(
             self._model, self._data,
@@ -239,9 +240,9 @@ class ManipulatorModel:
     def torque_along(
         self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
     ) -> Vector:
-        """M(q) a + C(q, q̇) v + G(q) for a velocity v that need not be q̇, shape (joints,), N m.
+        """Return M(q) a + C(q, q̇) v + G(q), shape (joints,), N m; v may differ from q̇.
 
-        As M a + C q̇ + G, which is one recursion, and C (v − q̇), for which C itself is needed.
+        Computed as M a + C q̇ + G, one recursion, plus C (v − q̇), which needs C itself.
         """
         places = self._places
         position, velocity = places.positions(position), places.rates(velocity)
@@ -253,21 +254,21 @@ class ManipulatorModel:
         return places.torques(torque + product(coriolis, change))
 
     def energy(self, position: Vector, velocity: Vector) -> float:
-        """Kinetic plus potential energy, J."""
+        """Return kinetic plus potential energy, J."""
         places = self._places
         motion = places.positions(position), places.rates(velocity)
         return float(pinocchio.computeMechanicalEnergy(self._model, self._data, *motion))
 
     def tip_position(self, position: Vector) -> Vector:
-        """Origin of the tip link in the base frame, shape (3,), m."""
+        """Return the origin of the tip link in the base frame, shape (3,), m."""
         pinocchio.forwardKinematics(self._model, self._data, self._places.positions(position))
         placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
         return np.array(placement.translation)
 
     def skeleton(self, position: Vector) -> NDArray[np.float64]:
-        """Bones in the base frame, shape (bones, 2, 3), m.
+        """Return the arm's bones in the base frame, shape (bones, 2, 3), m.
 
-        Each leads from a joint, or the base's origin, to a joint that it carries, or to the tip.
+        Each bone connects a joint, or the base's origin, to a joint that it carries, or to the tip.
         """
         pinocchio.forwardKinematics(self._model, self._data, self._places.positions(position))
         tip = pinocchio.updateFramePlacement(self._model, self._data, self._tip).translation
@@ -277,10 +278,10 @@ class ManipulatorModel:
         return np.array([(joints[carrier], end) for carrier, end in ends])
 
     def yaw_pitch_pitch_lengths(self) -> tuple[float, float, float]:
-        """Shoulder height, upper arm and forearm of a yaw-pitch-pitch arm, m.
+        """Return shoulder height, upper arm and forearm of a yaw-pitch-pitch arm, m.
 
         Raises:
-            ConfigurationError: the arm is no such arm, or does not lie along x at zero.
+            ConfigurationError: the arm has another form, or does not lie along x at zero.
         """
         zero = np.zeros(self._model.nv)
         if self._model.nv == self.joints == 3 and not self._slides.any():
@@ -302,20 +303,21 @@ class ManipulatorModel:
         )
 
     def _place(self, name: str) -> int:
-        """Place of a joint in pinocchio's lists."""
+        """Return the index of a joint in pinocchio's lists."""
         return int(self._model.joints[self._model.getJointId(name)].idx_v)
 
 
 def _largest_eigenvalue(matrices: Iterable[Matrix], weights: Vector) -> float:
-    """Of W M W over symmetric matrices M, W = diag(weights)."""
+    """Return the largest eigenvalue of W M W over symmetric matrices M, W = diag(weights)."""
     weighted = (weights[:, None] * matrix * weights for matrix in matrices)
     return max(float(eigenvalues(each)[0].max()) for each in weighted)
 
 
 def spread_positions(robot: RobotDescription) -> Matrix:
-    """Joint positions all over the joint ranges, always the same, shape (samples, joints), rad.
+    """Return fixed joint positions spread over the joint ranges, shape (samples, joints), rad.
 
-    Zero, and a multiple of the square roots of primes modulo one, which fills the ranges evenly.
+    The first is zero; then multiples of the square roots of primes modulo one fill the ranges
+    evenly.
     """
     lower = np.where(np.isfinite(robot.lower_rad), robot.lower_rad, -math.pi)
     upper = np.where(np.isfinite(robot.upper_rad), robot.upper_rad, math.pi)
@@ -329,7 +331,7 @@ def spread_positions(robot: RobotDescription) -> Matrix:
 
 
 def largest_load_kg(robot: RobotDescription, limits_nm: Vector) -> float:
-    """The heaviest point mass that an arm holds up in any posture, at most its own moved mass.
+    """Return the heaviest tip load that an arm holds in any posture, at most its moved mass, kg.
 
     Args:
         robot: the arm.

@@ -16,11 +16,11 @@ class Reference:
     """A joint trajectory over the time of a run.
 
     Args:
-        kernel: compiled function of the parameters, of position, velocity and acceleration to be
-            written, and of time.
-        parameters: what it takes first.
-        warnings: what may not be meant about it, a sentence each.
-        known_s: first and last time for which it may be asked in a run.
+        kernel: compiled function of the parameters, of output arrays for position, velocity and
+            acceleration, and of time.
+        parameters: its first argument.
+        warnings: warnings about a suspicious trajectory, a sentence each.
+        known_s: first and last time at which it is defined.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Reference:
         ]
 
     def copied(self) -> Reference:
-        """The same trajectory in arrays that nothing else has."""
+        """Return the same trajectory in separate arrays."""
         parameters = (p.copy() if isinstance(p, np.ndarray) else p for p in self._parameters)
         return Reference(self._kernel, *parameters, warnings=self.warnings, known_s=self.known_s)
 
@@ -51,13 +51,13 @@ class Reference:
     def onto(
         self, position: Vector, velocity: Vector, acceleration: Vector
     ) -> Callable[[float], None]:
-        """`evaluate` as a function of time alone, always onto the same arrays."""
+        """Return `evaluate` as a function of time alone, always for the same arrays."""
         targets = (position, velocity, acceleration)
         return bind(self._kernel, *self._parameters, *targets, free=["float64"])
 
 
 def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matrix:
-    """Reference positions at each time, shape (times, joints), rad."""
+    """Return reference positions at each time, shape (times, joints), rad."""
     positions = np.empty((len(times_s), joints))
     position, velocity, acceleration = np.empty((3, joints))
     follow = reference.onto(position, velocity, acceleration)
@@ -174,8 +174,8 @@ def _through_rows(
         p, v, a = rows[row, 0, i], rows[row, 1, i], rows[row, 2, i]
         c3 = c4 = c5 = 0.0
         if row < last:
-            # The quintic that has the position, velocity and acceleration of both rows; a row's
-            # own numbers, to the bit, at its time.
+            # The quintic with the position, velocity and acceleration of both rows; at a row's
+            # time it returns the row's values, to the bit.
             h = times[row + 1] - times[row]
             off = rows[row + 1, 0, i] - (p + h * (v + 0.5 * h * a))
             d_off = (rows[row + 1, 1, i] - (v + h * a)) * h

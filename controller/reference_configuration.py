@@ -1,4 +1,4 @@
-"""Section ``reference`` of a scenario, and the trajectories that it builds."""
+"""Section ``reference`` of a scenario, and the trajectories built from it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from controller.reference_file import read_rows
 
 
 class _Timed(StrictModel):
-    """What every kind of reference has.
+    """Settings of every kind of reference.
 
     Attributes:
         speed: factor on the speed of the motion, q_d(speed t). Accelerations grow with its square.
@@ -48,7 +48,7 @@ class AxisConfiguration(StrictModel):
     phase_rad: Number = 0.0
 
     def at_speed(self, speed: float) -> list[float]:
-        """Offset, velocity, amplitude, frequency and phase with time that runs faster."""
+        """Return offset, velocity, amplitude, frequency and phase at another speed."""
         velocity, frequency = speed * self.velocity_m_s, speed * self.frequency_rad_s
         return [self.offset_m, velocity, self.amplitude_m, frequency, self.phase_rad]
 
@@ -62,7 +62,7 @@ class CartesianPathConfiguration(_Timed):
     z: AxisConfiguration
 
     def build(self, robot: RobotDescription) -> Reference:
-        """The path on this arm.
+        """Return the path on this arm.
 
         Raises:
             ConfigurationError: the arm is no yaw-pitch-pitch arm.
@@ -87,7 +87,7 @@ class JointSinusoidsConfiguration(_Timed):
     terms: Annotated[list[SinusoidConfiguration], Field(min_length=1)]
 
     def build(self, robot: RobotDescription) -> Reference:
-        """The trajectory for this arm.
+        """Return the trajectory for this arm.
 
         Raises:
             ConfigurationError: there are as many values as suits another arm.
@@ -104,7 +104,7 @@ class JointSinusoidsConfiguration(_Timed):
 
 
 class WaypointConfiguration(StrictModel):
-    """Where the arm rests at a time."""
+    """The arm's rest position at a time."""
 
     time_s: NonNegative
     position_rad: PerJoint
@@ -125,7 +125,7 @@ class MinimumJerkConfiguration(_Timed):
         return waypoints
 
     def build(self, robot: RobotDescription) -> Reference:
-        """The trajectory for this arm.
+        """Return the trajectory for this arm.
 
         Raises:
             ConfigurationError: there are as many values as suits another arm.
@@ -139,11 +139,11 @@ class MinimumJerkConfiguration(_Timed):
 
 
 class CsvConfiguration(_Timed):
-    """A trajectory from a file, as ``funnel-hil reference --csv`` writes them, or positions alone.
+    """A trajectory from a file as ``funnel-hil reference --csv`` writes it, or of positions alone.
 
     Attributes:
         file: a path relative to the scenario file, or else to the current folder.
-        beyond: a run outside the rows of the file: ``refuse`` it, or ``hold`` the position of the
+        beyond: outside the times of the file, ``refuse`` the run, or ``hold`` the position of the
             first or last row at rest.
     """
 
@@ -152,10 +152,10 @@ class CsvConfiguration(_Timed):
     beyond: Literal["refuse", "hold"] = "refuse"
 
     def build(self, robot: RobotDescription) -> Reference:
-        """The trajectory for this arm.
+        """Return the trajectory for this arm.
 
         Raises:
-            ConfigurationError: the file does not hold one.
+            ConfigurationError: the file contains none.
         """
         found = read_rows(self.file, robot)
         powers = np.array([1.0, self.speed, self.speed * self.speed])

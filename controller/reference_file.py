@@ -1,4 +1,4 @@
-"""Reference trajectories from CSV files: a row for each time, columns for each joint by name."""
+"""Reference trajectories from CSV files: one row per time, named columns for each joint."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from bus_schema.user_files import read_text
 KEY = "reference.file"
 TIME = "time_s"
 KINDS = ("position_rad", "velocity_rad_s", "acceleration_rad_s2")
-"""Columns of a joint, as ``<joint>.<kind>``; in m where it slides."""
-_SHORTEST_STEP_S = 0.999e-6  # a microsecond, as far as a sum of seconds tells it
+"""Columns of a joint, as ``<joint>.<kind>``; in m for prismatic joints."""
+_SHORTEST_STEP_S = 0.999e-6  # a microsecond, allowing for rounding of sums of seconds
 _LARGEST_BYTES = 50_000_000
 _MOST_WARNINGS = 3
 _AT_REST_RAD_S = 1e-3
@@ -29,10 +29,10 @@ _AT_REST_RAD_S = 1e-3
 
 @dataclass(frozen=True)
 class ReferenceRows:
-    """What a file holds.
+    """Content of a reference file.
 
     Attributes:
-        file: as it was named.
+        file: its name as given.
         lines: number of each row's line, from 1, shape (rows,).
         times_s: increasing, shape (rows,).
         motion: position, velocity and acceleration, shape (rows, 3, joints).
@@ -44,7 +44,7 @@ class ReferenceRows:
     motion: Matrix
 
     def warnings(self, robot: RobotDescription, speed: float) -> tuple[str, ...]:
-        """A sentence for each joint that would have to move faster than it can."""
+        """Return a sentence for each joint that would have to exceed its largest speed."""
         if len(self.times_s) < 2:
             return ()
         steps = np.diff(self.motion[:, 0], axis=0) * (speed / np.diff(self.times_s))[:, np.newaxis]
@@ -59,20 +59,20 @@ class ReferenceRows:
         return tuple(said[:_MOST_WARNINGS])
 
     def moves_at_an_end(self) -> bool:
-        """Whether the first or last row has a joint in motion."""
+        """Whether a joint moves in the first or last row."""
         return bool(np.any(np.abs(self.motion[[0, -1], 1]) > _AT_REST_RAD_S))
 
 
 def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
     """Read a reference for an arm.
 
-    Where a joint has no column of velocities, both derivatives are those of the spline through its
-    positions that is twice differentiable; where it has no accelerations, they are those of its
-    velocities. Columns of other names are left alone.
+    Without a column of velocities, both derivatives of a joint come from the twice differentiable
+    spline through its positions; without accelerations, these come from its velocities. Columns of
+    other names are ignored.
 
     Raises:
-        ConfigurationError: it cannot be read, or holds something else; the message names line,
-            column, value and what is allowed.
+        ConfigurationError: it cannot be read or is invalid; the message names line, column, value
+            and what is allowed.
     """
     try:
         text = read_text(Path(file), _LARGEST_BYTES, newline="").removeprefix("\ufeff")
@@ -103,7 +103,7 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
 
 
 def _places(file: str, header: Sequence[str], joints: Sequence[str]) -> dict[str, int]:
-    """Where the columns that count stand."""
+    """Return the indices of the columns to read."""
     known = [f"{joint}.{kind}" for joint in joints for kind in KINDS]
     for name in header:
         of_joint = any(name.startswith(f"{joint}.") for joint in joints)
@@ -115,7 +115,7 @@ def _places(file: str, header: Sequence[str], joints: Sequence[str]) -> dict[str
     required = [TIME, *(f"{joint}.{KINDS[0]}" for joint in joints)]
     required += [
         f"{joint}.{KINDS[1]}" for joint in joints if f"{joint}.{KINDS[2]}" in header
-    ]  # accelerations alone say too little
+    ]  # accelerations alone do not suffice
     for name in required:
         if name not in header:
             found = ", ".join(header) or "none"
@@ -128,7 +128,7 @@ def _places(file: str, header: Sequence[str], joints: Sequence[str]) -> dict[str
 def _numbers(
     file: str, cells: Sequence[tuple[int, list[str]]], name: str, place: int
 ) -> Iterator[float]:
-    """A column; whatever is no number there is refused."""
+    """Return a column; refuse a value that is no number."""
     for line, row in cells:
         if place >= len(row):
             raise _cell(file, line, name, "", "must be a number; the line ends before")
@@ -143,9 +143,9 @@ def _numbers(
 
 
 def _motion(columns: Mapping[str, Vector], joint: str, times_s: Vector) -> Matrix:
-    """Position, velocity and acceleration of a joint at each time, shape (rows, 3)."""
+    """Return position, velocity and acceleration of a joint at each time, shape (rows, 3)."""
     position, velocity, acceleration = (columns.get(f"{joint}.{kind}") for kind in KINDS)
-    assert position is not None  # `_places` has looked
+    assert position is not None  # `_places` has checked this
     if velocity is None:
         velocity = spline_slopes(times_s, position)
         acceleration = spline_curvatures(times_s, position, velocity)
@@ -155,7 +155,7 @@ def _motion(columns: Mapping[str, Vector], joint: str, times_s: Vector) -> Matri
 
 
 def spline_slopes(times_s: Vector, values: Vector) -> Vector:
-    """Slopes of the cubic spline through values that is twice differentiable, shape (rows,).
+    """Return slopes of the twice differentiable cubic spline through values, shape (rows,).
 
     Its slopes at both ends are those of the cubic through the four values there.
     """
@@ -168,7 +168,7 @@ def spline_slopes(times_s: Vector, values: Vector) -> Vector:
 
 
 def spline_curvatures(times_s: Vector, values: Vector, slopes: Vector) -> Vector:
-    """Second derivatives of the spline that has these slopes, shape (rows,)."""
+    """Return second derivatives of the spline with these slopes, shape (rows,)."""
     curvatures = np.zeros(len(values))
     if len(values) > 1:
         h = np.diff(times_s)
@@ -179,7 +179,7 @@ def spline_curvatures(times_s: Vector, values: Vector, slopes: Vector) -> Vector
 
 
 def _slope_at_first(times_s: Vector, values: Vector) -> float:
-    """Slope at the first of up to four times of the polynomial through them, as Newton has it."""
+    """Return the slope at the first of up to four times of the polynomial through them (Newton)."""
     slope, differences, product = 0.0, values, 1.0
     for order in range(1, len(times_s)):
         differences = np.diff(differences) / (times_s[order:] - times_s[:-order])
@@ -190,7 +190,7 @@ def _slope_at_first(times_s: Vector, values: Vector) -> float:
 
 @compiled
 def _solve_for_slopes(times_s: Vector, values: Vector, slopes: Vector) -> None:
-    """Find the slopes between the first and the last, which are given (Thomas's algorithm)."""
+    """Solve for the slopes between the first and the last, which are given (Thomas's algorithm)."""
     rows = values.size
     upper = np.zeros(rows)
     for i in range(1, rows - 1):

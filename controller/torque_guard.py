@@ -1,4 +1,4 @@
-"""The last gate before a torque leaves: finite, right-sized, within limits."""
+"""The last check before a torque is sent: finite, right shape, within limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FLOAT64 = np.dtype(np.float64)
 
 
 class InvalidTorqueError(ControllerError, ArithmeticError):
-    """A law returned something that is no torque.
+    """A law returned an invalid torque.
 
     Attributes:
         law: name of the law.
@@ -29,17 +29,17 @@ class InvalidTorqueError(ControllerError, ArithmeticError):
 
 
 class TorqueGuard:
-    """Checks and limits torques.
+    """Checks torques, and limits them.
 
     Args:
         law: name of the law, for error messages.
-        limits: what the controller keeps within.
-        motion: positions and velocities as rows, shape (2, joints), as they are at each `admit`.
-        torque_nm: where to write the torque to send, shape (joints,); it may lie in a message.
+        limits: the controller's limits.
+        motion: positions and velocities as rows, shape (2, joints), read at each `admit`.
+        torque_nm: array for the torque to send, shape (joints,); it may be part of a message.
 
     Attributes:
         torque_nm: the newest torque to send, shape (joints,).
-        hits: limits that the newest torque or the motion ran into: a sum of
+        hits: limits that the newest torque or the motion exceeded: a sum of
             `bus_schema.limits.Hit`.
         counts: how often each limit was hit.
     """
@@ -59,23 +59,23 @@ class TorqueGuard:
         self.counts = LimitCounts()
 
     def reset(self) -> None:
-        """Forget the torque before."""
+        """Forget the previous torque."""
         self.torque_nm[:] = 0.0
         self.hits = 0
 
     def admit(self, torque: Vector, tick: int, step_s: float) -> Vector:
-        """Work out `torque_nm`, and return it.
+        """Compute `torque_nm`, and return it.
 
         Args:
-            torque: what the law asks for.
+            torque: the law's torque.
             tick: number of the cycle, for error messages.
-            step_s: time since the torque before; 0 for the first.
+            step_s: time since the previous torque; 0 for the first.
 
         Raises:
             InvalidTorqueError: the shape is wrong or an entry is not finite.
         """
         kind = getattr(torque, "dtype", None)
-        # An unpickled array has an equal type, but another object for it.
+        # An unpickled array has an equal dtype, but as another object.
         is_float64 = kind is _FLOAT64 or (isinstance(kind, np.dtype) and kind == _FLOAT64)
         if not is_float64 or torque.shape != self._shape:
             raise InvalidTorqueError(self._law, tick, self._mismatch(torque))
@@ -87,7 +87,7 @@ class TorqueGuard:
         return self.torque_nm
 
     def _mismatch(self, torque: object) -> str:
-        """What a law returned where it should have returned one float64 per joint."""
+        """Describe what a law returned instead of one float64 per joint."""
         shape = getattr(torque, "shape", type(torque).__name__)
         if shape == self._shape:
             return f"{getattr(torque, 'dtype', type(torque).__name__)} where float64 is expected"

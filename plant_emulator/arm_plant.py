@@ -36,18 +36,18 @@ class ArmPlant:
         grid: ticks and physics steps of the run.
         seed: seed of everything random in the arm.
         limits: section ``limits`` of the scenario.
-        faults: what breaks, and when.
-        drive: what its drives add of their own; None if they follow torques alone.
+        faults: the scheduled faults.
+        drive: gains of its drives' own loops; None if they follow torques alone.
 
     Attributes:
-        mode: what the arm does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
-        stops_at: limits at which the arm has to be stopped safely.
+        mode: the arm's mode; it changes by `bus_schema.runtime.modes.TRANSITIONS`.
+        stops_at: limits that require a safe stop.
         physics: engine, version and integrator.
         torques: torques of the last substep.
         position: true joint positions, rad, shape (joints,).
         velocity: true joint velocities, rad/s, shape (joints,).
         motion: both as rows, shape (2, joints).
-        measured: the same as the encoders showed it last.
+        measured: the encoders' latest readings of it.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class ArmPlant:
             configuration, robot, grid.substep_s, randoms[0], limits, gains,
             adds_drive=not faults,
         )  # fmt: skip
-        # Without faults, what is commanded is what the actuators are asked for.
+        # Without faults, the commanded torques are requested of the actuators unchanged.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
         engine = engine_in_force(configuration)
@@ -106,7 +106,7 @@ class ArmPlant:
         grid: TickGrid,
         limits: LimitsConfiguration,
     ) -> None:
-        """Check that such an arm can be made.
+        """Check that the arm can be built.
 
         Raises:
             ConfigurationError: a value does not fit the arm.
@@ -119,27 +119,27 @@ class ArmPlant:
         gains = no_drive_feedback(robot.joints)
         JointTorques(configuration, robot, grid.substep_s, random, limits, gains)
         Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
-        # Any payload stands for all: arms that differ in theirs alone need not be loaded anew.
+        # One payload stands for all: arms that differ only in payload need not be loaded again.
         engine_in_force(configuration).arm_type.check(
             robot, bool(configuration.payload_kg) * ANY_PAYLOAD_KG, gui=configuration.gui
         )
 
     def read_encoders(self, now_ns: int = 0) -> None:
-        """Bring `measured` up to date; `now_ns` is for faults that come and go."""
+        """Update `measured`; faults that begin and end depend on `now_ns`."""
         self._encoders.read()
         if self._faults is not None:
             self._faults.spoil_readings(self.measured, now_ns)
 
     def begin(self) -> None:
-        """Take part in a run: the brakes hold until the first torque."""
+        """Join a run: the brakes hold until the first torque."""
         self.mode = follow(self.mode, Trigger.BEGIN)
 
     def command(self, torque_nm: Vector, target: Matrix | None = None, stamp_ns: int = 0) -> None:
-        """Put a torque into force; the first one releases the brakes. Ignored once stopping.
+        """Apply a torque; the first one releases the brakes. Ignored once stopping.
 
         Args:
             torque_nm: shape (joints,).
-            target: for drives that close a loop of their own, see `DriveLoop`; None for none.
+            target: for drives that close their own loop, see `DriveLoop`; None without one.
             stamp_ns: stamp of the state that the command answers.
         """
         if self.mode not in COMMANDABLE:
@@ -157,20 +157,20 @@ class ArmPlant:
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
         held = self.torques.held
-        if joints.tobytes() != held.tobytes():  # a tenth of what np.array_equal takes
+        if joints.tobytes() != held.tobytes():  # a tenth of np.array_equal's time
             held[:] = joints
             if not self._is_braked:
                 self._arm.hold(held.tolist())
 
     def stop(self) -> None:
-        """Begin the configured safe stop. There is no way back."""
+        """Begin the configured safe stop, which cannot be revoked."""
         self.mode = follow(self.mode, Trigger.FAIL)
         self._clear_command()
         if self._safe_stop == "brake":
             self._set_brakes(engaged=True)
 
     def end(self) -> None:
-        """The run is over: engage the brakes for good."""
+        """End the run: engage the brakes for good."""
         self.mode = follow(
             self.mode, Trigger.STOPPED if self.mode is Mode.STOPPING else Trigger.END
         )
@@ -178,11 +178,11 @@ class ArmPlant:
         self._set_brakes(engaged=True)
 
     def advance(self, first: int, end: int) -> None:
-        """Advance by substeps under the command in force.
+        """Advance by substeps under the current command.
 
         Args:
             first: number of the first substep in the run.
-            end: number of the first one that is not to come yet.
+            end: number of the first substep to leave out.
         """
         if self._faults is None and self.mode in COMMANDABLE:
             self._go(first, end)
@@ -201,12 +201,12 @@ class ArmPlant:
         self._arm.close()
 
     def _clear_command(self) -> None:
-        """No torque, and no target that could still be chased."""
+        """Clear torque and target, so that drives stop following it."""
         self._commanded[:] = 0.0
         self.torques.drive.stamp_s[0] = np.nan
 
     def _apply_faults(self, faults: ArmFaults, now_ns: int) -> None:
-        """Change what the actuators are asked for as the faults would."""
+        """Apply faults to the torques requested of the actuators."""
         faults.begin_due(now_ns)
         wanted, drive = self._commanded.copy(), self.torques.drive
         if drive.gains.is_active:
@@ -228,5 +228,5 @@ class ArmPlant:
 
 
 def _stop_damping(configuration: PlantConfiguration, robot: RobotDescription) -> Vector:
-    """Damping of a safe stop, N m s, shape (joints,)."""
+    """Return the damping of a safe stop, N m s, shape (joints,)."""
     return expand(configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")

@@ -1,4 +1,4 @@
-"""The gate every command passes: nothing invalid, stale, replayed or foreign comes through."""
+"""The gate for commands: it rejects invalid, stale, replayed and foreign ones."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ from bus_schema.runtime.compiled import bind
 from bus_schema.runtime.finite import all_finite
 
 _REMEMBERED = 1000
-"""Messages; a link that changes their order does so by far less."""
+"""Messages remembered; a link reorders far fewer."""
 
 
 class SenderNumbers:
-    """Knows messages that came before, and finds out that two send under one sender's name.
+    """Recognises repeated messages, and two senders that use one sender's name.
 
-    A sender counts its messages. One number with two contents, or one that is far behind another,
-    is no work of a link. Whoever takes the place of a sender that has fallen silent, and counts on
-    where it stopped, is not found out.
+    A sender counts its messages. No link creates one number with two contents, or a number far
+    behind another. An impostor who continues the count of a silent sender is not detected.
 
     Attributes:
-        second_source: what shows that somebody else sends under this name; None for nothing.
+        second_source: evidence of a second sender under this name; None without any.
     """
 
     def __init__(self) -> None:
@@ -39,10 +38,10 @@ class SenderNumbers:
         self.second_source: str | None = None
 
     def is_new(self, number: int, payload: bytes) -> bool:
-        """Whether no message of this number came lately; from now on one has.
+        """Whether no message of this number came lately; this call counts as one.
 
         Args:
-            number: what the sender says.
+            number: the sender's number of the message.
             payload: its contents.
         """
         contents = hash(payload)
@@ -81,26 +80,26 @@ class Command(NamedTuple):
 
 
 class CommandGate:
-    """Keeps out commands that are not valid, finite, right-sized, newer and of the one commander.
+    """Rejects commands that are invalid, not finite, of wrong shape, old, or not the commander's.
 
-    The first sender of a valid command becomes the commander, and no other is heard until it has
-    left the bus. A controller that was started again is another session, and so another sender.
+    The first sender of a valid command becomes the commander; others are rejected until it has left
+    the bus. A restarted controller has a new session, and so is another sender.
 
-    Only a command that comes through moves the fences: what is refused uses up its own number, and
-    changes nothing else. Without link.security anybody can send under the commander's id. The
-    fences are not made against that; `second_source` says when it shows.
+    Only an accepted command changes the limits; a rejected one only uses up its number. Without
+    link.security, anyone can send under the commander's id. The gate does not prevent that;
+    `second_source` reports visible evidence.
 
     Args:
         joint_names: names of the joints.
-        has_left: whether a sender was on the bus and is there no longer.
-        takes_targets: whether commands may bring targets for the drives.
+        has_left: whether a sender was on the bus and has left.
+        takes_targets: whether commands may contain targets for the drives.
 
     Attributes:
-        rejections: what was kept out.
-        newest_ns: stamp answered by the newest command; none that answers an older one comes
-            through. -1 before the first.
-        is_waiting: the answer asked for by `await_answer` has not come, new or as a repetition.
-        commander: session of the one sender that is heard; None before the first valid command.
+        rejections: the rejected commands.
+        newest_ns: stamp of the state that the newest command answers; commands that answer older
+            ones are rejected. -1 before the first.
+        is_waiting: the answer for `await_answer` has not arrived, new or as a repetition.
+        commander: session of the accepted sender; None before the first valid command.
     """
 
     def __init__(
@@ -126,15 +125,15 @@ class CommandGate:
 
     @property
     def second_source(self) -> str | None:
-        """What shows that two send under the commander's id; None for nothing."""
+        """Evidence that two senders use the commander's id; None without any."""
         return self._numbers.second_source
 
     def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
-        """The command in `arrival`, or None if it must change nothing.
+        """Return the command in `arrival`, or None if it is rejected.
 
         Args:
             arrival: what came off the bus.
-            newest_state_ns: stamp of the newest state that was sent out.
+            newest_state_ns: stamp of the newest state sent.
         """
         try:
             return self._admit(arrival, newest_state_ns)
@@ -143,15 +142,15 @@ class CommandGate:
             return None
 
     def await_answer(self, stamp_ns: int) -> None:
-        """From now on, wait for the answer to the state of this stamp."""
+        """Wait from now on for the answer to the state of this stamp."""
         self.is_waiting, self._awaited_ns = True, stamp_ns
 
     def stop_waiting(self) -> None:
-        """No answer will come, or what came of it counts as one."""
+        """Stop waiting: no answer will come, or a damaged one counts."""
         self.is_waiting = False
 
     def lacks_commander(self) -> bool:
-        """Whether the commander has left the bus: the next sender of a command will be heard."""
+        """Whether the commander has left the bus: the next sender of a command replaces it."""
         return self.commander is not None and self._has_left(self.commander)
 
     def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:
@@ -174,9 +173,9 @@ class CommandGate:
         return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target)
 
     def _require_commander(self, arrival: CommandArrival) -> None:
-        """Refuse whoever is not the commander, and what the commander has sent before.
+        """Refuse other senders than the commander, and repetitions of its commands.
 
-        A sender that gives no numbers has the stamps alone to protect it.
+        For a sender without numbers, only stamps detect repetitions.
         """
         if arrival.sender == self.commander:
             number, is_known = arrival.sequence, False
@@ -189,7 +188,7 @@ class CommandGate:
 
 
 def _given(target: Matrix) -> Matrix | None:
-    """A copy of a target for the drives; None if the sender gave none."""
+    """Return a copy of a target for the drives; None if the sender gave none."""
     if np.isnan(target).all():
         return None
     if not np.isfinite(target).all():

@@ -1,4 +1,4 @@
-"""Section ``plant`` of a scenario: what sets the emulated arm apart from an ideal one."""
+"""Section ``plant`` of a scenario: how the emulated arm differs from an ideal one."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class FrictionConfiguration(StrictModel):
     """Joint friction: (Coulomb + Stribeck excess) tanh(q̇ / smoothing velocity) + viscous q̇.
 
     Attributes:
-        enabled: false for none at all.
+        enabled: false for no friction.
         coulomb_nm: dry friction at speed.
         coulomb_share: further dry friction, as a share of the URDF's effort limit.
         load_share: further dry friction, as a share of the torque that the gear transmits.
         viscous_nm_s: friction per rad/s.
         viscous_share_s: further viscous friction, as a share of the effort limit per rad/s.
         stribeck_nm: dry friction beyond Coulomb's near standstill.
-        stribeck_velocity_rad_s: speed over which that excess dies away.
+        stribeck_velocity_rad_s: speed over which that excess decays.
         smoothing_velocity_rad_s: speed over which dry friction changes its sign.
     """
 
@@ -75,7 +75,7 @@ class SineTerm(_Term):
 
 
 class StepTerm(_Term):
-    """A torque from a time on."""
+    """A constant torque from a time on."""
 
     kind: Literal["step"]
     torque_nm: Number
@@ -83,7 +83,7 @@ class StepTerm(_Term):
 
 
 class PulseTerm(_Term):
-    """A torque for a time."""
+    """A constant torque for a period."""
 
     kind: Literal["pulse"]
     torque_nm: Number
@@ -118,10 +118,10 @@ class DisturbanceConfiguration(StrictModel):
 
 
 class EncoderConfiguration(StrictModel):
-    """What the controller sees of the joints.
+    """Encoders through which the controller sees the joints.
 
     Attributes:
-        resolution_rad: positions are whole multiples of this; 0 for exact ones.
+        resolution_rad: positions are whole multiples of this; 0 for exact positions.
         velocity_noise_rad_s: standard deviation of white noise on velocities.
     """
 
@@ -130,38 +130,38 @@ class EncoderConfiguration(StrictModel):
 
 
 ROTOR_INERTIA_S2_RAD = 0.008
-"""Inertia of a geared rotor over the joint's largest torque, kg m² per N m, where it is not known.
+"""Inertia of a geared rotor over the joint's largest torque, kg m² per N m, where it is unknown.
 
-An estimate of ours; motors of the same torque differ by a factor of 3 and more.
+Our estimate; motors of the same torque differ by a factor of 3 and more.
 """
 
 
 class ActuatorConfiguration(StrictModel):
-    """What stands between a commanded torque and the link: motor, gear and encoder.
+    """The drive train between a commanded torque and the link: motor, gear and encoder.
 
-    All is as felt at the joint, beyond the gear. An inertia of the rotor, an elastic gear and
-    cogging are MuJoCo's; Bullet has none of them.
+    All values are as felt at the joint, beyond the gear. Rotor inertia, elastic gear and cogging
+    need MuJoCo; Bullet has none of them.
 
     Attributes:
         saturation_nm: largest torque; by default the URDF's effort limits.
         lag_ms: time constant of the torque loop; 0 for none.
         current_loop_hz: bandwidth f of the torque loop, another way to write lag_ms = 1 / (2π f).
-        rated_speed_rad_s: up to this speed the largest torque is there; by default half of
+        rated_speed_rad_s: up to this speed the largest torque is available; by default half of
             no_load_speed_rad_s.
-        no_load_speed_rad_s: from the rated speed on the largest torque falls, to none at this
-            speed; none by default.
+        no_load_speed_rad_s: above the rated speed the largest torque falls, to zero at this speed;
+            no limit by default.
         rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared; 0 for none. The
-            controller's nominal model knows it, see controller.rotor_scale.
-        gear_stiffness_nm_rad: of the gear between rotor and link; by default it is rigid.
-        gear_resonance_hz: another way to write it, for an arm of any size: stiffness in proportion
-            to the largest torques, such that the arm at its start, its rotors held, has this first
-            resonance.
-        gear_damping_nm_s: of an elastic gear.
-        encoder_side: where positions and velocities are measured where the gear is elastic: before
-            it, at the ``motor``, as drives do, or at the ``link``, through which no law can damp
-            what swings between the two.
-        cogging_nm: amplitude of the torque that pulls the rotor to its poles.
-        cogging_periods: of that torque, in a turn of the joint.
+            controller's nominal model includes it, see controller.rotor_scale.
+        gear_stiffness_nm_rad: stiffness of the gear between rotor and link; rigid by default.
+        gear_resonance_hz: alternative to the stiffness, for an arm of any size: stiffness in
+            proportion to the largest torques, such that the arm at its start, its rotors held, has
+            this first resonance.
+        gear_damping_nm_s: damping of an elastic gear.
+        encoder_side: where positions and velocities are measured if the gear is elastic: at the
+            ``motor``, as drives do, or at the ``link``; there no law can damp the oscillation
+            between motor and link.
+        cogging_nm: amplitude of the cogging torque, which pulls the rotor to its poles.
+        cogging_periods: periods of that torque per turn of the joint.
     """
 
     saturation_nm: PerJointPositive | None = None
@@ -201,13 +201,13 @@ class ActuatorConfiguration(StrictModel):
 
     @property
     def has_rotors(self) -> bool:
-        """Whether it asks for what only an engine with rotors has."""
+        """Whether a feature is enabled that only an engine with rotors has."""
         return self.gear_stiffness_nm_rad is not None or bool(
             self.rotor_inertia_kg_m2.any() or self.cogging_nm.any()
         )
 
     def rotor_inertia(self, joints: int) -> Vector:
-        """Inertia of each joint's rotor, shape (joints,), kg m².
+        """Return the inertia of each joint's rotor, shape (joints,), kg m².
 
         Raises:
             ConfigurationError: the number of values is neither 1 nor that of the joints.
@@ -215,7 +215,7 @@ class ActuatorConfiguration(StrictModel):
         return expand(self.rotor_inertia_kg_m2, joints, "plant.actuator.rotor_inertia_kg_m2")
 
     def rigid_rotor_inertia(self, joints: int) -> Vector | None:
-        """The same where rotor and link are one mass; None where they are two, or there is none."""
+        """Return rotor inertias behind rigid gears; None for elastic gears or no inertia."""
         is_rigid = self.gear_stiffness_nm_rad is None and self.rotor_inertia_kg_m2.any()
         return self.rotor_inertia(joints) if is_rigid else None
 
@@ -224,12 +224,12 @@ Integrator = Literal["semi_implicit_euler", "runge_kutta_4"]
 
 
 class PhysicsConfiguration(StrictModel):
-    """What moves the arm's rigid bodies; `plant_emulator.physics.engines` has the table of engines.
+    """Physics engine of the rigid bodies; see the table in `plant_emulator.physics.engines`.
 
     Attributes:
-        engine: by default Bullet where it is installed, otherwise MuJoCo.
-        integrator: the rule over a physics step, at the start of which torques are evaluated;
-            MuJoCo has both.
+        engine: by default Bullet if it is installed, otherwise MuJoCo.
+        integrator: the rule over a physics step; torques are evaluated at its start. MuJoCo has
+            both.
     """
 
     engine: Literal["bullet", "mujoco"] | None = None
@@ -237,7 +237,7 @@ class PhysicsConfiguration(StrictModel):
 
 
 class DriveLoopConfiguration(StrictModel):
-    """A loop closed at the drives, around targets that come with the torques.
+    """A loop closed at the drives, around targets that are sent with the torques.
 
     Attributes:
         enabled: whether the drives accept targets; true with ``controller.drive_feedback.enabled``.
@@ -253,7 +253,7 @@ class DriveLoopConfiguration(StrictModel):
     encoder: EncoderConfiguration = EncoderConfiguration()
 
     def gains(self, derived: DriveGains) -> DriveGains:
-        """What is given here, and where nothing is, what was derived.
+        """Return the gains given here; where none is given, the derived ones.
 
         Raises:
             ConfigurationError: the number of values is neither 1 nor that of the joints.
@@ -273,11 +273,11 @@ class PlantConfiguration(StrictModel):
 
     Attributes:
         substeps: physics steps per tick.
-        payload_kg: point mass at the tip that the nominal model does not know of.
-        payload_share: further payload, as a share of the heaviest mass that the arm holds up in any
+        payload_kg: point mass at the tip that the nominal model does not include.
+        payload_share: further payload, as a share of the heaviest mass that the arm holds in any
             posture, at most its own moved mass.
-        command_timeout_ms: time without a valid command after which the arm is stopped; an outage
-            of 100 ms is survived by default.
+        command_timeout_ms: time without a valid command after which the arm is stopped; by default
+            it survives an outage of 100 ms.
         safe_stop: how it is stopped: by the brakes, by damping torques, or by zero torque.
         stop_damping_nm_s: torque per rad/s of the ``damping`` stop.
         stop_duration_s: time that a run continues after a safe stop.

@@ -1,4 +1,4 @@
-"""The plant's exchange with a controller: states that fall due go out, commands come into force."""
+"""Exchange between plant and controller: due states are sent, commands come into force."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _POLL_S = 0.1
 
 
 class Watchdog:
-    """Knows when the arm must stop: some time after the last valid command took effect.
+    """Watchdog that stops the arm a given time after the last valid command took effect.
 
-    `PlantLoop` looks at it before each physics substep.
+    `PlantLoop` checks it before each physics substep.
 
     Args:
         timeout_ns: longest silence during a run.
         first_command_ns: instant by which the first command must have taken effect.
 
     Attributes:
-        expires_ns: the arm must stop after this instant, unless a command comes before.
+        expires_ns: the arm must stop after this instant unless a command arrives before.
     """
 
     def __init__(self, timeout_ns: int, first_command_ns: int) -> None:
@@ -40,25 +40,25 @@ class Watchdog:
         self.expires_ns = first_command_ns
 
     def feed(self, now_ns: int) -> None:
-        """A valid command took effect."""
+        """Note that a valid command took effect."""
         self.expires_ns = now_ns + self._timeout_ns
 
 
 class Exchange:
-    """Delivers states to a controller and takes its commands in, while time passes.
+    """Delivers states to a controller and receives its commands while time passes.
 
     Args:
         link: the bus.
         clock: the clock of the run, which the plant owns.
         uplink: states on their way.
         downlink: commands on their way to the joints.
-        gate: what commands have to pass before.
-        watchdog: fed with what comes into force.
-        arm: what is commanded, and stopped where the link says so.
-        telemetry: sent where there is time for it.
-        supervisor: told of what happens and of what goes wrong.
-        reply_timeout_s: in lockstep, how long to wait for the reply to a state, wall time; None
-            where nobody waits.
+        gate: check of all commands.
+        watchdog: fed when a command comes into force.
+        arm: receives commands, and is stopped if the link reports a fault.
+        telemetry: sent when there is time.
+        supervisor: receives events and faults.
+        reply_timeout_s: in lockstep, longest wall time to wait for the reply to a state; None for
+            no waiting.
 
     Attributes:
         sequence: number of the command in force; 0 before the first.
@@ -91,7 +91,7 @@ class Exchange:
 
     @property
     def rejected(self) -> Counter[str]:
-        """How many commands changed nothing, by reason."""
+        """Number of rejected commands, by reason."""
         return self._gate.rejections.counts + self._unused
 
     def age_ns(self, now_ns: int) -> int:
@@ -99,10 +99,10 @@ class Exchange:
         return now_ns - self._stamp_ns if self._stamp_ns >= 0 else -1
 
     def run_until(self, until_ns: int) -> int:
-        """Deliver the states that fall due, and take in the commands that arrive, until then.
+        """Deliver due states and receive arriving commands until this instant.
 
         Returns:
-            How late it is, in ns.
+            The lateness in ns.
         """
         while self._uplink.next_due_ns < until_ns:
             self._deliver_next()
@@ -114,7 +114,7 @@ class Exchange:
         return lateness_ns
 
     def send(self, measurement: Measurement) -> None:
-        """Send a state on its way; in real time somebody waits for it."""
+        """Send a state to the controller, which waits for it in real time."""
         now_ns, uplink = measurement.stamp_ns, self._uplink
         uplink.send(measurement, now_ns, len(measurement.state) + len(measurement.status))
         if self._reply_timeout_s is None:
@@ -122,7 +122,7 @@ class Exchange:
                 self._deliver_next()
 
     def put_into_force(self, now_ns: int) -> None:
-        """Let the newest of the commands that have come through act."""
+        """Apply the newest command that has arrived at the joints."""
         for effective_ns, command in self._downlink.take_due(now_ns):
             if command.stamp_ns <= self._stamp_ns:
                 self._unused["overtaken"] += 1
@@ -150,7 +150,7 @@ class Exchange:
             self._await_reply(measurement, self._reply_timeout_s)
 
     def _await_reply(self, measurement: Measurement, timeout_s: float) -> None:
-        """Take the reply to one state; if it stays out, go on alone until the watchdog acts."""
+        """Receive the reply to one state; without one, continue alone until the watchdog acts."""
         self._gate.await_answer(measurement.stamp_ns)
         self._collect_commands()
         give_up_s = time.monotonic() + timeout_s
@@ -159,7 +159,7 @@ class Exchange:
                 self._collect_commands()
             elif self._link.controller_has_left():
                 if self._link.await_command(0.0):
-                    continue  # it was sent before the controller left
+                    continue  # sent before the controller left
                 self._controller_is_lost = True
                 if self._arm.mode in COMMANDABLE and self._link.fault() is None:
                     self._supervisor.fail(self._link.controller_loss())
@@ -169,17 +169,17 @@ class Exchange:
                 silence = PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")
                 self._supervisor.fail(str(silence))
                 return
-            elif self._may_not_have_been_asked():
+            elif self._may_have_missed_state():
                 self._link.send_state(measurement.state, measurement.status)
 
-    def _may_not_have_been_asked(self) -> bool:
-        """Whoever comes first may hear nothing yet; whoever comes next was not heard."""
+    def _may_have_missed_state(self) -> bool:
+        """Whether the controller may have missed the state, as the first one or a replacement."""
         if self._gate.commander is None:
             return self._link.may_miss_states()
         return self._gate.lacks_commander()
 
     def _collect_commands(self) -> None:
-        """Send what passes the gate on its way to the joints."""
+        """Send commands that pass the gate on their way to the joints."""
         arrivals = self._link.take_commands()
         if self._controller_is_lost:
             self._unused["after_loss"] += len(arrivals)
@@ -198,7 +198,7 @@ class Exchange:
 
 
 def _commander(sender: bytes, former: bytes | None) -> str:
-    """Who commands from now on, in words."""
+    """Describe the new commander."""
     name = f"session {sender.hex()}" if sender else "a controller without an id"
     if former is None:
         return f"commanded by {name}"

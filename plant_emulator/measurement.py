@@ -1,4 +1,4 @@
-"""What the plant measures at a tick, in the messages that take it to the controller."""
+"""The plant's measurements at a tick, as messages for the controller."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from plant_emulator.arm_plant import ArmPlant
 
 
 class Measurement(NamedTuple):
-    """A joint state with the plant status that belongs to it, on its way to the controller."""
+    """A joint state and its plant status, on their way to the controller."""
 
     stamp_ns: int
     state: bytes
@@ -19,7 +19,7 @@ class Measurement(NamedTuple):
 
 
 class Instruments:
-    """Encoders and torque sensors of an arm, and what the plant says of the command in force.
+    """Encoders and torque sensors of an arm, and the plant's report of the current command.
 
     Args:
         joint_names: names of the joints.
@@ -30,13 +30,13 @@ class Instruments:
         self._arm = arm
         self._state = Record(topics.layout(topics.JOINT_STATES, joint_names))
         self._status = Record(topics.layout(topics.PLANT_STATUS, joint_names))
-        # A third of what NumPy's copies would take, at every tick.
+        # Views take a third of the time of NumPy's copies, at every tick.
         self._take_motion = copying(arm.measured, self._state.rows("position", "velocity"))
         self._take_effort = copying(arm.torques.actuator, self._state.fields["effort"])
         self._payload = b""
 
     def read(self, stamp_ns: int) -> None:
-        """Read encoders and torque sensors, as they are at an instant."""
+        """Read encoders and torque sensors at an instant."""
         self._state.stamp_ns = stamp_ns
         self._arm.read_encoders(stamp_ns)
         self._take_motion()
@@ -46,17 +46,17 @@ class Instruments:
     def measure(
         self, stamp_ns: int, command_sequence: int, command_age_ns: int, command_delay_ns: int
     ) -> Measurement:
-        """What was read last, with what is in force now.
+        """Return the latest reading, with the current command.
 
         Args:
-            stamp_ns: instant that was read for.
+            stamp_ns: instant of the reading.
             command_sequence: number of the command in force, 0 without one.
             command_age_ns: age of the state that it answers; -1 without one.
-            command_delay_ns: the same when it came into force.
+            command_delay_ns: that age when the command came into force.
         """
         status = self._status
         status.stamp[:] = self._state.stamp
-        scalars = status.scalars  # the run starts at 0 on its own clock
+        scalars = status.scalars  # the run starts at 0 on the plant's clock
         scalars.mode = self._arm.mode
         scalars.command_sequence = command_sequence
         scalars.command_age_ns = command_age_ns

@@ -1,9 +1,9 @@
-"""The plant's loop: exchange messages, advance the physics, publish what the joints do.
+"""The plant's loop: exchange messages, advance the physics, publish the joints' motion.
 
-The plant owns the clock of a run. At each tick of an absolute grid it looks back: the commands that
-arrived meanwhile come into force at the physics substep at which they took effect, the physics
-catches up with the clock, and the joints are measured. In virtual time nothing is ever late; in
-real time a late tick is skipped whole, and the physics goes through it all the same.
+The plant owns the clock of a run. At each tick of an absolute grid, commands that arrived since the
+last one come into force at the physics substep of their arrival, the physics catches up with the
+clock, and the joints are measured. In virtual time nothing is ever late; in real time a late tick
+is skipped whole, but the physics still computes it.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class PlantLoop:
 
     @property
     def deadline_misses(self) -> int:
-        """Ticks at which the command in force was too old."""
+        """Number of ticks at which the command in force was too old."""
         return self._telemetry.deadline_misses
 
     def warm_up(self) -> None:
-        """Compile what the loop calls before time counts, and leave no trace of it."""
-        # The codec of a message type is made at its first use, which takes longer than a few ticks.
+        """Compile the loop's functions before the run, without a trace in the state."""
+        # A message type's codec is created at its first use, which takes longer than a few ticks.
         RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
 
     def request_stop(self) -> None:
@@ -95,7 +95,7 @@ class PlantLoop:
         supervisor.announce_mode("brakes engaged until the first valid command")
         try:
             self._run_ticks()
-        except Exception as error:  # noqa: BLE001 (whatever happens, the arm is stopped)
+        except Exception as error:  # noqa: BLE001 (the arm is stopped after any error)
             supervisor.stop_after_error(error)
         self._arm.end()
         supervisor.announce_mode("brakes engaged")
@@ -135,8 +135,8 @@ class PlantLoop:
         self._exchange.send(measure(self._tick_ns, sequence, self._command_age_ns, delay_ns))
 
     def _go_to_next_tick(self) -> int:
-        """Reach the next tick in virtual time; how late, in ns."""
-        # Nothing is ever late, so the physics can wait until all that acts in them is there.
+        """Advance to the next tick in virtual time; return the lateness in ns."""
+        # Nothing is ever late, so the physics can wait until all commands are known.
         tick_ns = self._grid.tick_ns(self.tick + 1)
         lateness_ns = self._exchange.run_until(tick_ns)
         first = self.tick * self._grid.substeps
@@ -145,11 +145,11 @@ class PlantLoop:
         return lateness_ns
 
     def _keep_pace(self) -> int:
-        """Reach the next tick in real time, with nothing left to do there but to tell; lateness."""
+        """Compute the physics up to the next tick in real time; return the lateness in ns."""
         tick = self._next_tick()
         before = (tick - 1) * self._grid.substeps
         for stage in self._stages:
-            # What acts in a substep is known when it begins: the physics need not wait any longer.
+            # All commands of a substep are known when it begins: the physics need not wait longer.
             end = before + stage.stop
             self._exchange.run_until(self._grid.substep_ns(end - 1))
             self._skip_to(tick - 1)
@@ -157,11 +157,11 @@ class PlantLoop:
         tick_ns = self._grid.tick_ns(tick)
         if self._clock.awake_ns:
             self._exchange.run_until(tick_ns - self._clock.awake_ns)
-        self._instruments.read(tick_ns)  # the physics are through with what comes before the tick
+        self._instruments.read(tick_ns)  # the physics has computed everything before the tick
         return self._exchange.run_until(tick_ns)
 
     def _next_tick(self) -> int:
-        """The next tick of the grid, or the one that the clock has reached if that is later."""
+        """Return the next tick of the grid, or the current one if the clock is already later."""
         tick = self.tick + 1
         reached = self._grid.tick_at_or_before(self._clock.now_ns())
         if reached > tick:
@@ -171,7 +171,7 @@ class PlantLoop:
         return tick
 
     def _skip_to(self, tick: int) -> None:
-        """Let the physics go through the ticks before this one, at which nothing is measured."""
+        """Advance the physics through skipped ticks, at which nothing is measured."""
         while self.tick < tick:
             first = self.tick * self._grid.substeps
             self._advance(first, first + self._grid.substeps)
@@ -179,7 +179,7 @@ class PlantLoop:
             self._note_truth(was_skipped=True)
 
     def _advance(self, first: int, end: int) -> None:
-        """Let the physics go through substeps of this tick, by their numbers in the run."""
+        """Advance the physics through substeps of this tick, given by their numbers in the run."""
         started_ns = time.perf_counter_ns()
         downlink, watchdog, grid = self._downlink, self._watchdog, self._grid
         last_ns = grid.substep_ns(end - 1)
@@ -191,7 +191,7 @@ class PlantLoop:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._supervisor.stop_safely(f"no valid command for {timeout_ms:g} ms")
             stays_so = downlink.next_due_ns > last_ns and watchdog.expires_ns >= last_ns
-            # Where nothing can change in between, all substeps are one call.
+            # If nothing can change in between, one call computes all substeps.
             following = end if stays_so else first + 1
             self._arm.advance(first, following)
             first = following
@@ -205,7 +205,7 @@ class PlantLoop:
         self._react()
 
     def _react(self) -> None:
-        """Stop where a limit asks for it, and see how old the command in force is."""
+        """Stop if a limit requires it, and check the age of the command in force."""
         if self._arm.torques.limit_hits:
             self._supervisor.handle_limit_hits()
         self._command_age_ns = self._exchange.age_ns(self._tick_ns)
@@ -238,7 +238,7 @@ class PlantLoop:
 
 
 def _with_faults(task: PlantTask, link: PlantLink, clock: Clock, gate: CommandGate) -> PlantLink:
-    """The link, with the task's faults on it."""
+    """Return the link, wrapped with the task's faults."""
     if not task.faults and not task.process_actions:
         return link
     names = task.robot.joint_names

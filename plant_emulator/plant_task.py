@@ -1,4 +1,4 @@
-"""What a run of the plant is given, what it passes on, and what comes of it."""
+"""Input and outcome of a run of the plant."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from plant_emulator.faults.scheduler import ScheduledAction
 
 
 class TruthWatch(Protocol):
-    """Whoever judges the run looks at the arm's true motion at every tick."""
+    """Watch of the arm's true motion at every tick, for the judge of the run."""
 
     def look(self, stamp_ns: int) -> None:
-        """A tick is reached, at this instant."""
+        """Check the motion at this tick, at this instant."""
 
     def counts(self) -> dict[str, Any]:
-        """What was found, ready for JSON."""
+        """Return the results, ready for JSON."""
 
 
 @dataclass(frozen=True)
 class PlantTask:
-    """What the plant has to do.
+    """The plant's task.
 
     Attributes:
         robot: description of the arm.
         plant: section ``plant`` of the scenario.
-        link: its section ``link``.
+        link: section ``link`` of the scenario.
         grid: ticks and physics steps of the run.
         lockstep: wait for the reply to every state that is delivered.
         ticks: length of the run.
         seed: seed of everything random on the link.
-        takes_targets: the drives close a loop of their own, around targets that commands bring.
-        faults: what breaks, and when.
-        process_actions: what is asked for to be done to whole processes, and when.
-        watch: makes a watch of the true joint positions, shape (joints,), which change in place.
+        takes_targets: the drives close their own loop, around targets in the commands.
+        faults: the scheduled faults.
+        process_actions: actions on whole processes to request, and when.
+        watch: creates a watch of the true joint positions, shape (joints,), which change in place.
     """
 
     robot: RobotDescription
@@ -58,14 +58,14 @@ class PlantTask:
 
 @dataclass
 class PlantOutcome:
-    """How a run ended.
+    """Outcome of a run.
 
     Attributes:
         ticks: ticks that passed.
         completed: the run came to its planned end.
         faults: one sentence each.
         wall_s: wall time the loop took.
-        stolen_ms: CPU time that a hypervisor gave to others meanwhile.
+        stolen_ms: CPU time that the hypervisor gave to others during the run.
     """
 
     ticks: int = 0

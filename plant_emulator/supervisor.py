@@ -1,4 +1,4 @@
-"""Where something goes wrong in a run of the plant: it is told, the arm stops, the run ends."""
+"""Handling of faults in a run of the plant: it reports them, stops the arm and ends the run."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ logger = logging.getLogger(__name__)
 
 
 class Supervisor:
-    """Stops the arm safely where something asks for it, and says when the run ends.
+    """Stops the arm safely on request, and decides when the run ends.
 
     Args:
-        arm: what is stopped.
-        telemetry: where events are noted.
+        arm: the arm to stop.
+        telemetry: receives events.
         plant: how the arm stops.
         grid: ticks of the run.
         ticks: length of the run.
         tick: the tick that the run has reached; events are stamped with its instant.
 
     Attributes:
-        end_tick: the run ends there: after all its ticks, or when a stop has had its time.
-        stop_requested: the run is to end at the next tick, because somebody wants it so.
-        faults: what went wrong, one sentence each.
+        end_tick: tick at which the run ends: after all its ticks, or when a stop is complete.
+        stop_requested: the run must end at the next tick, on request.
+        faults: the faults, one sentence each.
         limits: how often each limit was hit.
     """
 
@@ -52,32 +52,32 @@ class Supervisor:
         self.limits = LimitCounts()
 
     def announce(self, kind: EventKind, detail: str) -> None:
-        """Tell that something happened at this tick."""
+        """Report an event at this tick."""
         self._telemetry.note_event(self._grid.tick_ns(self._tick()), kind, detail)
 
     def announce_mode(self, why: str) -> None:
-        """Tell which mode the arm is in by now."""
+        """Report the arm's current mode."""
         self.announce(EventKind.MODE, mode_event(self._arm.mode, why))
 
     def fail(self, reason: str) -> None:
-        """Tell of a fault."""
+        """Report a fault."""
         self.faults.append(reason)
         logger.error("%s", reason)
         self.announce(EventKind.FAULT, reason)
 
     def stop(self, reason: str) -> None:
-        """Stop the arm, and end the run when it has had the time for it."""
+        """Stop the arm, and end the run after the stop's duration."""
         self._arm.stop()
         self.announce_mode(self._safe_stop)
         self.fail(reason)
         self.end_tick = min(self.end_tick, self._tick() + 1 + self._stop_ticks)
 
     def stop_safely(self, reason: str) -> None:
-        """The same, where the reason does not say by itself that the arm is stopped."""
+        """Stop the arm, and add to the reason that it is stopped safely."""
         self.stop(f"{reason}: {self._safe_stop}")
 
     def stop_after_error(self, error: Exception) -> None:
-        """Stop the arm because the loop cannot go on."""
+        """Stop the arm because of an error in the loop."""
         reason = f"the plant cannot go on: {type(error).__name__}: {error}"
         logger.exception("the plant cannot go on", exc_info=error)
         if self._arm.mode in COMMANDABLE:
@@ -86,7 +86,7 @@ class Supervisor:
             self.fail(reason)
 
     def handle_limit_hits(self) -> None:
-        """Count the limits that were hit during a tick, and stop where that is asked for."""
+        """Count the limits hit during a tick, and stop the arm if one requires it."""
         hits = self._arm.torques.take_limit_hits()
         new = self.limits.note(hits)
         if new:

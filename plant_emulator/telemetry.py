@@ -1,6 +1,6 @@
-"""What the plant tells of itself: truth and timing at every tick, and events.
+"""The plant's telemetry: true motion and timing at every tick, and events.
 
-Entries are collected and sent when the loop has time for them: after a state is on its way.
+Entries are collected, and sent when the loop has time: after it has sent a state.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ class PlantTelemetry:
 
     Attributes:
         deadline_misses: ticks at which the command in force was too old.
-        skipped: ticks so far for which the loop came too late: nothing is measured there.
-        physics_ns: what the physics has taken since the last cycle, outside of one.
+        skipped: ticks skipped so far because the loop was late; nothing is measured there.
+        physics_ns: time of the physics since the last cycle, outside of one.
         state_age_ns: age of the state that was delivered since the last tick; -1 for none.
-        round_trip_ns: from a state to the command that answered it since then; -1 for none.
+        round_trip_ns: time from a state to the command that answered it since then; -1 for none.
     """
 
     def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
         self._deadline_ns = deadline_ns
         self._truth = Record(topics.layout(topics.PLANT_TRUTH, joint_names))
         self._arm = arm
-        # A third of what NumPy's copies would take, at every tick.
+        # Views take a third of the time of NumPy's copies, at every tick.
         self._take_motion = copying(arm.motion, self._truth.rows("position", "velocity"))
         self._take_torques = copying(
             arm.torques.acting, self._truth.rows("torque", "friction", "disturbance")
@@ -55,14 +55,14 @@ class PlantTelemetry:
         self.deadline_misses = 0
 
     def begin_cycle(self, lateness_ns: int) -> None:
-        """A cycle begins, so late after the instant it was to begin at."""
+        """Begin a cycle, this late after its planned instant."""
         now_ns = time.perf_counter_ns()
         self._period_ns = now_ns - self._cycle_started_ns if self._cycle_started_ns else 0
         self._lateness_ns = lateness_ns
         self._cycle_started_ns = now_ns
 
     def end_cycle(self) -> None:
-        """The work of the cycle is done."""
+        """End the work of a cycle."""
         self._step_ns = self.physics_ns + time.perf_counter_ns() - self._cycle_started_ns
         self.physics_ns = 0
 
@@ -75,16 +75,16 @@ class PlantTelemetry:
         *,
         was_skipped: bool,
     ) -> None:
-        """Note what is true at a tick, also at one that was skipped.
+        """Note the true motion at a tick, also at a skipped one.
 
         Args:
             stamp_ns: instant of the tick.
             tick: its number.
             command_sequence: number of the command in force, 0 before the first.
             command_age_ns: age of the state it answers, -1 before the first.
-            was_skipped: the loop came too late to measure at this tick.
+            was_skipped: the loop was too late to measure at this tick.
         """
-        # Before the first command nothing in force can be older than the run itself.
+        # Before the first command, the age cannot exceed the run's own.
         age_ns = command_age_ns if command_age_ns >= 0 else stamp_ns
         is_in_time = age_ns <= self._deadline_ns
         self.deadline_misses += not is_in_time
@@ -109,12 +109,12 @@ class PlantTelemetry:
         self.round_trip_ns = self.state_age_ns = -1
 
     def note_event(self, stamp_ns: int, kind: EventKind, detail: str) -> None:
-        """Note that something happened."""
+        """Note an event."""
         event = RunEvent(stamp_ns, Role.PLANT, kind, detail)
         self._entries.append((topics.RUN_EVENTS, event.encode()))
 
     def send(self, link: PlantLink) -> None:
-        """Send what was noted."""
+        """Send all notes."""
         if not self._entries:
             return
         for topic, payload in self._entries:

@@ -1,10 +1,10 @@
-"""A controller in Python over plain Zenoh; it knows nothing of funnel-hil.
+"""A controller in Python over plain Zenoh, independent of funnel-hil.
 
     python controller.py [PLANT_ENDPOINT LISTEN_ENDPOINT]
 
-Without endpoints it takes those of its environment, as `controller.process` gives them. Needs
-eclipse-zenoh and rosbags. Torques are PD around `joint_reference`, so the plant has to run with
-`link.publish_reference: true`.
+Without arguments it reads the endpoints from its environment, which `controller.process` sets.
+Needs eclipse-zenoh and rosbags. Torques are PD around `joint_reference`, so the plant has to run
+with `link.publish_reference: true`.
 """
 
 import json
@@ -26,7 +26,7 @@ MOST_KEPT, MOST_WAITED_S = 1000, 60.0  # states and references, each; for the re
 types = get_typestore(Stores.ROS2_JAZZY)
 type_and_hash = f"sensor_msgs::msg::dds_::JointState_/{types.hash_rihs01(TYPE)}"
 
-is_recorded = not sys.argv[1:]  # `run` has a recorder; without one nobody is to be waited for
+is_recorded = not sys.argv[1:]  # only `run` has a recorder to wait for
 plant, listen = sys.argv[1:] or [
     os.environ[f"FUNNEL_HIL_{role}_ENDPOINT"] for role in ("PLANT", "CONTROLLER")
 ]
@@ -54,7 +54,7 @@ with zenoh.open(config) as session:
     sequence, lock = 0, threading.Lock()
     is_over, recorder_is_there = threading.Event(), threading.Event()
     references: dict[tuple[int, int], Any] = {}  # by stamp
-    unanswered: dict[tuple[int, int], list[Any]] = {}  # states whose reference has not come, too
+    unanswered: dict[tuple[int, int], list[Any]] = {}  # also states without a reference yet
 
     def read(sample: zenoh.Sample) -> tuple[Any, tuple[int, int]]:
         message = types.deserialize_cdr(sample.payload.to_bytes(), TYPE)
@@ -64,7 +64,7 @@ with zenoh.open(config) as session:
         if len(kept) > MOST_KEPT:
             del kept[next(iter(kept))]
 
-    # Each topic comes on a thread of its own, so that a state may overtake its reference.
+    # Each topic arrives on its own thread, so a state may overtake its reference.
     def on_reference(sample: zenoh.Sample) -> None:
         reference, stamp = read(sample)
         with lock:
@@ -99,7 +99,7 @@ with zenoh.open(config) as session:
     def on_plant(sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
             is_over.set()
-            recorder_is_there.set()  # it will not come
+            recorder_is_there.set()  # it will not arrive any more
 
     declared: list[Any] = [
         session.declare_subscriber(f"{DOMAIN}/joint_reference/{type_and_hash}", on_reference),
@@ -112,8 +112,8 @@ with zenoh.open(config) as session:
         ),
     ]
     if is_recorded:
-        recorder_is_there.wait(MOST_WAITED_S)  # else it would miss the first commands
-    # Once all is ready: from here on the plant knows of a publisher of commands, and starts.
+        recorder_is_there.wait(MOST_WAITED_S)  # else the plant would miss the first commands
+    # Announced last: once the plant sees a publisher of commands, it starts.
     declared.append(
         session.liveliness().declare_token(
             os.environ.get("FUNNEL_HIL_COMMAND_TOKEN")

@@ -1,1 +1,1 @@
-"""What a loop may ask of a bus, and the scenario's section about it."""
+"""Interface of a link, and the scenario's section ``link``."""

@@ -1,4 +1,4 @@
-"""What both sides of a link must agree on, in a form that is short enough to announce."""
+"""Digests of the values that both sides of a link must agree on, short enough to announce."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ class Agreement:
     """Digests of values that must be the same on both sides.
 
     Args:
-        values: text of each value, by the key under which a difference is told.
+        values: text of each value, by the key under which a difference is reported.
     """
 
     def __init__(self, values: Mapping[str, str]) -> None:
         self._digests = {key: _digest(key, value) for key, value in values.items()}
 
     def encode(self) -> str:
-        """All digests, in letters and figures alone."""
+        """Encode all digests in letters and digits."""
         return "".join(sorted(self._digests.values()))
 
     def differences(self, theirs: str) -> list[str]:
-        """Keys whose values are not those that another side announced; empty if it agrees.
+        """Return the keys whose values differ from the other side's; empty if none.
 
         Args:
-            theirs: what the other side encoded; whatever else it may be, it does not agree.
+            theirs: the other side's encoded digests; any other text does not agree.
         """
         known = {theirs[start : start + _DIGITS] for start in range(0, len(theirs), _DIGITS)}
         own = set(self._digests.values())

@@ -1,4 +1,4 @@
-"""Section ``link.can`` of a scenario: which CAN bus, which drives, and how they are watched."""
+"""Section ``link.can`` of a scenario: the CAN bus, its drives, and how they are monitored."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bus_schema.configuration import (
 _DESCRIPTIONS = Path(str(resources.files("bus_schema").joinpath("can")))
 CIA402_EDS = _DESCRIPTIONS / "cia402_drive.eds"
 CANSIMPLE_DBC = _DESCRIPTIONS / "cansimple.dbc"
-"""The descriptions of the drives' protocols, which both sides read."""
+"""Descriptions of the drives' protocols, which both sides read."""
 
 _CHANNELS = {"udp_multicast": "239.74.163.2", "virtual": "funnel_hil"}
 
@@ -38,7 +38,7 @@ NodeId = Annotated[Whole, Field(ge=1, le=127)]
 
 
 class CanFaults(StrictModel):
-    """What goes wrong on an emulated bus, and with the drives on it.
+    """Injected faults of an emulated bus and of the drives on it.
 
     Attributes:
         frame_error_probability: share of frames that are destroyed by an error frame and repeated.
@@ -142,12 +142,12 @@ class CanConfiguration(StrictModel):
 
     @property
     def resolved_channel(self) -> str:
-        """What the interface calls the bus."""
+        """Channel name for the interface."""
         return self.channel or _CHANNELS.get(self.interface, "vcan0")
 
     @property
     def log_channel(self) -> str:
-        """What logs call the bus: the same in every run, whatever place the bus had."""
+        """Channel name in logs, which does not depend on where the bus was."""
         return _CHANNELS.get(self.interface) or self.resolved_channel
 
     @property
@@ -155,7 +155,7 @@ class CanConfiguration(StrictModel):
         return 1 << self.encoder_bits
 
     def node_ids_of(self, joints: int) -> tuple[int, ...]:
-        """One address per joint.
+        """Return one address per joint.
 
         Raises:
             ConfigurationError: there are not as many as joints.

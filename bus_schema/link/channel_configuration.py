@@ -1,6 +1,6 @@
-"""Sections ``link.uplink`` and ``link.downlink`` of a scenario: what a direction does to messages.
+"""Sections ``link.uplink`` and ``link.downlink`` of a scenario: delay and loss per direction.
 
-Parameters mean what they mean in Linux's netem; where a definition is ours, it stands here.
+Parameters have the meaning of Linux's netem; definitions of our own are given here.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ Distribution = Literal["uniform", "normal", "pareto", "empirical"]
 
 
 class BurstLossConfiguration(StrictModel):
-    """Gilbert–Elliott loss: a chain of a good and a bad state that takes a step per message.
+    """Gilbert–Elliott loss: a chain of a good and a bad state that takes one step per message.
 
-    Given either by the chain or by what it does: ``mean_loss`` and ``mean_burst`` stand for a chain
-    that loses everything in its bad state and nothing in its good one.
+    Either the chain is given, or its effect: ``mean_loss`` and ``mean_burst`` define a chain that
+    loses everything in its bad state and nothing in its good one.
 
     Attributes:
         p: probability of going from good to bad.
@@ -59,7 +59,7 @@ class BurstLossConfiguration(StrictModel):
 
 
 class ChangeableConditions(StrictModel):
-    """What a schedule can change; None leaves it as it was."""
+    """Conditions that a schedule can change; None leaves a condition as it was."""
 
     delay_ms: NonNegative | None = None
     jitter_ms: NonNegative | None = None
@@ -94,7 +94,7 @@ class Ramp(ChangeableConditions):
 
 
 class Outage(StrictModel):
-    """A time in which everything is lost that is sent; it may fall into a ramp."""
+    """A period in which everything sent is lost; it may overlap a ramp."""
 
     kind: Literal["outage"]
     at_s: NonNegative
@@ -109,9 +109,9 @@ class ChannelConfiguration(StrictModel):
 
     Attributes:
         delay_ms: delay of every message.
-        distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and
-            ``pareto`` (of shape 3, shifted to mean zero): standard deviation jitter_ms;
-            ``empirical``: a delay drawn from `distribution_file`. A negative sum is no delay.
+        distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and ``pareto``
+            (of shape 3, shifted to mean zero): standard deviation jitter_ms; ``empirical``: a delay
+            drawn from `distribution_file`. A negative sum counts as no delay.
         distribution_file: delays in ms, one per line or in the first column; a path relative to
             the scenario file.
         jitter_ms: scale of the distribution.
@@ -142,7 +142,7 @@ class ChannelConfiguration(StrictModel):
 
     @property
     def is_constant(self) -> bool:
-        """Whether it does nothing but delay all messages alike."""
+        """Whether this direction does nothing but delay all messages equally."""
         return not (
             self.jitter_ms or self.loss or self.burst_loss or self.duplicate or self.rate_kbit_s
             or self.schedule or self.distribution == "empirical"

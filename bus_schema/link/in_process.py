@@ -16,11 +16,11 @@ from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATU
 from bus_schema.runtime.clock import Clock
 
 _POLL_S = 1.0
-"""How often a request to stop is looked for; each time, the thread of the plant has to wait."""
+"""Period of the check for stop requests; each check makes the plant's thread wait."""
 
 
 class InProcessBus:
-    """A bus with one plant and one controller, which remembers everything.
+    """A bus with one plant and one controller, which records all messages.
 
     It holds what both sides share; `InProcessPlantLink` and `InProcessControllerLink` use it.
 
@@ -30,10 +30,10 @@ class InProcessBus:
         payloads: its payload. Two flat lists: with no container per message, Python's garbage
             collector finds nothing to do while a loop runs.
         commands: commands that the plant has not taken yet.
-        numbers: of the commands to come, from 1.
-        on_state: the controller; None before it came and after it left or failed.
+        numbers: sequence numbers of future commands, from 1.
+        on_state: the controller's handler; None before it joined and after it left or failed.
         failure: the exception that ended the controller's service of states, if any.
-        controller_loss: what was done to the controller, a sentence; empty for nothing.
+        controller_loss: how an injected fault ended the controller, a sentence; empty without one.
         has_left: by role, set once that side has left.
         is_over: set once the controller has no more states to answer.
     """
@@ -51,7 +51,7 @@ class InProcessBus:
         self.is_over = threading.Event()
 
     def leave(self, role: Role) -> None:
-        """One side leaves; without its controller, states are not answered any longer."""
+        """Remove one side; without its controller, states are no longer answered."""
         if role is Role.CONTROLLER:
             self.on_state = None
         self.has_left[role].set()
@@ -60,13 +60,13 @@ class InProcessBus:
 
 
 class InProcessNode:
-    """One side of an `InProcessBus`; on its own, telemetry of loops whose states go another way."""
+    """One side of an `InProcessBus`; by itself, telemetry of loops with another link for states."""
 
     def __init__(self, bus: InProcessBus, role: Role) -> None:
         self._bus, self._role = bus, role
 
     def publish(self, topic: Topic, payload: bytes) -> int:
-        """Put a message on the bus; its number if it is a command, which alone are counted here."""
+        """Put a message on the bus; return its number if it is a command (others have none)."""
         bus = self._bus
         bus.topics.append(topic)
         bus.payloads.append(payload)
@@ -80,15 +80,15 @@ class InProcessNode:
         return not self._bus.has_left[role].is_set()
 
     def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
-        """There is but one inside a process."""
+        """Do nothing: one process has only one scenario."""
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        """The bus itself remembers everything."""
+        """Do nothing: the bus itself records everything."""
 
     def await_recorded(self) -> None:
-        """The bus itself remembers everything."""
+        """Do nothing: the bus itself records everything."""
 
     def close(self) -> None:
         self._bus.leave(self._role)
@@ -128,11 +128,11 @@ class InProcessPlantLink(InProcessNode, PlantLink):
         if not commands:
             return []
         taken = commands.copy()
-        del commands[: len(taken)]  # one that comes meanwhile is not lost
+        del commands[: len(taken)]  # a command that arrives meanwhile is kept
         return taken
 
     def controller_has_left(self) -> bool:
-        # A controller that has not answered by now never will: states are answered at once.
+        # States are answered at once: a controller that has not answered by now never will.
         return not self._bus.commands
 
     def controller_loss(self) -> str:
@@ -152,10 +152,10 @@ class InProcessControllerLink(InProcessNode, ControllerLink):
         self._bus.on_state = on_state
 
     def activate(self) -> None:
-        """Nobody waits for it: whoever serves states has announced it."""
+        """Do nothing: no one waits for an announcement."""
 
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
-        """Wait until the plant has left; its own thread has the states answered."""
+        """Wait until the plant has left; the plant's thread calls the handler of states."""
         while not self._bus.is_over.wait(_POLL_S):
             if is_stop_requested():
                 break

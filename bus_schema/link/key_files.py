@@ -1,4 +1,4 @@
-"""Where keys and certificates lie: one folder, flat, the same names on every host.
+"""The folder of keys and certificates: flat, with the same file names on every host.
 
 A host needs ``authority.crt`` and the two files of each role it plays. The authority's own key is
 needed to issue certificates, and belongs on no host that takes part in a run.
@@ -16,7 +16,7 @@ DEFAULT_FOLDER = "~/.config/funnel-hil/keys"
 
 @dataclass(frozen=True)
 class KeyFolder:
-    """The files in a folder of keys.
+    """Paths of the files in a folder of keys.
 
     Attributes:
         path: the folder.
@@ -26,10 +26,10 @@ class KeyFolder:
 
     @staticmethod
     def at(folder: str | Path) -> KeyFolder:
-        """The folder of this name; ``~`` is the home of the user.
+        """Return the folder at this path; ``~`` is the user's home.
 
         Raises:
-            FileNotFoundError: the user has none.
+            FileNotFoundError: the user has no home.
         """
         try:
             return KeyFolder(Path(folder).expanduser())

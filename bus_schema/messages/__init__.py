@@ -1,1 +1,1 @@
-"""What is sent on the bus: topics, message types, and their bytes."""
+"""Messages on the bus: topics, message types, and their bytes."""

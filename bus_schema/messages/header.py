@@ -1,6 +1,6 @@
-"""The stamp in the header that all our messages begin with: seconds and nanoseconds, or one number.
+"""The stamp in the header of every message: seconds and nanoseconds, or one number.
 
-On the wire (CDR, little endian) it stands right behind the encapsulation, whatever the type.
+On the wire (CDR, little endian) it follows the encapsulation directly in every type.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _END = ENCAPSULATION_BYTES + _STAMP.size
 
 
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds."""
+    """Split a stamp in ns into seconds and nanoseconds."""
     return divmod(stamp_ns, NANOSECONDS)
 
 
 def join_stamp(sec: int, nanosec: int) -> int:
-    """A stamp in ns from both parts."""
+    """Return a stamp in ns from both parts."""
     return sec * NANOSECONDS + nanosec
 
 
 def stamp_of(payload: bytes) -> int | None:
-    """Stamp of an encoded message, ns; None where the bytes hold none, or one before the start."""
+    """Return the stamp of an encoded message, ns; None if it is missing or negative."""
     if len(payload) < _END:
         return None
     stamp_ns = join_stamp(*_STAMP.unpack_from(payload, ENCAPSULATION_BYTES))
@@ -37,11 +37,11 @@ def stamp_of(payload: bytes) -> int | None:
 
 
 def with_stamp(payload: bytes, stamp_ns: int) -> bytes:
-    """An encoded message with another stamp."""
+    """Return an encoded message with another stamp."""
     return payload[:ENCAPSULATION_BYTES] + _STAMP.pack(*split_stamp(stamp_ns)) + payload[_END:]
 
 
 def stamps_ns(table: NDArray[np.void]) -> NDArray[np.int64]:
-    """Stamps of a table of messages (`MessageLayout.tabulate`), shape (messages,)."""
+    """Return the stamps of a table of messages (`MessageLayout.tabulate`), shape (messages,)."""
     stamps: NDArray[np.int64] = table[SEC].astype(np.int64) * NANOSECONDS + table[NANOSEC]
     return stamps

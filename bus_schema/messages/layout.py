@@ -26,21 +26,21 @@ from bus_schema.messages.types import TYPESTORE
 from bus_schema.messages.zero_messages import numeric_fields, zero_message
 
 MAX_PAYLOAD_BYTES = 64 * 1024
-"""Nothing on our topics comes near this; larger payloads are refused before they are parsed."""
+"""Limit far above all our messages; larger payloads are refused before they are parsed."""
 
 
 class Record:
-    """One message, written and read by the names of its fields; its bytes are the wire's.
+    """One message with fields by name; its memory is the wire format.
 
     Attributes:
         scalars: all single values, as attributes named as in the ``.msg`` file, with ``_`` for the
-            dots of nested types: ``record.scalars.timing_cycle = 3``. Another name is refused;
-            a number out of range wraps around.
+            dots of nested types: ``record.scalars.timing_cycle = 3``. An unknown name raises; a
+                number out of range wraps around.
         fields: one writable view per numeric field, by dotted name; single values as shape (1,).
         memory: the message's bytes, writable.
-        stamp: bytes of the header's stamp; to copy them is half the work of writing `stamp_ns`.
+        stamp: bytes of the header's stamp; copying them costs half as much as writing `stamp_ns`.
         sec: first part of the stamp, shape (1,), writable; nanosec: the other part.
-        payload: gives the message as wire bytes.
+        payload: returns the message as wire bytes.
     """
 
     def __init__(self, layout: MessageLayout) -> None:
@@ -57,14 +57,14 @@ class Record:
             for name in layout.dtype.names or ()
         }
         self.scalars: Any = layout.scalars.from_buffer(self.memory)
-        self.payload = self.memory.tobytes  # no method around it: five frames less in each tick
+        self.payload = self.memory.tobytes  # no method around it: saves five frames a tick
         self.stamp = self.memory[ENCAPSULATION_BYTES : ENCAPSULATION_BYTES + 8]
-        # Needed in each tick; these views take a third of the time of the above.
+        # Used in each tick: these views take a third of the time of the above.
         self.sec, self.nanosec = self.stamp[:4].cast("i"), self.stamp[4:].cast("I")
 
     @property
     def stamp_ns(self) -> int:
-        """Stamp of the header, which all our messages begin with."""
+        """Stamp of the header, which every message begins with."""
         return self.sec[0] * NANOSECONDS + self.nanosec[0]
 
     @stamp_ns.setter
@@ -72,10 +72,10 @@ class Record:
         self.sec[0], self.nanosec[0] = divmod(stamp_ns, NANOSECONDS)
 
     def rows(self, *names: str) -> NDArray[np.float64]:
-        """Arrays that follow one another as the rows of one writable view, shape (arrays, length).
+        """Return consecutive arrays as the rows of one writable view, shape (arrays, length).
 
         Raises:
-            ValueError: they are not arrays of one length that lie in this order.
+            ValueError: the arrays differ in length or are not adjacent in this order.
         """
         all_names = list(self.fields)
         first = all_names.index(names[0])
@@ -97,8 +97,8 @@ class MessageLayout:
     Args:
         type_name: ROS 2 interface name, e.g. ``sensor_msgs/msg/JointState``.
         length: length of every numeric array that `lengths` does not name.
-        lengths: lengths of single arrays, by dotted field name; arrays of length 0 are no fields,
-            and what a foreign sender puts there is ignored.
+        lengths: lengths of single arrays, by dotted field name; arrays of length 0 are no fields;
+            their content from a foreign sender is ignored.
         strings: value of every string sequence, by dotted field name; plain strings are empty.
     """
 
@@ -123,10 +123,11 @@ class MessageLayout:
         self._expected_parts = self._fixed_parts.unpack(self.template)
 
     def decode(self, payload: bytes, into: Record) -> int:
-        """Load `payload` into `into`, whoever encoded it; its stamp in ns.
+        """Load `payload`, from any sender, into `into`; return its stamp in ns.
 
         Raises:
-            InvalidMessageError: it is no message of this type with these names and lengths.
+            InvalidMessageError: the payload is no message of this type with these names and
+                lengths.
         """
         is_ours = (
             len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
@@ -141,7 +142,7 @@ class MessageLayout:
         return into.sec[0] * NANOSECONDS + nanosec
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
-        """Messages as rows of one table, shape (messages,); what `decode` refuses is left out."""
+        """Return messages as rows of a table, shape (messages,); skip what `decode` rejects."""
         if set(map(len, payloads)) <= {self.size}:
             joined = b"".join(payloads)
             block = np.frombuffer(joined, np.uint8).reshape(-1, self.size)
@@ -154,7 +155,7 @@ class MessageLayout:
         return np.frombuffer(b"".join(self._decodable(payloads)), self.dtype)
 
     def _decodable(self, payloads: Iterable[bytes]) -> Iterator[bytes]:
-        """Those payloads that can be decoded, each in this layout."""
+        """Yield the payloads that can be decoded, each in this layout."""
         record = Record(self)
         for payload in payloads:
             try:
@@ -182,7 +183,7 @@ class MessageLayout:
                 view[:] = value if order is None else value[order]
 
     def _numpy_type(self, message: Any) -> np.dtype[np.void]:
-        """All numeric fields, each where rosbags' bytes change with its value."""
+        """Return all numeric fields as a NumPy type, at the offsets where rosbags writes them."""
         template = np.frombuffer(self.template, np.uint8)
         fields: dict[str, tuple[np.dtype[Any], int]] = {}
         for path, kind, owner, name in numeric_fields(message):
@@ -198,7 +199,7 @@ class MessageLayout:
         )
 
     def _scalar_type(self) -> type[ctypes.LittleEndianStructure]:
-        """The single values of a payload as a C structure, what lies between them as padding."""
+        """Return the single values of a payload as a C structure, other bytes as padding."""
         members: list[tuple[str, Any]] = []
         end = 0
         fields: Mapping[str, Any] = self.dtype.fields or {}
@@ -211,7 +212,7 @@ class MessageLayout:
         return type("Scalars", (ctypes.LittleEndianStructure,), body)
 
     def _fixed_bytes(self) -> NDArray[np.bool_]:
-        """Which bytes belong to no field, shape (size,)."""
+        """Mark the bytes that belong to no field, shape (size,)."""
         is_fixed = np.ones(self.size, dtype=np.bool_)
         fields: Mapping[str, Any] = self.dtype.fields or {}
         for kind, offset, *_ in fields.values():
@@ -223,7 +224,7 @@ def parse(payload: bytes, type_name: str) -> Any:
     """Parse a payload with rosbags.
 
     Raises:
-        InvalidMessageError: it is too large or not a message of that type.
+        InvalidMessageError: the payload is too large or not a message of that type.
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise InvalidMessageError(
@@ -231,12 +232,12 @@ def parse(payload: bytes, type_name: str) -> Any:
         )
     try:
         return TYPESTORE.deserialize_cdr(payload, type_name)
-    except Exception as error:  # rosbags raises whatever its parsing of garbage trips over
+    except Exception as error:  # rosbags raises many kinds of errors on garbage
         raise InvalidMessageError("malformed", f"not a {type_name}: {error}") from error
 
 
 def _parts(is_wanted: NDArray[np.bool_]) -> struct.Struct:
-    """Takes the wanted runs of bytes out of as many bytes."""
+    """Return a function that extracts the wanted runs of bytes from a payload of this size."""
     runs = [(wanted, len(list(run))) for wanted, run in groupby(is_wanted.tolist())]
     return struct.Struct("".join(f"{size}{'s' if wanted else 'x'}" for wanted, size in runs))
 

@@ -1,4 +1,4 @@
-"""What was rejected at a door of the bus: counted by reason, logged a few times, never fatal."""
+"""Counts of messages rejected on arrival: by reason, logged a few times, never fatal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LOGGED_PER_REASON = 5
 
 
 class Rejections:
-    """Counts rejected messages; a flood of them fills counters, not logs.
+    """Counter of rejected messages; a flood of them fills counters, not logs.
 
     Attributes:
         counts: number of rejections by reason.

@@ -1,4 +1,4 @@
-"""Run events: what happened, to whom, in one sentence."""
+"""Run events: what happened to which process, in one sentence."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from bus_schema.messages.layout import parse
 from bus_schema.messages.types import RUN_EVENT, TYPESTORE
 
 COMMANDS_RECEIVED = "commands_received"
-"""In `COUNTS` of the plant: how many commands it took off the bus and looked at."""
+"""Key in the plant's `COUNTS`: how many commands it took off the bus and checked."""
 
 
 class EventKind(StrEnum):
     """Kinds of run events. `COUNTS` and `ENDED` carry JSON, the others a sentence.
 
-    `INJECTED` tells of a scheduled fault that begins or ends, `FAULT` of what went wrong.
-    `ENDED` is the last message of a process.
+    `INJECTED` reports that a scheduled fault begins or ends, `FAULT` what went wrong. `ENDED` is
+    the last message of a process.
     """
 
     STARTED = "started"
@@ -39,7 +39,7 @@ class RunEvent:
 
     Attributes:
         stamp_ns: time on the run's clock.
-        source: role of the process that says it.
+        source: role of the process that sends it.
         kind: an `EventKind`, or a foreign kind.
         detail: a sentence, or JSON.
     """
@@ -50,7 +50,7 @@ class RunEvent:
     detail: str
 
     def encode(self) -> bytes:
-        """CDR bytes."""
+        """Return the CDR bytes."""
         types = TYPESTORE.types
         sec, nanosec = split_stamp(self.stamp_ns)
         header = types["std_msgs/msg/Header"](
@@ -64,7 +64,7 @@ class RunEvent:
         """Parse CDR bytes.
 
         Raises:
-            InvalidMessageError: they are no run event.
+            InvalidMessageError: the bytes are no run event.
         """
         message = parse(payload, RUN_EVENT)
         stamp = message.header.stamp
@@ -73,9 +73,9 @@ class RunEvent:
         )
 
     def values(self) -> dict[str, Any]:
-        """The JSON object in `detail`; empty where there is none."""
+        """JSON object in `detail`; empty if there is none."""
         try:
             parsed = json.loads(self.detail)
-        except (ValueError, RecursionError):  # its sender may be anybody
+        except (ValueError, RecursionError):  # any peer may have sent it
             return {}
         return parsed if isinstance(parsed, dict) else {}

@@ -1,4 +1,4 @@
-"""The one table of topics: what is sent, by whom, how often, and under which key."""
+"""The table of topics: name, type, sender, rate and QoS."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bus_schema.messages.layout import MessageLayout
 
 
 class Role(StrEnum):
-    """The parts of the system that speak on the bus."""
+    """Roles of the processes on the bus."""
 
     CONTROLLER = "controller"
     PLANT = "plant"
@@ -34,9 +34,9 @@ class Topic:
         type_name: ROS 2 interface name.
         sender: the only role that may send it; None where controller and plant both may.
         rate: when it is sent.
-        urgent: whether it is sent at once; what only recorders want may be sent in batches.
+        urgent: whether it is sent at once; topics for recorders alone may be sent in batches.
         depth: how many messages are kept (QoS: reliable, keep last).
-        latched: whether who comes late gets them too (ROS 2: transient local).
+        latched: whether late subscribers get them too (ROS 2: transient local).
     """
 
     name: str
@@ -49,12 +49,12 @@ class Topic:
 
     @property
     def paces(self) -> bool:
-        """Whether by this topic recorders tell a sender how far they have come; each has one."""
+        """Whether recorders report progress to the sender by this topic; each sender has one."""
         return self.rate is Rate.TICK and not self.urgent
 
     @property
     def qos(self) -> str:
-        """QoS as rmw_zenoh writes it into liveliness tokens."""
+        """QoS in rmw_zenoh's format for liveliness tokens."""
         return f":{1 if self.latched else ''}:,{self.depth}:,:,:,,"
 
     @property
@@ -63,7 +63,7 @@ class Topic:
         return f"{package}::msg::dds_::{name}_"
 
     def key_expression(self, domain: int) -> str:
-        """Zenoh key of this topic in a ROS domain, as rmw_zenoh forms it."""
+        """Return the Zenoh key of this topic in a ROS domain, as rmw_zenoh forms it."""
         return f"{domain}/{self.name}/{self.dds_type}/{message_types.type_hash(self.type_name)}"
 
 
@@ -90,7 +90,7 @@ TOPICS = (
 )
 
 CLOCK = Topic("clock", message_types.CLOCK, Role.PLANT, Rate.TICK, urgent=True, depth=1)
-"""Beside every state, for nodes with ``use_sim_time``; no recording needs it."""
+"""Sent with every state, for nodes with ``use_sim_time``; not recorded."""
 ROBOT_DESCRIPTION = Topic(
     "robot_description", message_types.STRING, Role.RECORDER, Rate.EVENT, depth=1, latched=True
 )
@@ -99,11 +99,11 @@ TF_STATIC = Topic(
 )
 TF = Topic("tf", message_types.TF_MESSAGE, Role.RECORDER, Rate.PICTURE, urgent=True, depth=100)
 VIEW_TOPICS = (ROBOT_DESCRIPTION, TF_STATIC, TF)
-"""What 3-D viewers need: it follows from the arm and from `JOINT_STATES`, and no run reads it."""
+"""Topics for 3-D viewers; they follow from the arm and `JOINT_STATES`, and no run reads them."""
 
 
 def topics_of(role: Role) -> list[Topic]:
-    """What a role may send to the loops; a recorder listens, and sends them nothing."""
+    """Return the topics that a role may send to the loops; a recorder sends none."""
     if role is Role.RECORDER:
         return []
     return [topic for topic in (*TOPICS, CLOCK) if topic.sender in (role, None)]
@@ -112,11 +112,10 @@ def topics_of(role: Role) -> list[Topic]:
 def layout(
     topic: Topic, joint_names: tuple[str, ...], *, has_targets: bool = False
 ) -> MessageLayout:
-    """Wire layout of a fixed-size topic for a robot with these joints.
+    """Return the wire layout of a fixed-size topic for a robot with these joints.
 
-    A command carries torques alone, its positions and velocities are empty, unless it `has_targets`
-    for drives that close a loop of their own (see `bus_schema.drive_feedback`). A reference has
-    no torques.
+    A command carries torques alone, unless it `has_targets`: positions and velocities for drives
+    that close their own loop (see `bus_schema.drive_feedback`). A reference has no torques.
     """
     if topic.type_name == message_types.RUN_EVENT:
         raise ValueError(f"{topic.name} has no fixed layout")

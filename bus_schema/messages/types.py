@@ -1,4 +1,4 @@
-"""The ROS 2 message types we speak: the standard ones and our own from ``msg/*.msg``."""
+"""The ROS 2 message types on the bus: standard ones and our own from ``msg/*.msg``."""
 
 from __future__ import annotations
 
@@ -56,22 +56,22 @@ TYPESTORE = _load_typestore()
 
 
 def type_hash(type_name: str) -> str:
-    """RIHS01 hash of a type (REP-2016), as it stands in rmw_zenoh key expressions."""
+    """Return the RIHS01 hash of a type (REP-2016), as rmw_zenoh puts it in key expressions."""
     return TYPESTORE.hash_rihs01(type_name)
 
 
 def schema_text(type_name: str) -> str:
-    """The type with all it depends on, in MCAP's ``ros2msg`` encoding."""
+    """Return a type's definition with all its dependencies, in MCAP's ``ros2msg`` encoding."""
     return TYPESTORE.generate_msgdef(type_name, ros_version=2)[0]
 
 
 def has_todays_form(type_name: str, text: bytes) -> bool:
-    """Whether messages that were recorded with a schema are today's; only our own types change."""
+    """Whether a recorded schema matches today's type; only our own types change."""
     if not type_name.startswith(PACKAGE):
         return True
     try:
         recorded = get_types_from_msg(text.decode(), type_name)
-    except Exception:  # noqa: BLE001 (what rosbags trips over in a text that is no schema)
+    except Exception:  # noqa: BLE001 (rosbags raises many kinds of errors)
         return False
     todays = TYPESTORE.fielddefs
     return all(name in todays and todays[name][1] == recorded[name][1] for name in recorded)

@@ -1,4 +1,4 @@
-"""Messages of nothing but zeros, whose bytes say where everything lies."""
+"""Messages filled with zeros, whose bytes show where each field lies."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from bus_schema.messages.types import TYPESTORE
 def zero_message(
     type_name: str, lengths: Mapping[str, int], strings: Mapping[str, list[str]], prefix: str = ""
 ) -> Any:
-    """A message of a type with arrays of these lengths, all zero, and these strings.
+    """Return a message of a type with arrays of these lengths, all zero, and these strings.
 
-    Its numbers are NumPy's, of the type that they have on the wire.
+    Its numbers are NumPy scalars of the type that they have on the wire.
     """
     values: dict[str, Any] = {}
     fields: Any = TYPESTORE.fielddefs[type_name][1]
@@ -35,7 +35,7 @@ def zero_message(
 
 
 def numeric_fields(message: Any, prefix: str = "") -> Iterator[tuple[str, np.dtype[Any], Any, str]]:
-    """Each number and array of a `zero_message`: dotted name, type, owner, and name there.
+    """Yield each number and array of a `zero_message`: dotted name, type, owner, and name there.
 
     They come in wire order; empty arrays are left out.
     """
@@ -47,5 +47,5 @@ def numeric_fields(message: Any, prefix: str = "") -> Iterator[tuple[str, np.dty
 
 
 def _numpy_type(base: str) -> np.dtype[Any]:
-    """NumPy's type for a base type of ROS 2: of the same name, if NumPy has one of that name."""
+    """Return the NumPy type of a base type of ROS 2, little endian."""
     return np.dtype({"bool": "uint8", "octet": "uint8"}.get(base, base)).newbyteorder("<")

@@ -1,1 +1,1 @@
-"""Recordings, and files that are whole or not there."""
+"""Recordings, and files that are written whole or not at all."""

@@ -1,7 +1,7 @@
-"""Files that are whole or not there, and records that are, however full the disk is.
+"""Files and records that are written whole or not at all, even if the disk is full.
 
-A file appears under its name only when it is complete. Until then it goes by another: what was to
-become ``run.mcap`` is ``run.partial.mcap``.
+A file gets its name only when it is complete. Until then it has another: ``run.partial.mcap``
+becomes ``run.mcap``.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 
 
 def partial_path(path: Path) -> Path:
-    """Where a file is written until it is complete: beside its place, for a rename to do."""
+    """Return the path of an incomplete file: in the same folder, so that a rename completes it."""
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
 def new_partial(path: Path) -> Path:
-    """`partial_path` as a new, empty file; a link of that name is replaced, and not followed."""
+    """Create `partial_path` as an empty file; replace a link of that name, do not follow it."""
     partial = partial_path(path)
     partial.unlink(missing_ok=True)
     os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
@@ -30,15 +30,15 @@ def new_partial(path: Path) -> Path:
 
 
 def is_partial(path: Path) -> bool:
-    """Whether a file has the name of one that is not complete."""
+    """Whether a file's name marks it as incomplete."""
     return path.stem.endswith(".partial")
 
 
 def complete(path: Path) -> None:
-    """Give a file that is written its name, once it is safe on the disk.
+    """Sync a written file to the disk, then give it its final name.
 
     Raises:
-        OSError: it cannot be brought to the disk; the file is named.
+        OSError: it cannot be synced to the disk; the message names the file.
     """
     with naming_file(path):
         with partial_path(path).open("rb") as file:
@@ -48,10 +48,10 @@ def complete(path: Path) -> None:
 
 @contextlib.contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """What the disk does not take is told with the file's name, which writing leaves out.
+    """Add the file's name to errors of the disk, which `write` leaves out.
 
     Raises:
-        OSError: as within, with a file name.
+        OSError: the original error, with a file name.
     """
     try:
         yield
@@ -61,10 +61,10 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file; whatever happens, there is all of it or none.
+    """Write a text file, whole or not at all.
 
     Raises:
-        OSError: it cannot be written; the file is named.
+        OSError: it cannot be written; the message names the file.
     """
     partial = partial_path(path)
     try:
@@ -77,9 +77,9 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write values as JSON; whatever happens, there is all of the file or none.
+    """Write values as a JSON file, whole or not at all.
 
-    JSON has no number that is infinite, or not a number: null stands in its place.
+    JSON has no infinity and no NaN: null replaces them.
 
     Raises:
         OSError: it cannot be written.
@@ -96,9 +96,9 @@ def _finite(value: Any) -> Any:
 
 
 class RecordFile:
-    """A file of records that never ends in half of one.
+    """File of records that never ends in the middle of a record.
 
-    It is unbuffered: what `write` returned from is with the operating system.
+    It is unbuffered: when `write` returns, the operating system has the data.
 
     Args:
         path: the file; an existing one is replaced.
@@ -115,7 +115,7 @@ class RecordFile:
         """Write all of these bytes, or none.
 
         Raises:
-            OSError: the disk does not take them; what it took is cut off again.
+            OSError: the disk fails; the part written is cut off again.
         """
         rest = memoryview(data)
         try:

@@ -1,8 +1,8 @@
 """Records of an MCAP file, each checked against the checksums of the file.
 
-Together they cover every byte: one over all data, one over the summary with its footer, and what is
-left, such as the marks at both ends, can only be one thing. Chunks and attachments have checksums
-of their own, so that damage to one of them costs no other.
+The checksums cover every byte: one all data, one the summary with its footer; all other bytes, such
+as the marks at both ends, are constants. Chunks and attachments have separate checksums, so damage
+to one of them affects no other.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 _CRC = struct.Struct("<I")
 _MESSAGE = struct.Struct("<HIQQ")
-"""What a message begins with: channel, sequence number, log time, publish time."""
+"""Head of a message: channel, sequence number, log time, publish time."""
 _FOOTER_BYTES = 8 + 8 + _CRC.size
 _LARGEST_RECORD_BYTES = 1 << 28
 _LARGEST_CHUNK_BYTES = 1 << 28
-"""Unpacked; many times what any recorder writes, and less than would bring a machine down."""
+"""Uncompressed: many times what recorders write, and less than exhausts a machine's memory."""
 _DAMAGED = (
     McapError, EOFError, ValueError, LookupError, ArithmeticError, MemoryError, struct.error,
     zstandard.ZstdError,
 )  # fmt: skip
-"""What reading damaged bytes ends in: lengths in them may be anything, too."""
+"""Errors raised by reading damaged bytes, in which any length may occur."""
 
 _PARSERS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.SCHEMA: records.Schema.read,
@@ -47,7 +47,7 @@ _CALLED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment"}
 
 
 class _Raw(NamedTuple):
-    """A record as it is in the file; `crc` is the checksum of the section up to it."""
+    """A raw record of the file; `crc` is the checksum of the section up to it."""
 
     start: int
     opcode: int
@@ -56,17 +56,17 @@ class _Raw(NamedTuple):
 
 
 class CheckedRecords:
-    """The records of a file in order, those of chunks one by one; to be iterated over once.
+    """Iterator over a file's records in order, with those of chunks one by one; usable once.
 
     Args:
         file: the file, at its beginning.
         size: its bytes.
 
     Attributes:
-        damage: what is wrong with the file, a sentence each.
-        cut_off_at: the byte from which on nothing can be read; None where all could.
+        damage: what is wrong with the file, one sentence per problem.
+        cut_off_at: the byte from which nothing can be read; None if all could be read.
         is_finished: the file came to its proper end.
-        lacks_checksums: it has none over all of its data, as of an older or foreign recorder.
+        lacks_checksums: no checksum covers all data, as in files of older or foreign recorders.
     """
 
     def __init__(self, file: IO[bytes], size: int) -> None:
@@ -97,7 +97,7 @@ class CheckedRecords:
         return data
 
     def _next(self) -> _Raw | None:
-        """The next record; None where the rest of the file holds no whole one."""
+        """Return the next record; None if the rest of the file holds no whole one."""
         start, crc = self._position, self._crc
         if self._size - start >= HEAD.size:
             opcode, length = HEAD.unpack(self._take(HEAD.size))
@@ -107,7 +107,7 @@ class CheckedRecords:
         return None
 
     def _parsed(self, raw: _Raw) -> list[records.McapRecord]:
-        """The records in a record: those of a chunk, itself, or none if nobody needs it."""
+        """Yield the records in a record: those of a chunk, itself, or none if it is not needed."""
         try:
             if raw.opcode == Opcode.MESSAGE:
                 return [records.Message.read(_stream(raw.content), len(raw.content))]
@@ -156,17 +156,17 @@ def _stream(content: bytes) -> ReadDataStream:
 
 
 def _check(expected: bytes, actual: int) -> None:
-    """Compare a checksum; one of 0 stands for none.
+    """Compare a checksum; 0 means that there is none.
 
     Raises:
-        ValueError: it is another one.
+        ValueError: it differs.
     """
     if len(expected) != _CRC.size or _CRC.unpack(expected)[0] not in (0, actual):
         raise ValueError("wrong checksum")
 
 
 def _inner_records(chunk: records.Chunk) -> list[records.McapRecord]:
-    """The records of a chunk, whose size is checked before memory is taken for it."""
+    """Yield the records of a chunk, whose size is checked before memory is allocated for it."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) not in (-1, size):
         raise ValueError("the size that it has packed and unpacked")
@@ -177,10 +177,10 @@ def _inner_records(chunk: records.Chunk) -> list[records.McapRecord]:
 
 
 def _records_in(content: bytes) -> Iterator[records.McapRecord]:
-    """The records of an unpacked chunk: ten times as fast for messages as mcap's own reader.
+    """Yield the records of an unpacked chunk, ten times as fast for messages as mcap's own reader.
 
     Raises:
-        ValueError: its last record is not all there, or a message is no message.
+        ValueError: its last record is incomplete, or a message is malformed.
     """
     place = 0
     while place < len(content):

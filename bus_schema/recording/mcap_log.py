@@ -1,7 +1,8 @@
 """Recordings: MCAP files with profile ``ros2``, schemas in ``ros2msg`` and payloads in ``cdr``.
 
-What is written is what was on the wire. What a kill left behind can be read up to the last chunk
-that reached the disk. A file that is not what was written is told as damaged (`checked_records`).
+The payloads are those of the wire. After a kill, the file is readable up to the last chunk that
+reached the disk. A file that differs from what was written is reported as damaged
+(`checked_records`).
 """
 
 from __future__ import annotations
@@ -41,28 +42,27 @@ _OFFERED_QOS = """- history: keep_last
 
 
 class McapLog:
-    """A recording being written, under its own name only once it is complete (`atomic_files`).
+    """A recording that is being written, under its final name once complete (`atomic_files`).
 
-    A disk that fails ends the recording, and nothing else: what was written stays readable, and
-    what comes later is counted.
+    A disk failure ends only the recording: written messages stay readable, later ones are counted.
 
     Args:
         path: the file; an existing one is replaced.
-        bytes_per_s: expected rate of the payloads: a chunk is closed about every quarter second,
-            so that a kill costs no more than that.
+        bytes_per_s: expected rate of the payloads: a chunk is closed about every quarter second, so
+            a kill loses no more than that.
 
     Attributes:
         lost: messages that could not be written, by topic.
-        failure: what ended the recording before its time, if anything did.
+        failure: what ended the recording early, if anything did.
 
     Raises:
-        OSError: the file cannot be created, or there is hardly any space for it.
+        OSError: the file cannot be created, or too little space is left for it.
     """
 
     def __init__(self, path: Path, bytes_per_s: float) -> None:
         self._path = path
         path.unlink(missing_ok=True)
-        # Kept free for what has to be said when the disk is full: how much is missing.
+        # Space kept free to record, when the disk is full, how much is missing.
         self._reserve = TemporaryFile(dir=path.parent)  # noqa: SIM115
         os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE_BYTES)
         self._file = RecordFile(new_partial(path))
@@ -76,12 +76,12 @@ class McapLog:
 
     @property
     def written(self) -> Counter[str]:
-        """Messages that are in the recording, or in the chunk that is still open, by topic."""
+        """Messages in the recording, including its open chunk, by topic."""
         return self._in_file if self.failure is not None else self._in_file + self._in_open_chunk()
 
     @property
     def messages(self) -> int:
-        """Messages that are in the recording, or in the chunk that is still open."""
+        """Number of messages in the recording, including its open chunk."""
         return self.written.total()
 
     def write(
@@ -122,7 +122,7 @@ class McapLog:
         self._reserve.close()
 
     def close(self) -> None:
-        """Finish the file; one that could not be finished keeps the name of a partial one."""
+        """Finish the file; if that fails, it keeps its partial name."""
         self.finish_messages()
         if self.failure is None:
             self._attempt(self._writer.finish)
@@ -131,14 +131,14 @@ class McapLog:
             self._attempt(lambda: complete(self._path))
 
     def _attempt(self, action: Callable[[], None], *, closes_chunk: bool = False) -> None:
-        """Write to the disk, which takes all of a chunk or nothing; its failure is noted."""
+        """Write to the disk, a whole chunk or nothing; note a failure."""
         before, in_chunk, failure = self._file.size, self._in_open_chunk(), None
         try:
             action()
         except OSError as error:
             failure = error
         if closes_chunk and self._file.size != before:
-            self._in_file = self._in_file + in_chunk  # not in place: other threads may read it
+            self._in_file = self._in_file + in_chunk  # a new table: other threads may read the old
             in_chunk.clear()
         if failure is not None and self.failure is None:
             self.failure = failure
@@ -146,7 +146,7 @@ class McapLog:
             logger.error("%s: %s: the recording ends here", self._path, failure.strerror)
 
     def _in_open_chunk(self) -> Counter[str]:
-        """Messages that wait for the end of their chunk, by topic."""
+        """Messages in the open chunk, by topic."""
         channels = list(self._channels.items())
         return Counter({topic: self._writer.waiting(channel) for topic, channel in channels})
 
@@ -160,14 +160,14 @@ class McapLog:
 
 
 def _offered_qos(topic: Topic) -> str:
-    """QoS of a topic, as rosbag2 writes it into the metadata of its channel."""
+    """Return the QoS of a topic in rosbag2's format for channel metadata."""
     durability = "transient_local" if topic.latched else "volatile"
     return _OFFERED_QOS.format(depth=topic.depth, durability=durability)
 
 
 @dataclass
 class LogContents:
-    """A recording as read back.
+    """Content of a recording that was read.
 
     Attributes:
         payloads: payloads by topic name (without the slash), in the order of the file.
@@ -175,9 +175,9 @@ class LogContents:
         attachments: attached files by name.
         metadata: metadata tables by name.
         complete: the file was finished, and every byte of it is as it was written.
-        damage: what is not, and how much can be read all the same, a sentence each.
-        lacks_checksums: no checksum covers all of its data, only messages and attachments, as in
-            recordings of older versions.
+        damage: what is damaged, and how much is still readable, one sentence per problem.
+        lacks_checksums: checksums cover only messages and attachments, as in recordings of older
+            versions.
     """
 
     payloads: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
@@ -193,10 +193,10 @@ class _Sorter:
     """Sorts records into the contents of a recording.
 
     A message whose channel was described in a damaged chunk waits for the summary, which describes
-    all channels again. Messages of our own types in the form of another version are left out.
+    all channels again. Messages of our own types in another version's format are left out.
 
     Attributes:
-        foreign_types: names of these types.
+        foreign_types: names of the types left out.
     """
 
     def __init__(self) -> None:
@@ -209,8 +209,8 @@ class _Sorter:
         self._waiting: list[Message] = []
 
     def take(self, record: McapRecord) -> None:
-        """Sort one record in."""
-        match record:  # of which nearly all are messages
+        """Sort one record."""
+        match record:  # nearly all are messages
             case Message() if record.channel_id in self._topics:
                 self._take_message(record)
             case Message():
@@ -229,7 +229,7 @@ class _Sorter:
                 self.expected = record.message_count
 
     def take_waiting(self) -> None:
-        """Sort in what waited, as far as its channels are known by now."""
+        """Sort the waiting messages whose channels are known by now."""
         for message in self._waiting:
             if message.channel_id in self._topics:
                 self._take_message(message)
@@ -242,12 +242,12 @@ class _Sorter:
 
 
 def record_afterwards(path: Path, name: str, values: dict[str, str]) -> None:
-    """Add a table of metadata to a recording that its recorder has finished, or was killed over.
+    """Add a table of metadata to a recording that is finished, or whose recorder was killed.
 
-    A damaged recording stays as it is.
+    A damaged recording is not changed.
 
     Raises:
-        OSError: the file is not there, or the disk does not take it.
+        OSError: the file does not exist, or the disk fails.
     """
     size = path.stat().st_size
     with path.open("r+b") as file:
@@ -259,7 +259,7 @@ def record_afterwards(path: Path, name: str, values: dict[str, str]) -> None:
 
 
 def read_log(path: Path) -> LogContents:
-    """Read a recording, or what there is of it.
+    """Read a recording, as far as it is readable.
 
     Raises:
         OSError: the file cannot be read.

@@ -1,8 +1,8 @@
 """Writes MCAP files in chunks, with all checksums and indices.
 
-The file is byte for byte what mcap's own writer makes of the same, at a third of its time: that
-packs messages and their entries in indices field by field. Here each message's head, and all
-entries of an index, are packed at once; all other records are mcap's.
+The file is byte for byte what mcap's own writer produces, in a third of the time: mcap packs
+messages and index entries field by field. Here each message's head, and all entries of an index,
+are packed at once; mcap packs all other records.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _DATA_END_BYTES = HEAD.size + _CRC.size
 
 
 class McapWriter:
-    """Writes an MCAP file.
+    """Writer of an MCAP file.
 
-    Messages wait for the end of their chunk; who adds them ends it by `flush` when it is full. What
-    the file does not take is not counted.
+    Messages wait for the end of their chunk; the caller ends it by `flush` when it is full.
+    Messages that could not be written are not counted.
 
     Args:
         file: empty.
-        chunk_bytes: size of a chunk, not packed, beyond which it is full.
+        chunk_bytes: uncompressed size from which a chunk counts as full.
     """
 
     def __init__(self, file: IO[bytes], chunk_bytes: int) -> None:
@@ -45,7 +45,7 @@ class McapWriter:
         self._crc = 0
         self._chunk = bytearray()
         self._entries: defaultdict[int, list[int]] = defaultdict(list)
-        """Log time and place of each message in turn, by channel."""
+        """Log time and offset of each message in order, by channel."""
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._chunks: list[records.ChunkIndex] = []
@@ -78,11 +78,11 @@ class McapWriter:
         return writer
 
     def start(self, profile: str, library: str) -> None:
-        """Write what a file begins with."""
+        """Write the beginning of the file."""
         self._write(MAGIC + _encoded(records.Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Describe a type of messages; its id."""
+        """Write the schema of a message type; return its id."""
         self._schemas.append(records.Schema(len(self._schemas) + 1, data, encoding, name))
         self._counts.schema_count += 1
         self._chunk += _encoded(self._schemas[-1])
@@ -91,7 +91,7 @@ class McapWriter:
     def register_channel(
         self, topic: str, message_encoding: str, schema_id: int, metadata: dict[str, str]
     ) -> int:
-        """Describe a channel; its id."""
+        """Write a channel record; return its id."""
         number = len(self._channels) + 1
         self._channels.append(records.Channel(number, topic, message_encoding, metadata, schema_id))
         self._counts.channel_count += 1
@@ -101,10 +101,10 @@ class McapWriter:
     def add_message(
         self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> bool:
-        """Add a message to the chunk; whether that is as large now as one should be.
+        """Add a message to the chunk; return whether the chunk is full.
 
         Raises:
-            struct.error: a number that MCAP has no room for.
+            struct.error: a number does not fit into MCAP's field.
         """
         length = len(data) + _MESSAGE_BYTES
         head = _MESSAGE.pack(_IS_MESSAGE, length, channel_id, sequence, log_time, publish_time)
@@ -115,11 +115,11 @@ class McapWriter:
         return len(chunk) > self._chunk_bytes
 
     def waiting(self, channel_id: int) -> int:
-        """How many messages of a channel wait in the chunk."""
+        """Return how many messages of a channel wait in the chunk."""
         return len(self._entries.get(channel_id, ())) // 2
 
     def flush(self) -> None:
-        """End the chunk, and write it with its indices: both or none."""
+        """End the chunk, and write it with its indices: both or neither."""
         if not self._entries:
             return
         times_ns = [entries[::2] for entries in self._entries.values()]
@@ -172,7 +172,7 @@ class McapWriter:
         self._counts.metadata_count += 1
 
     def finish(self) -> None:
-        """Write the summary, and the end of the file."""
+        """Write the summary and the end of the file."""
         self.flush()
         self._write(_encoded(records.DataEnd(self._crc)))
         start, summary, offsets = self._file.tell(), RecordBuilder(), []
@@ -196,7 +196,7 @@ class McapWriter:
         self._crc = zlib.crc32(data, self._crc)
 
     def _count(self, chunk: records.Chunk) -> None:
-        """Count a chunk that is in the file."""
+        """Count a chunk that has been written."""
         counts, is_first = self._counts, self._counts.message_count == 0
         start_ns = chunk.message_start_time if is_first else counts.message_start_time
         counts.message_start_time = min(start_ns, chunk.message_start_time)
@@ -212,8 +212,8 @@ def append_metadata(file: IO[bytes], at: int | None, name: str, values: dict[str
     """Append a metadata table to a finished recording.
 
     Args:
-        file: undamaged, open to be read and written.
-        at: where a file that was not finished is cut off; None for one that was.
+        file: undamaged, open for reading and writing.
+        at: where an unfinished file is cut off; None for a finished one.
         name: of the table.
         values: the table.
     """

@@ -1,1 +1,1 @@
-"""What a process of a run stands on: clocks, scheduling, modes, compiled code."""
+"""Runtime of a process: clocks, scheduling, modes, compiled code."""

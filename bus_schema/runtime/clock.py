@@ -7,42 +7,43 @@ import time
 from typing import Protocol
 
 _yield_cpu = ctypes.CDLL(None).sched_yield
-"""Lets others of the same priority run; Python's own keeps its lock meanwhile."""
+"""Yields to threads of the same priority; Python's own function keeps the interpreter lock."""
 
 
 class Clock(Protocol):
-    """What a loop may ask of time.
+    """Interface of the clocks of a run.
 
     Attributes:
-        awake_ns: what is no further ahead is waited for awake.
+        awake_ns: waits up to this long are spent awake.
     """
 
     awake_ns: int
 
     def start(self) -> None:
-        """The run starts now: time is 0."""
+        """Start the run: time is 0 now."""
 
     def anchor(self, ago_ns: int) -> None:
-        """Note that the run began `ago_ns` ago, by a sign from outside: `start` sets time 0 there.
+        """Note that the run began `ago_ns` ago, by an external sign: `start` sets time 0 there.
 
-        Until `start`, time goes on as before. Virtual time begins with `start` whatever was noted.
+        Until `start`, time goes on as before. Virtual time ignores the note and begins with
+        `start`.
         """
 
     def put_forward(self, by_ns: int) -> None:
-        """It is later than the clock says, by so much; a little earlier if negative.
+        """Advance the clock by so much; set it back a little if negative.
 
-        Virtual time is what its owner makes it.
+        Virtual time is not changed.
         """
 
     def now_ns(self) -> int:
-        """Time since the start of the run."""
+        """Return the time since the start of the run."""
 
     def wait_until(self, instant_ns: int) -> int:
-        """Return at `instant_ns` or as soon after it as possible; the lateness in ns."""
+        """Wait until `instant_ns`; return the lateness in ns."""
 
 
 class VirtualClock:
-    """Time that passes only when its owner waits: never late, whatever the machine does."""
+    """Time that passes only while its owner waits: never late, however slow the machine is."""
 
     awake_ns = 0
 
@@ -53,10 +54,10 @@ class VirtualClock:
         self._now_ns = 0
 
     def anchor(self, ago_ns: int) -> None:
-        """Virtual time begins when its owner starts it."""
+        """Do nothing: virtual time begins when its owner starts it."""
 
     def put_forward(self, by_ns: int) -> None:
-        """Virtual time is never wrong."""
+        """Do nothing: virtual time needs no correction."""
 
     def now_ns(self) -> int:
         return self._now_ns
@@ -73,8 +74,8 @@ class MonotonicClock:
     Instants are absolute, so lateness in one cycle never shifts the next.
 
     Args:
-        awake_ns: what is no further ahead is waited for awake. A sleeping thread comes some 15 µs
-            late, at best.
+        awake_ns: waits shorter than this are spent awake: a sleeping thread wakes at least 15 µs
+            late.
     """
 
     def __init__(self, awake_ns: int = 0) -> None:
@@ -124,9 +125,9 @@ class TickGrid:
         return tick * self.period_ns
 
     def stages(self) -> tuple[range, ...]:
-        """How substeps are gone through in real time: each stage once its last one has begun.
+        """Split a tick's substeps for real time: a stage is computed when its last substep begins.
 
-        One stage of all of them would leave too little time for them before the tick.
+        A single stage would leave too little time before the next tick.
 
         Returns:
             the numbers of the substeps within the tick, stage by stage.
@@ -136,7 +137,7 @@ class TickGrid:
         return (range(self.substeps),)
 
     def substep_ns(self, number: int) -> int:
-        """Start of a physics step, all those of the run numbered through."""
+        """Return the start of a physics step; steps are numbered through the whole run."""
         return number * self.period_ns // self.substeps
 
     def tick_at_or_before(self, instant_ns: int) -> int:

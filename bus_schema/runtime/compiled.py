@@ -1,9 +1,8 @@
 """Compilation of the numerical kernels with numba.
 
-numba's own cache looks only at the file a function stands in, not at the functions it calls in
-other files. So that an edited helper can never leave a stale caller behind, kernels are cached
-under a folder named by a hash of all sources that have kernels. So kernels take constants only from
-files that have kernels, which a test keeps.
+numba's own cache checks only a function's own file, not the files of the functions it calls. An
+edited helper would leave a stale caller, so kernels are cached in a folder named by a hash of all
+sources with kernels. A test checks that kernels take constants only from such files.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from bus_schema.runtime import kernel_cache
 
 logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
-"""Environment variable by which the processes that one starts know that it has said so."""
+"""Environment variable: the message about compiling was shown, also for child processes."""
 COMPILES = (
     "compiling the numerical kernels of this kind of run, which takes up to half a minute: each"
     " kind needs it once on a machine, and again after a change of version"
 )
-"""What it says."""
+"""The message."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 _is_kept = kernel_cache.choose_folder()
-# Intel's vector functions, where they are installed, have other last bits on other CPUs.
+# Intel's vector functions, if installed, differ in their last bits between CPUs.
 os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
 import numba  # noqa: E402  (reads both at import)
@@ -41,7 +40,7 @@ from llvmlite import binding  # noqa: E402
 
 _Cache: Any = object
 with contextlib.suppress(ImportError):
-    # What numba keeps to itself; without it, loading takes longer, and all else is the same.
+    # Internal to numba; without it, only loading takes longer.
     from numba.core.caching import FunctionCache
     from numba.core.runtime.nrt import rtsys
 
@@ -49,17 +48,17 @@ with contextlib.suppress(ImportError):
 
 
 class _CompiledBefore(_Cache):  # type: ignore[misc]
-    """Machine code of one function, found without loading the compiler.
+    """Machine code of one function, loaded without the compiler.
 
-    numba prepares for compiling whenever it looks into its cache, which takes several times as long
-    as all that is found there. What is missing it compiles as ever, and prepares for that itself.
+    numba initializes its compiler whenever it reads its cache, which takes several times as long as
+    loading the code. If code is missing, numba initializes the compiler and compiles as usual.
     """
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:
-            rtsys.initialize(target)  # what machine code may call
+            rtsys.initialize(target)  # symbols that machine code may call
             found = self._load_overload(signature, target)
-        except (AttributeError, TypeError):  # of another version of numba
+        except (AttributeError, TypeError):  # from another version of numba
             found = super().load_overload(signature, target)
         if found is None:
             say_that_it_compiles(logger.warning)
@@ -73,7 +72,7 @@ class _CompiledBefore(_Cache):  # type: ignore[misc]
 
 
 def say_that_it_compiles(say: Callable[[str], None]) -> None:
-    """Tell by `say` why nothing seems to happen; once, whatever other processes this one starts."""
+    """Explain the wait by `say`, once for this process and all that it starts."""
     if HAS_SAID not in os.environ:
         os.environ[HAS_SAID] = "1"
         say(COMPILES)
@@ -90,34 +89,34 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def bind(function: Callable[..., R], *fixed: Any, free: Sequence[str] = ()) -> Callable[..., R]:
-    """A `compiled` function with its first arguments fixed, at half the cost of a call.
+    """Bind the first arguments of a `compiled` function, which halves the cost of a call.
 
-    What kind of argument each one is need not be found out again at every call. So the arrays that
-    a loop works on in every cycle are best fixed, by those who own them and never replace them.
+    The types of bound arguments are not determined again at every call. Bind the arrays that a loop
+    uses in every cycle; their owner must never replace them.
 
     Args:
         function: made by `compiled`.
-        fixed: its first arguments, as they are to be at every call.
-        free: types of the others, as numba names them: scalars alone, as nobody checks them.
+        fixed: its first arguments, the same for every call.
+        free: numba's names of the types of the others: scalars only, as they are not checked.
     """
     dispatcher, typeof = cast("Any", function), cast("Any", numba.typeof)
     types = (*map(typeof, fixed), *(getattr(numba.types, name) for name in free))
     dispatcher.compile(types)
     try:
         entry = dispatcher.overloads[types].entry_point
-    except AttributeError:  # numba keeps it to itself: the usual way in takes twice as long
+    except AttributeError:  # internal to numba: the public way takes twice as long
         entry = dispatcher
     return partial(entry, *fixed)
 
 
 def copying(source: Matrix, target: Matrix) -> Callable[[], None]:
-    """A function that copies one small array over another, in a third of NumPy's time at most.
+    """Return a function that copies one small array over another, 3 times as fast as NumPy or more.
 
     Args:
         source: any shape.
         target: of the same shape.
     """
-    # Where no numbers are between numbers, Python's own copy of bytes takes half of that again.
+    # For contiguous arrays, Python's own copy of bytes takes half of that again.
     if source.flags.c_contiguous and target.flags.c_contiguous:
         return partial(setitem, target.data.cast("B"), slice(None), source.data.cast("B"))
     return bind(_copy, source, target)
@@ -129,11 +128,11 @@ def _copy(source: Matrix, target: Matrix) -> None:
 
 
 def c_function(library: ctypes.CDLL, name: str, result: str, *arguments: str) -> Any:
-    """A C function for `compiled` functions to call; nothing else can.
+    """Return a C function that `compiled` functions can call; other code cannot.
 
     Args:
-        library: where it is.
-        name: its name there.
+        library: the library that contains it.
+        name: its name in the library.
         result: type of what it returns, as numba names it; ``uintp`` for pointers.
         arguments: types of its arguments.
 

@@ -1,4 +1,4 @@
-"""Where the machine code of kernels is kept: the user's cache, or what takes its place.
+"""Choice of the folder for the machine code of kernels: the user's cache, or a substitute.
 
 The folder is named by a hash of all sources that have kernels, see `compiled`.
 """
@@ -16,16 +16,16 @@ from pathlib import Path
 
 logger = logging.getLogger(__name__)
 FOLDER = "NUMBA_CACHE_DIR"
-"""Environment variable: the folder; not set where kernels cannot be kept."""
+"""Environment variable: the folder; unset where kernels cannot be kept."""
 REFUSED = "FUNNEL_HIL_KERNELS_ARE_KEPT_ELSEWHERE"
-"""Environment variable: why the usual folder is not used, which processes that one starts need not
+"""Environment variable: why the usual folder is not used; child processes do not report it again.
 say again."""
 _ENOUGH_BYTES = 32 << 20
 """Larger than all kernels."""
 
 
 def choose_folder() -> bool:
-    """Choose where kernels are kept, for this process and those it starts; whether they can be."""
+    """Choose the folder of kernels for this process and its children; whether one is usable."""
     if REFUSED in os.environ:
         return FOLDER in os.environ
     name = Path("numba", _digest_of_sources())
@@ -40,7 +40,7 @@ def choose_folder() -> bool:
 
 
 def report_refusal(reason: str) -> None:
-    """Warn that kernels are not kept where they usually are; once, whatever processes it starts."""
+    """Warn that kernels are not kept in the usual folder, once for a process and its children."""
     if REFUSED not in os.environ:
         os.environ[REFUSED] = reason
         logger.warning("%s", reason)
@@ -52,7 +52,7 @@ def _choose_temporary_folder(name: Path, reason: OSError) -> None:
         own = Path(tempfile.gettempdir(), f"funnel-hil-{os.getuid()}")
         own.mkdir(mode=0o700, exist_ok=True)
         found = own.lstat()
-        # The machine code in it is run: nobody else may have made it, or write into it.
+        # Its machine code is run: no other user may own it or write into it.
         if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o022 or own.is_symlink():
             raise PermissionError(errno.EPERM, "belongs to somebody else", str(own))
         _make_usable(own / name)
@@ -65,7 +65,7 @@ def _choose_temporary_folder(name: Path, reason: OSError) -> None:
 
 
 def _make_usable(folder: Path) -> None:
-    """Make a folder; OSError where no kernel can be written to it."""
+    """Create a folder; raise OSError if no kernel can be written to it."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder):
         pass

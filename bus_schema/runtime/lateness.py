@@ -1,4 +1,4 @@
-"""Whether this host was late, for faults in real time that follow from it."""
+"""Lateness of this host, as a possible cause of real-time faults."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ _WORTH_NAMING_NS = 20_000_000
 
 
 class HostLateness:
-    """The worst of the last second by which this host was late."""
+    """Largest lateness of this host within the last second."""
 
     def __init__(self) -> None:
         self._worst_ns, self._at_ns = 0, 0
 
     def note(self, late_ns: int, now_ns: int) -> None:
-        """This host is late by so much at this time of the run."""
+        """Note by how much this host is late at this time of the run."""
         if late_ns >= self._worst_ns or now_ns - self._at_ns > _RECENTLY_NS:
             self._worst_ns, self._at_ns = late_ns, now_ns
 
     def in_words(self, now_ns: int) -> str:
-        """What may be the cause of what went wrong now; empty if this host was in time."""
+        """Explain a fault by this host's lateness; empty if this host was in time."""
         if self._worst_ns < _WORTH_NAMING_NS or now_ns - self._at_ns > _RECENTLY_NS:
             return ""
         return (

@@ -1,4 +1,4 @@
-"""Work on a stranger's files in another process: a crash or a hang there is an error here."""
+"""Work on untrusted files in another process: a crash or hang there becomes an error here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WAIT_S, _MEMORY_BYTES = 9.0, 1 << 30
 
 
 class LimitedProcessError(Exception):
-    """The process has no answer; the message says how it ended."""
+    """The process gave no answer; the message says how it ended."""
 
 
 class LimitedProcess:
@@ -26,7 +26,7 @@ class LimitedProcess:
     """
 
     def __init__(self, module: str, order: bytes) -> None:
-        with tempfile.TemporaryFile() as file:  # a pipe would make one wait for the other
+        with tempfile.TemporaryFile() as file:  # with a pipe, one process would wait for the other
             file.write(order)
             file.seek(0)
             self._process = subprocess.Popen(
@@ -39,7 +39,7 @@ class LimitedProcess:
         """Wait for the answer.
 
         Raises:
-            LimitedProcessError: the process crashed, or took more time or memory than it may.
+            LimitedProcessError: the process crashed, or exceeded its time or memory.
         """
         answer = b""
         with self._process as process:

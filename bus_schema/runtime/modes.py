@@ -1,4 +1,4 @@
-"""What controller and plant may be doing, and how each gets from one to the other: one table."""
+"""State machine of controller and plant: modes, triggers and one table of transitions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bus_schema.errors import BusError
 
 
 class Mode(IntEnum):
-    """What a side does; for the plant, numbers as in PlantStatus.msg."""
+    """Modes of a side; the plant's are numbered as in PlantStatus.msg."""
 
     IDLE = 0
     READY = 1
@@ -20,18 +20,18 @@ class Mode(IntEnum):
 
 
 COMMANDABLE = (Mode.TRACKING, Mode.READY)
-"""Modes in which a torque is given, or waited for."""
+"""Modes in which a torque is sent or awaited."""
 
 
 class Trigger(StrEnum):
-    """What makes a side change its mode.
+    """Triggers that change the mode.
 
     Attributes:
-        BEGIN: it takes part from here on; a plant holds its brakes.
-        COMMAND: the first torque: a plant's brakes are released.
-        FAIL: it cannot go on, for whatever reason.
-        STOPPED: what had to be done to stop is done.
-        END: the run is over, and nothing went wrong.
+        BEGIN: the side joins the run; a plant holds its brakes.
+        COMMAND: the first torque arrives: a plant releases its brakes.
+        FAIL: it cannot go on, for any reason.
+        STOPPED: the stop is complete.
+        END: the run ends without a fault.
     """
 
     BEGIN = "begin"
@@ -50,11 +50,11 @@ TRANSITIONS: Mapping[tuple[Mode, Trigger], Mode] = MappingProxyType({
     (Mode.READY, Trigger.END): Mode.IDLE,
     (Mode.TRACKING, Trigger.END): Mode.IDLE,
 })  # fmt: skip
-"""All that can happen. There is no way to FAULT but through STOPPING, and none out of it."""
+"""All transitions. FAULT is reached only through STOPPING, and never left."""
 
 
 class IllegalTransitionError(BusError, RuntimeError):
-    """A trigger that means nothing in the mode in which it came.
+    """The trigger is not allowed in the current mode.
 
     Attributes:
         mode: the mode.
@@ -68,7 +68,7 @@ class IllegalTransitionError(BusError, RuntimeError):
 
 
 def follow(mode: Mode, trigger: Trigger) -> Mode:
-    """The mode that follows.
+    """Return the next mode.
 
     Raises:
         IllegalTransitionError: the table has no such transition.
@@ -80,10 +80,10 @@ def follow(mode: Mode, trigger: Trigger) -> Mode:
 
 
 def mode_event(mode: Mode, why: str) -> str:
-    """Detail of the run event that tells of a change of mode."""
+    """Return the detail of the run event that reports a change of mode."""
     return f"{mode.name.lower()}: {why}"
 
 
 def mode_in(detail: str) -> Mode | None:
-    """The mode that such a detail tells of, or None if it tells of none."""
+    """Return the mode that such a detail reports, or None."""
     return Mode.__members__.get(detail.partition(":")[0].upper())

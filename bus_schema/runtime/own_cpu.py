@@ -1,4 +1,4 @@
-"""CPUs for real-time loops, one each: two loops on one CPU take each other's deadlines."""
+"""CPUs for real-time loops, one each: two loops on one CPU make each other miss deadlines."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from bus_schema.runtime.realtime import AFFINITY, RealtimeSetting
 
 _UNTIL_THE_END = contextlib.ExitStack()
-"""Holds what was claimed; the end of the process, of whatever kind, gives it back."""
+"""Holds the claimed CPUs until the process ends in any way."""
 
 
 def claim_cpu(candidates: Sequence[int]) -> int | None:
-    """The first of some CPUs that no other process has claimed, from now on this one's.
+    """Claim and return the first of these CPUs that no other process has claimed.
 
-    A claim is a socket in Linux's abstract namespace: nothing is left over by a process that is
-    killed, and users need no folder in common.
+    A claim is a socket in Linux's abstract namespace: a killed process leaves nothing behind, and
+    users need no common folder.
 
     Args:
         candidates: numbers of CPUs, the best first.
@@ -34,7 +34,7 @@ def claim_cpu(candidates: Sequence[int]) -> int | None:
 
 
 def none_is_free(candidates: Sequence[int]) -> RealtimeSetting:
-    """What to report where all have been claimed."""
+    """Return the report for the case that all CPUs have been claimed."""
     shown = ", ".join(map(str, sorted(candidates)))
     return RealtimeSetting(
         AFFINITY,

@@ -1,7 +1,7 @@
-"""Sets a process up for real time and reports what the machine granted.
+"""Real-time setup of a process, with a report of what the machine granted.
 
-Nothing here is required for a run: what is refused costs lateness, not correctness. So no refusal
-is an error, and none is silent.
+No setting is required for a run: a refusal costs lateness, not correctness. A refusal is reported,
+and never an error.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _IDLE_LATENCY_DEVICE = Path("/dev/cpu_dma_latency")
 
 @dataclass(frozen=True)
 class RealtimeSetting:
-    """One real-time setting that was asked for, and what came of it.
+    """A real-time setting that was requested, and its outcome.
 
     Attributes:
-        name: what was asked for.
+        name: the setting.
         granted: whether it is in force.
-        detail: what is in force, or why it was refused and what would change that.
+        detail: what is in force, or why it was refused and how to get it.
     """
 
     name: str
@@ -53,15 +53,15 @@ class RealtimeSetting:
 
 
 _UNTIL_THE_END = contextlib.ExitStack()
-"""Holds what is in force only while a file is open; the end of the process closes it."""
+"""Holds open files whose settings last as long as the file; the end of the process closes them."""
 
 
 class _RefusedError(Exception):
-    """A request was refused; the message says why and what would change that."""
+    """A request was refused; the message says why and how to get it."""
 
 
 def go_realtime(priority: int = 50, cpu: int | None = None) -> list[RealtimeSetting]:
-    """Set the calling process up for real time; never raises for what is refused.
+    """Set the calling process up for real time; never raise for a refusal.
 
     Call it in the main thread before other threads exist: Linux keeps scheduler, timer slack and
     affinity per thread, and a thread inherits them from the one that starts it.
@@ -81,7 +81,7 @@ def go_realtime(priority: int = 50, cpu: int | None = None) -> list[RealtimeSett
 
 
 def probe() -> list[RealtimeSetting]:
-    """What `go_realtime` would be granted; tried out in a child, so the caller stays as it is."""
+    """Return what `go_realtime` would be granted; a child process tries it, not the caller."""
     command = [sys.executable, "-P", __file__]
     try:
         child = subprocess.run(
@@ -103,20 +103,20 @@ def request_fifo(priority: int) -> RealtimeSetting:
 
 
 def raise_priority(nice: int = -10) -> RealtimeSetting:
-    """Let the calling process go before ordinary ones, and the threads it starts from now on.
+    """Give the calling thread, and the threads it starts from now on, priority over ordinary ones.
 
-    For a recorder: it must not fall behind the loops because of what else is running, nor be in
-    their way. Call it in the main thread before other threads exist.
+    For a recorder: other programs must not make it fall behind the loops, and it must not delay the
+    loops. Call it in the main thread before other threads exist.
     """
     return _attempt(PRECEDENCE, lambda: _precede(nice))
 
 
 def use_batch_scheduling() -> None:
-    """Let others finish what they are doing when something arrives for the calling process.
+    """Let running threads finish their work before the calling process handles an arrival.
 
-    For lockstep, where one side waits for the other: a sender that is put aside in the middle of
-    sending holds everybody up (Linux, sched(7), SCHED_BATCH; it takes no permission). Call it in
-    the main thread before other threads exist. Where there is no such thing, nothing happens.
+    For lockstep, where one side waits for the other: a sender that is preempted while sending
+    delays both (Linux, sched(7), SCHED_BATCH; needs no permission). Call it in the main thread
+    before other threads exist. Without SCHED_BATCH, it does nothing.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
@@ -124,13 +124,13 @@ def use_batch_scheduling() -> None:
 
 
 def sleep_lightly() -> RealtimeSetting:
-    """Keep all CPUs from idle states that take time to leave, to the end of the process."""
+    """Keep all CPUs out of idle states that take time to leave, until the process ends."""
     return _UNTIL_THE_END.enter_context(light_sleep())
 
 
 @contextlib.contextmanager
 def light_sleep() -> Iterator[RealtimeSetting]:
-    """Keep all CPUs from idle states that take time to leave, for as long as the context lasts.
+    """Keep all CPUs out of idle states that take time to leave, while the context lasts.
 
     An idle CPU then polls. That costs power; in a virtual machine it also keeps the host from
     taking the CPU away at every pause of a loop (Linux, ``admin-guide/pm``, PM QoS).
@@ -140,9 +140,10 @@ def light_sleep() -> Iterator[RealtimeSetting]:
 
 
 def stolen_ms() -> float:
-    """CPU time that the hypervisor gave to others while a CPU here had work, since boot, ms.
+    """Return the CPU time that the hypervisor took from CPUs with work, since boot, ms.
 
-    All CPUs together, in steps of some 10 ms; 0 where the kernel tells of none (proc(5), steal).
+    The sum over all CPUs, in steps of about 10 ms; 0 where the kernel reports none (proc(5),
+    steal).
     """
     try:
         totals = Path("/proc/stat").read_text().splitlines()[0].split()
@@ -253,7 +254,7 @@ def _freeze_garbage_collector() -> RealtimeSetting:
 
 
 def _raised_limit(limit: int) -> int:
-    """The soft limit after raising it to the hard one, which needs no privilege."""
+    """Raise the soft limit to the hard one, which needs no privilege, and return it."""
     hard = resource.getrlimit(limit)[1]
     resource.setrlimit(limit, (hard, hard))
     return hard
@@ -262,8 +263,8 @@ def _raised_limit(limit: int) -> int:
 def _exempt_from_memlock_limit() -> bool:
     """Whether one page can be locked under a limit of zero.
 
-    The set of capabilities is no answer: inside a user namespace it may hold CAP_IPC_LOCK, and the
-    kernel asks for the one of the initial namespace.
+    The set of capabilities does not show it: inside a user namespace it may hold CAP_IPC_LOCK, but
+    the kernel checks the initial namespace.
     """
     page = ctypes.create_string_buffer(1)
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)

@@ -1,4 +1,4 @@
-"""Names of signals, for what is said of processes that they ended."""
+"""Names of signals, for reports on processes that a signal ended."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import signal
 
 
 def signal_name(number: int) -> str:
-    """SIGABRT, for instance; real-time signals between the first and the last have no name."""
+    """Return a signal's name, such as SIGABRT; real-time signals in between have none."""
     try:
         return signal.Signals(number).name
     except ValueError:

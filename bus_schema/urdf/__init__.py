@@ -1,1 +1,1 @@
-"""What has to be known, checked and mended of a URDF before a simulator sees it."""
+"""Reading, checks and repairs of a URDF before a simulator loads it."""

@@ -1,4 +1,4 @@
-"""What a URDF has to be before a simulator sees it: parsers take much for granted, or crash."""
+"""Checks of a URDF before a simulator loads it: their parsers check little, or crash."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ MOVING_TYPES = ("revolute", "continuous", "prismatic")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TYPES = (*MOVING_TYPES, "fixed", "floating", "planar")
 _DEEPEST = 20
-_MOST_LINKS = 127  # Bullet answers for 128, and the payload is one
+_MOST_LINKS = 127  # Bullet takes 128, and the payload is one of them
 _LONGEST_NAME = 200
 _LARGEST = 1e9
 _UNEXPANDED = re.compile(r"\$[{(][^})]*[})]")
 
 
 def check_urdf(root: ET.Element) -> None:
-    """Check that links and joints are one tree, and that all masses and places can be.
+    """Check that links and joints form one tree, and that masses and poses are possible.
 
     Raises:
-        RobotDescriptionError: they are not; the element and what is allowed are named.
+        RobotDescriptionError: they are not; the message names the element and what is allowed.
     """
     check_depth(root)
     _check_texts(root)
@@ -37,15 +37,15 @@ def check_urdf(root: ET.Element) -> None:
 
 
 def finite_number(owner: str, attribute: str, text: str) -> float:
-    """The number in an attribute.
+    """Return the number in an attribute.
 
     Args:
         owner: what it belongs to, for messages.
         attribute: its name.
-        text: what it holds.
+        text: its value.
 
     Raises:
-        RobotDescriptionError: it is none, or one that physics cannot be computed with.
+        RobotDescriptionError: it is no number, or one that physics cannot use.
     """
     try:
         value = float(text)
@@ -62,10 +62,10 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
 
 
 def check_depth(root: ET.Element, deepest: int = _DEEPEST) -> None:
-    """Check that no more than so many elements lie within one another.
+    """Check that elements are nested no deeper than this.
 
     Raises:
-        RobotDescriptionError: more do.
+        RobotDescriptionError: they are.
     """
     level: list[ET.Element] = [root]
     for _ in range(deepest):
@@ -75,9 +75,9 @@ def check_depth(root: ET.Element, deepest: int = _DEEPEST) -> None:
 
 
 def _check_texts(root: ET.Element) -> None:
-    """Refuse what xacro would have to put values in for, and what Bullet takes for a format.
+    """Refuse unexpanded xacro, and texts that Bullet takes for a format.
 
-    It prints names as such: ``%s`` in one ends the process.
+    Bullet prints names as formats: ``%s`` in a name ends the process.
     """
     for element in root.iter():
         named = element.get("name", "")
@@ -106,7 +106,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
 
 
 def _check_tree(root: ET.Element) -> None:
-    """One link carries all others, each by one joint."""
+    """Check that one link carries all others, each by one joint."""
     links = {link.get("name", "") for link in root.findall("link")}
     carriers: dict[str, str] = {}
     for joint in root.findall("joint"):
@@ -157,7 +157,7 @@ def _check_joint(joint: ET.Element) -> None:
 
 
 def _check_inertial(link: ET.Element) -> None:
-    """Check that an element inertial has a mass, an inertia, and a place."""
+    """Check that an inertial element has a mass, an inertia, and a pose."""
     owner, inertial = _owner(link), link.find("inertial")
     if inertial is None:
         return
@@ -168,10 +168,10 @@ def _check_inertial(link: ET.Element) -> None:
 
 
 def joint_ends(joint: ET.Element) -> tuple[str, str]:
-    """Names of the parent link and of the child link.
+    """Return the names of the parent link and of the child link.
 
     Raises:
-        RobotDescriptionError: one is not named, or more than once.
+        RobotDescriptionError: one is missing, or named more than once.
     """
     found = [joint.findall(kind) for kind in ("parent", "child")]
     if not all(found):
@@ -183,7 +183,7 @@ def joint_ends(joint: ET.Element) -> tuple[str, str]:
 
 
 def mass_of(link: ET.Element) -> float:
-    """Mass of a link, kg; 0 for one without an element inertial."""
+    """Return the mass of a link, kg; 0 without an inertial element."""
     inertial = link.find("inertial")
     if inertial is None:
         return 0.0
@@ -192,7 +192,7 @@ def mass_of(link: ET.Element) -> float:
 
 
 def inertia_of(link: ET.Element) -> list[float]:
-    """Moments of inertia of a link, kg m², in the order of `INERTIA`; 0 where there are none."""
+    """Return a link's moments of inertia, kg m², in the order of `INERTIA`; 0 without them."""
     inertial = link.find("inertial")
     if inertial is None:
         return [0.0] * len(INERTIA)
@@ -226,5 +226,5 @@ def _owner(element: ET.Element) -> str:
 
 
 def shortened(text: str) -> str:
-    """The beginning of a text that a message can hold."""
+    """Shorten a text to what a message can hold."""
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,9 +1,9 @@
-"""What a URDF says of the motors and gears at its joints.
+"""Motor and gear values that a URDF gives for its joints.
 
 ``<dynamics damping friction>`` of a joint, and in the ``<transmission>`` of one joint alone its
 ``<actuator>`` with rotor_inertia (value or text, kg m², in any namespace, such as Drake's) and, if
-that is of the motor's own shaft, gear_ratio or mechanicalReduction. Exporters write zero for what
-they do not know; what is no number is not known either.
+that is of the motor's own shaft, gear_ratio or mechanicalReduction. Exporters write zero for
+unknown values; a text that is no number counts as unknown too.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from bus_schema.arrays import Vector
 
 _RATIOS = ("gear_ratio", "mechanicalReduction")
 _LARGEST = 1e6
-"""Beyond this, physics cannot be computed with it."""
+"""Physics cannot be computed with values beyond this."""
 
 
 class DriveValues(NamedTuple):
-    """Of each joint, as felt there; shape (joints,), zero where the file says nothing.
+    """Drive values at each joint; shape (joints,), zero where the file says nothing.
 
     Attributes:
         rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared.
@@ -36,7 +36,7 @@ class DriveValues(NamedTuple):
 
 
 def drive_values(root: ET.Element, joint_names: Sequence[str]) -> DriveValues:
-    """The values of some joints."""
+    """Return the values of some joints."""
     rotors = dict(_rotor(each) for each in root.findall("transmission"))
     found = {joint.get("name"): joint.find("dynamics") for joint in root.findall("joint")}
 
@@ -49,7 +49,7 @@ def drive_values(root: ET.Element, joint_names: Sequence[str]) -> DriveValues:
 
 
 def _rotor(transmission: ET.Element) -> tuple[str | None, float]:
-    """The joint of a transmission, and the inertia of its rotor as felt there; zero for none."""
+    """Return a transmission's joint, and its rotor's inertia as felt there; zero without one."""
     joints, values = transmission.findall("joint"), dict[str, float]()
     if len(joints) != 1:
         return None, 0.0
@@ -63,7 +63,7 @@ def _rotor(transmission: ET.Element) -> tuple[str | None, float]:
 
 
 def _number(text: str) -> float:
-    """A number above zero in a text, else zero."""
+    """Return the positive number in a text, else zero."""
     try:
         value = float(text)
     except ValueError:

@@ -1,7 +1,7 @@
-"""MJCF (MuJoCo's format) as URDF: MuJoCo compiles the file, and its numbers are written down.
+"""Conversion of MJCF (MuJoCo's format) to URDF from the numbers that MuJoCo compiles.
 
-MuJoCo sees neither what opens files nor what is only seen. What a URDF has no place for is left
-out with a warning (springs), or refused (loops, ball joints).
+Elements that open files, and purely visual ones, are removed before MuJoCo reads the file. Elements
+without a URDF equivalent are left out with a warning (springs), or refused (loops, ball joints).
 
 Importing this module imports MuJoCo, so import it where it is used.
 """
@@ -24,7 +24,7 @@ from bus_schema.mujoco_library import mujoco
 from bus_schema.urdf.checks import check_depth, shortened
 
 _DEEPEST = 200
-_MOST_ELEMENTS = 5000  # MuJoCo's time grows with their square: 1.5 s for 5000 bodies
+_MOST_ELEMENTS = 5000  # MuJoCo's time grows with the square of their number: 1.5 s for 5000 bodies
 _NO_TREE = ("tendon", "equality", "deformable", "extension")
 _MACROS = ("include", "composite", "flexcomp", "replicate", "attach")
 _ONLY_SEEN = {
@@ -40,23 +40,23 @@ _SHAPES = {
     _GEOM.mjGEOM_CYLINDER: "cylinder",
     _GEOM.mjGEOM_CAPSULE: "cylinder",
 }
-"""Geoms with a simple shape, and the nearest that a URDF can show."""
+"""The nearest URDF shape for each simple geom."""
 _Frame = tuple[Vector, Vector]
-"""A position (m), and how a frame is turned there (a quaternion)."""
+"""Position (m) and orientation (quaternion) of a frame."""
 _KINDS = {_JOINT.mjJNT_HINGE: "revolute", _JOINT.mjJNT_SLIDE: "prismatic"}
 
 
 def urdf_from_mjcf(root: ET.Element) -> tuple[ET.Element, list[str]]:
-    """Write the same arm as a URDF.
+    """Convert an arm in MJCF to URDF.
 
     Args:
-        root: the MJCF file; it is changed.
+        root: the MJCF file; it is modified.
 
     Returns:
-        The URDF, and warnings of what was left out of it.
+        The URDF, and warnings about what was left out.
 
     Raises:
-        RobotDescriptionError: MuJoCo refuses it, or it has what no tree of such joints has.
+        RobotDescriptionError: MuJoCo refuses it, or a URDF cannot represent it.
     """
     _prepare(root)
     try:
@@ -71,13 +71,13 @@ def urdf_from_mjcf(root: ET.Element) -> tuple[ET.Element, list[str]]:
     urdf, efforts = ET.Element("robot", name=root.get("model", "mjcf")), _efforts(model)
     ET.SubElement(urdf, "link", name="world")
     origins = [np.zeros(3)]
-    for body in range(1, model.nbody):  # each after the one that carries it
+    for body in range(1, model.nbody):  # each body after its parent
         origins.append(_write_body(urdf, model, body, origins, efforts))
     return urdf, [f"MJCF: {each}" for each in (*free, *_left_out(model, efforts))]
 
 
 def _prepare(root: ET.Element) -> None:
-    """Drop what is only seen, and refuse what opens other files or grows."""
+    """Drop visual elements, and refuse elements that open files or multiply."""
     check_depth(root, _DEEPEST)
     for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
         raise RobotDescriptionError(
@@ -87,7 +87,7 @@ def _prepare(root: ET.Element) -> None:
         for child in list(parent):
             if child.tag in _ONLY_SEEN:
                 parent.remove(child)
-    for option in root.findall("option"):  # old files have some that MuJoCo refuses by now
+    for option in root.findall("option"):  # old files contain some that current MuJoCo refuses
         option.attrib = {key: text for key, text in option.attrib.items() if key == "gravity"}
     elements = list(root.iter())
     if len(elements) > _MOST_ELEMENTS:
@@ -103,7 +103,7 @@ def _prepare(root: ET.Element) -> None:
 
 
 def _one_element_a_line(root: ET.Element) -> str:
-    """The text in which the n-th line holds the n-th element, so that MuJoCo's errors name it."""
+    """Write the n-th element on the n-th line, so that MuJoCo's errors identify it."""
     for element in root.iter():
         element.text = "\n" if len(element) else ""
         for child in element:
@@ -112,7 +112,7 @@ def _one_element_a_line(root: ET.Element) -> str:
 
 
 def _reason(error: Exception, root: ET.Element) -> str:
-    """What MuJoCo says, with the element it says it of."""
+    """Return MuJoCo's reason, with the element concerned."""
     said = " ".join(str(error).removeprefix("XML ").removeprefix("Error: ").split())
     if (place := re.search(r" Element .*, line (\d+)$", said)) is None:
         return said
@@ -120,7 +120,7 @@ def _reason(error: Exception, root: ET.Element) -> str:
 
 
 def _shown(element: ET.Element) -> str:
-    """The tag that an element begins with."""
+    """Return an element's opening tag."""
     inside = " ".join(f"{name}={text!r}" for name, text in element.attrib.items())
     return f"<{shortened(f'{element.tag} {inside}'.strip())}>"
 
@@ -129,7 +129,7 @@ def _reduce(spec: Any) -> list[str]:
     """Delete free bodies and all meshes; name all bodies and joints.
 
     Returns:
-        Warnings of the free bodies.
+        Warnings about the free bodies.
     """
     bodies, free_joint = list(spec.worldbody.bodies), mujoco.mjtJoint.mjJNT_FREE
     free = [each for each in bodies if free_joint in (joint.type for joint in each.joints)]
@@ -155,12 +155,12 @@ def _reduce(spec: Any) -> list[str]:
         if actuator.trntype not in (_TARGET.mjTRN_JOINT, _TARGET.mjTRN_JOINTINPARENT):
             raise RobotDescriptionError(f"actuator {shortened(actuator.name)!r} must drive a joint")
     spec.compiler.fusestatic = spec.compiler.discardvisual = False
-    spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # which would simulate for long
+    spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # which would take long to simulate
     return [f"{name} is free, and left out" for name in names]
 
 
 def _require_weightless(by_geoms: Any, body: Any, geom: Any) -> None:
-    """Refuse a geom that adds to the inertia of a body that moves, as no mesh file is read."""
+    """Refuse a geom that adds to the inertia of a moving body, as no mesh file is read."""
     mass = geom.density if math.isnan(geom.mass) else geom.mass
     if mass == 0.0 or geom.type in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD):
         return
@@ -177,10 +177,10 @@ def _require_weightless(by_geoms: Any, body: Any, geom: Any) -> None:
 
 
 def _efforts(model: Any) -> dict[int, float]:
-    """Largest torque (N m) or force (N) by joint that is driven; inf where the file has none.
+    """Return the largest torque (N m) or force (N) of each driven joint; inf for none.
 
-    A motor's is its largest control times its gear; where an actuator or a joint has a range of
-    forces, that limits it too. What other actuators make of their control is not known.
+    A motor's effort is its largest control times its gear; force ranges of the actuator or the
+    joint limit it too. Efforts of other actuators are unknown.
     """
     efforts: dict[int, float] = dict.fromkeys(() if model.nu else range(model.njnt), math.inf)
     for actuator in map(model.actuator, range(model.nu)):
@@ -197,7 +197,7 @@ def _efforts(model: Any) -> dict[int, float]:
 
 
 def _left_out(model: Any, efforts: dict[int, float]) -> Iterator[str]:
-    """Warnings of what has no place in the URDF."""
+    """Return warnings about elements that a URDF cannot represent."""
     joints = [model.joint(joint) for joint in range(model.njnt)]
     if passive := ", ".join(joint.name for joint in joints if joint.id not in efforts):
         yield f"{passive}: no actuator drives them; they are held"
@@ -217,14 +217,14 @@ def _write_body(
     """Write a body and the joints before it.
 
     Args:
-        urdf: what they are added to.
+        urdf: the element to add them to.
         model: the compiled model.
-        body: its number.
-        origins: those of links before it, each in the frame of its body.
+        body: the body's number.
+        origins: origins of the links before it, each in its body's frame.
         efforts: largest torque (N m) or force (N) of the joints that are not held.
 
     Returns:
-        The origin of its link, which is at the last of its joints.
+        The origin of the link, at the body's last joint.
     """
     name, carrier = model.body(body).name, model.body_parentid[body]
     first, joints = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -234,7 +234,7 @@ def _write_body(
         at = at + _rotated(joint.pos - origin, turn)
         link = name if index == joints else f"{name}_{index}"
         _write_joint(urdf, joint, efforts.get(joint.id), (parent, link), (at, turn))
-        if link != name:  # which weighs nothing, and is refused should it have to move
+        if link != name:  # it weighs nothing, and is refused if it has to move
             ET.SubElement(urdf, "link", name=link)
         parent, at, turn, origin = link, np.zeros(3), np.eye(4)[0], joint.pos
     if not joints:
@@ -246,7 +246,7 @@ def _write_body(
 def _write_joint(
     urdf: ET.Element, joint: Any, effort: float | None, ends: tuple[str, str], frame: _Frame
 ) -> None:
-    """Write a joint; one without an effort is held."""
+    """Write a joint; a joint without an effort is held."""
     (at, turn), (reference,) = frame, joint.qpos0
     kind, limited = _KINDS[_JOINT(joint.type[0])], bool(joint.limited[0])
     if kind == "prismatic":
@@ -274,7 +274,7 @@ def _write_joint(
 
 
 def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None:
-    """Write the inertia of a body, and its geoms as they are seen."""
+    """Write a body's inertia and its visible geoms."""
     if model.body_mass[body] > 0.0:
         inertial = ET.SubElement(link, "inertial")
         _place(inertial, (model.body_ipos[body] - origin, model.body_iquat[body]))
@@ -295,7 +295,7 @@ def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None
 
 
 def _rotated(vector: Vector, turn: Vector) -> Vector:
-    """A vector turned by a quaternion, by MuJoCo: NumPy's ``@`` depends on the CPU."""
+    """Rotate a vector by a quaternion with MuJoCo: NumPy's ``@`` depends on the CPU."""
     found = np.zeros(3)
     mujoco.mju_rotVecQuat(found, vector, turn)
     return found
@@ -304,7 +304,7 @@ def _rotated(vector: Vector, turn: Vector) -> Vector:
 def _connect(
     urdf: ET.Element, named: tuple[str, str], ends: tuple[str, str], frame: _Frame
 ) -> ET.Element:
-    """Add a joint of that name and type between two links."""
+    """Add a joint of this name and type between two links."""
     joint = ET.SubElement(urdf, "joint", name=named[0], type=named[1])
     ET.SubElement(joint, "parent", link=ends[0])
     ET.SubElement(joint, "child", link=ends[1])
@@ -313,14 +313,14 @@ def _connect(
 
 
 def _place(element: ET.Element, frame: _Frame) -> None:
-    """Write where a frame is, and how it is turned: as roll, pitch and yaw."""
+    """Write a frame's position, and its orientation as roll, pitch and yaw."""
     at, turn = frame
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, turn)
     _, xy, xz, _, yy, yz, zx, zy, zz = matrix
     roll = math.atan2(zy, zz)
     sine, cosine = math.sin(roll), math.cos(roll)
-    # Of what is left when it is turned back, so that all are exact where the pitch is 90 degrees.
+    # Yaw of the rotation without its roll, so that all are exact at a pitch of 90 degrees.
     yaw = math.atan2(sine * xz - cosine * xy, cosine * yy - sine * yz)
     angles = np.array([roll, math.atan2(-zx, math.hypot(zy, zz)), yaw])
     ET.SubElement(element, "origin", xyz=_text(at), rpy=_text(angles))

@@ -1,4 +1,4 @@
-"""Inertias of a URDF's links: whether a body can have them, and the nearest that one can."""
+"""Inertias of a URDF's links: checks for impossible ones, and the nearest possible ones."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from bus_schema.urdf.checks import INERTIA, inertia_of, joint_ends, mass_of
 
 _ROUNDING = 1e-3
 _SLIGHT = 0.15
-"""What real robots' files get wrong: by rounding to few digits, or fitting boxes to meshes."""
+"""Typical errors in real robots' files: few digits, or boxes fitted to meshes."""
 
 
 def odd_inertias(root: ET.Element) -> dict[str, Vector]:
-    """Principal moments by link, kg m², where one is negative or exceeds the sum of the others.
+    """Return links' principal moments, kg m², if one is negative or exceeds the sum of the others.
 
-    What exceeds it by no more than rounding is left out. `check_urdf` holds of the URDF.
+    An excess within rounding is ignored. The URDF must have passed `check_urdf`.
     """
     found = {}
     for link in root.findall("link"):
@@ -33,15 +33,15 @@ def odd_inertias(root: ET.Element) -> dict[str, Vector]:
 
 
 def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[str]:
-    """What to say of inertias that are taken all the same, as `mend_inertias` mends them.
+    """Return warnings about impossible inertias that `mend_inertias` will replace.
 
     Args:
         root: the URDF.
-        moving: names of the joints that move; what stands still may have any inertia.
-        repair: take those too that are far from what a body can have.
+        moving: names of the joints that move; fixed links may have any inertia.
+        repair: also accept inertias that are far from possible ones.
 
     Raises:
-        RobotDescriptionError: one is too far off.
+        RobotDescriptionError: an inertia is too far off.
     """
     said = []
     mover = movers(root, moving)
@@ -65,7 +65,7 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
 
 
 def massless_inertias(root: ET.Element, moving: set[str]) -> list[str]:
-    """Names of moving links with a rotational inertia but no mass."""
+    """Return names of moving links with a rotational inertia but no mass."""
     mover = movers(root, moving)
     return [
         name
@@ -77,7 +77,7 @@ def massless_inertias(root: ET.Element, moving: set[str]) -> list[str]:
 
 
 def movers(root: ET.Element, moving: set[str]) -> dict[str, str | None]:
-    """By link, the last moving joint on the way to it; None for one that stands still."""
+    """Return the last moving joint on the way to each link; None for fixed links."""
     carriers: dict[str, tuple[str, str]] = {}
     for joint in root.findall("joint"):
         parent, child = joint_ends(joint)
@@ -94,7 +94,7 @@ def movers(root: ET.Element, moving: set[str]) -> dict[str, str | None]:
 
 
 def mend_inertias(root: ET.Element) -> None:
-    """Replace inertias that no body has by the nearest ones with the same largest moment."""
+    """Replace impossible inertias by the nearest possible ones with the same largest moment."""
     odd = odd_inertias(root)
     for link in root.findall("link"):
         if link.get("name") in odd:
@@ -117,7 +117,7 @@ def _mended(tensor: Matrix) -> Matrix:
 
 
 def _excess(principal: NDArray[np.floating]) -> float:
-    """By how much ascending principal moments break the rule, as a share of the largest."""
+    """Return how far ascending principal moments violate the rule, as a share of the largest."""
     worst = max(-principal[0], principal[2] - principal[0] - principal[1])
     return float(worst / max(abs(principal[2]), 1e-12))
 
@@ -128,14 +128,14 @@ def _tensor(link: ET.Element) -> Matrix:
 
 
 def check_moved_masses(root: ET.Element, moving: set[str]) -> None:
-    """Refuse what moves without inertia: no torque would give it a finite acceleration.
+    """Refuse moving links without inertia: a torque would accelerate them infinitely.
 
     Args:
         root: the URDF.
         moving: names of the joints that move.
 
     Raises:
-        RobotDescriptionError: a link that a joint moves weighs nothing, nor what is fixed to it.
+        RobotDescriptionError: a moving link and all links fixed to it have no mass.
     """
     mover = movers(root, moving)
     heavy = {

@@ -1,4 +1,4 @@
-"""What becomes of each joint of a URDF: driven by a motor, following another one, or held fixed."""
+"""Roles of a URDF's joints: driven by a motor, following another joint, or held fixed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, shor
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that cannot move here, and why."""
+    """A joint that is held fixed, and why."""
 
     name: str
     kind: str
@@ -32,7 +32,7 @@ class Follower:
 
 @dataclass(frozen=True)
 class JointRoles:
-    """All joints of a robot but those of type fixed, in the order of the file."""
+    """Roles of all joints of a robot except fixed ones, in the order of the file."""
 
     driven: tuple[str, ...]
     followers: tuple[Follower, ...]
@@ -40,16 +40,16 @@ class JointRoles:
 
 
 def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
-    """Tell which joints are driven.
+    """Return the roles of all joints.
 
     Args:
-        root: the URDF, of which `check_urdf` holds.
-        wanted: names of the joints to drive; None for all that turn or slide, but the fingers of
+        root: the URDF, which passed `check_urdf`.
+        wanted: names of the joints to drive; None for all that turn or slide, except the fingers of
             grippers: joints that slide beside others on the same link.
 
     Raises:
         RobotDescriptionError: there is none to drive.
-        JointNameError: a name is no such joint's.
+        JointNameError: no joint that can be driven has this name.
     """
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
     moving = {name: j for name, j in joints.items() if j.get("type") in MOVING_TYPES}
@@ -83,7 +83,7 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
 def _held(
     joints: dict[str, ET.Element], mimics: dict[str, Follower], wanted: Sequence[str] | None
 ) -> dict[str, str]:
-    """Reasons to hold joints that mimic no other, by name."""
+    """Return the reasons to hold joints that mimic no other, by name."""
     beside = Counter(joint_ends(j)[0] for j in joints.values() if j.get("type") in MOVING_TYPES)
     reasons = {}
     for name, joint in joints.items():
@@ -123,7 +123,7 @@ def _follower(joint: ET.Element, mimic: ET.Element) -> Follower:
 def _first_leader(
     mimic: Follower, mimics: dict[str, Follower], moving: dict[str, ET.Element]
 ) -> Follower:
-    """The same joint as a follower of one that follows no other."""
+    """Return the joint as a follower of the first leader that follows no other."""
     found = mimic
     for _ in range(len(mimics) + 1):
         if found.leader not in moving:

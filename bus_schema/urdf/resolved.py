@@ -1,4 +1,4 @@
-"""A URDF written so that every simulator reads the same arm from it."""
+"""A URDF rewritten so that every simulator reads the same arm from it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
 _SHAPES = (".obj", ".stl", ".dae")
 """Mesh files that pybullet can draw."""
 _PYBULLET_DATA = "package://pybullet_data/"
-"""Meshes of shipped arms, which are there where that Python package is installed."""
+"""Meshes of shipped arms, available if that Python package is installed."""
 
 
 def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> None:
@@ -27,14 +27,14 @@ def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> N
             _normalise_axis(joint)
         else:
             joint.set("type", "fixed")
-            for limit in joint.findall("limit"):  # which urdfdom refuses where it is not whole
+            for limit in joint.findall("limit"):  # urdfdom refuses an incomplete one
                 joint.remove(limit)
-        for mimic in joint.findall("mimic"):  # who reads this decides what follows
+        for mimic in joint.findall("mimic"):  # the reader decides what follows
             joint.remove(mimic)
 
 
 def resolve_inertias(root: ET.Element) -> None:
-    """Mend inertias that no body has; links without any get none, or pybullet gives them 1 kg."""
+    """Replace impossible inertias; remove empty ones, to which pybullet would give 1 kg."""
     mend_inertias(root)
     for link in root.findall("link"):
         if link.find("inertial") is None:
@@ -42,11 +42,11 @@ def resolve_inertias(root: ET.Element) -> None:
 
 
 def drop_shapes(root: ET.Element, *, but_drawable: bool) -> None:
-    """Leave out what is only seen or touched: rigid-body physics needs none of it.
+    """Remove visual and collision shapes, which rigid-body physics does not need.
 
     Args:
         root: the URDF, with absolute paths.
-        but_drawable: keep shapes all of whose mesh files are there and can be drawn.
+        but_drawable: keep shapes whose mesh files all exist and can be drawn.
     """
     for link in root.findall("link"):
         for kind in ("visual", "collision"):
@@ -57,7 +57,7 @@ def drop_shapes(root: ET.Element, *, but_drawable: bool) -> None:
 
 
 def name_meshes(root: ET.Element, base: Path) -> None:
-    """Name mesh files by absolute path.
+    """Write mesh files as absolute paths.
 
     Args:
         root: the URDF.
@@ -68,7 +68,7 @@ def name_meshes(root: ET.Element, base: Path) -> None:
 
 
 def name_files(root: ET.Element) -> None:
-    """Name mesh files that have an absolute path by its URI, which RViz and Foxglove ask for."""
+    """Write mesh files with an absolute path as URIs, which RViz and Foxglove need."""
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
         if Path(name).is_absolute():
@@ -76,9 +76,9 @@ def name_files(root: ET.Element) -> None:
 
 
 def missing_meshes(root: ET.Element, base: Path) -> list[str]:
-    """Names of mesh files that are not there, or of a kind that cannot be drawn; each once.
+    """Return the names of mesh files that are missing or cannot be drawn, each once.
 
-    Those of pybullet_data, which need not be installed, are not missed.
+    Meshes of pybullet_data, which is optional, are not reported.
     """
     names = dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh"))
     return [
@@ -89,13 +89,13 @@ def missing_meshes(root: ET.Element, base: Path) -> list[str]:
 
 
 def pybullet_data() -> list[Path]:
-    """The folder of the Python package pybullet_data; none where it is not installed."""
+    """Return the folder of the Python package pybullet_data; None if it is not installed."""
     spec = importlib.util.find_spec("pybullet_data")
     return [] if spec is None else [Path(each) for each in spec.submodule_search_locations or []]
 
 
 def long_axes(root: ET.Element) -> list[str]:
-    """Names of moving joints whose axis is no unit vector."""
+    """Return names of moving joints whose axis is no unit vector."""
     return [
         joint.get("name", "")
         for joint in root.findall("joint")
@@ -113,7 +113,7 @@ def attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
 
 
 def _complete_limits(joint: ET.Element, *, endless: bool) -> None:
-    """Give a moving joint all four limits that simulators ask for."""
+    """Give a moving joint all four limits that simulators require."""
     limit = joint.find("limit")
     limit = ET.SubElement(joint, "limit") if limit is None else limit
     endless = endless or joint.get("type") == "continuous"
@@ -125,7 +125,7 @@ def _complete_limits(joint: ET.Element, *, endless: bool) -> None:
 
 
 def _normalise_axis(joint: ET.Element) -> None:
-    """Simulators multiply torques by the length of the axis, or divide by it."""
+    """Normalise an axis: simulators multiply torques by its length, or divide by it."""
     axis, direction = joint.find("axis"), _axis(joint)
     length = math.hypot(*direction)
     if axis is not None and length != 1.0:
@@ -143,7 +143,7 @@ def _is_drawable(name: str) -> bool:
 
 
 def _absolute(name: str, base: Path) -> str:
-    """Absolute path of a mesh file; a package's folder is looked for at and above the URDF's."""
+    """Return a mesh file's absolute path; a package is searched at and above the URDF's folder."""
     if not name.startswith("package://"):
         return name if "://" in name or Path(name).is_absolute() else str(base / name)
     inside = Path(name.removeprefix("package://"))

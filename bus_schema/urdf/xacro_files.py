@@ -1,9 +1,8 @@
-"""URDFs written with xacro's macros, expanded without ROS.
+"""Expansion of URDFs with xacro macros, without ROS.
 
-The file may be a stranger's. The package xacro evaluates expressions by Python's `eval` and reads
-any file, so a process of limited time and memory expands it, in which functions of the package are
-replaced: expressions have the parts in `_NODES` and `_METHODS` alone and reach nothing but
-`_NAMES`, and files are read below the folders of `_Folders` only.
+The file is untrusted, and the package xacro evaluates expressions by Python's `eval` and reads any
+file. So a process of limited time and memory expands it, with replaced functions: expressions may
+use only `_NODES`, `_METHODS` and `_NAMES`, and files are read only below the folders of `_Folders`.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from bus_schema.runtime.limited_process import (
 )
 
 INCLUDE = "FUNNEL_HIL_INCLUDE"
-"""Environment variable with more folders that files may be included from."""
+"""Environment variable: additional folders that files may be included from."""
 
 _MOST_EXPANDED = 5_000_000
 _TOO_MUCH = "takes more time or memory than an arm may"
@@ -51,21 +50,21 @@ _XACRO = {
     "tokenize", "warning",
 }  # fmt: skip
 _NAMES = {"math", "python", "xacro", *_PYTHON, *_XACRO, *vars(math)}
-"""What expressions may name, beside what a file defines."""
+"""Names that expressions may use, besides those that a file defines."""
 
 
 def is_xacro(path: Path) -> bool:
-    """Whether a file is named as one with macros is."""
+    """Whether a file name is that of a xacro file."""
     return path.suffix == ".xacro"
 
 
 def expanded(path: Path) -> str:
-    """The URDF that a xacro file stands for, with its arguments' own defaults.
+    """Return the URDF that a xacro file expands to with its default arguments.
 
     Packages in ``$(find …)`` are folders of that name at or above the file.
 
     Raises:
-        RobotDescriptionError: xacro refuses it; the file is named.
+        RobotDescriptionError: xacro refuses it; the message names the file.
     """
     try:
         answer = LimitedProcess(__name__, bytes(path)).answer()
@@ -78,7 +77,7 @@ def expanded(path: Path) -> str:
 
 
 def main() -> None:
-    """Expand the file that standard input names: whether that is a URDF, and it or why not."""
+    """Expand the file that standard input names; write whether it worked, and URDF or reason."""
     limit_this_process(cpu_s=3)
     path = Path(os.fsdecode(sys.stdin.buffer.read()))
     json.dump(_expanded_here(path), sys.stdout)
@@ -98,7 +97,7 @@ def _expanded_here(path: Path) -> tuple[bool, str]:
 
 
 class _Folders:
-    """Where files may be read: in the xacro file's folder, ROS packages and what `INCLUDE` names.
+    """Folders that may be read: the xacro file's own, ROS packages and those that `INCLUDE` names.
 
     Args:
         file: the xacro file.
@@ -111,9 +110,9 @@ class _Folders:
         self._folders = [self.file.parent, *self._named]
 
     def package(self, name: str) -> str:
-        """The folder of a ROS package in `INCLUDE`'s folders, or at, above or beside the file.
+        """Return a ROS package's folder: in `INCLUDE`'s folders, or at, above or beside the file.
 
-        A folder above the file is one where it has ``package.xml``.
+        A folder above the file counts only if it has ``package.xml``.
 
         Raises:
             OSError: there is none.
@@ -131,7 +130,7 @@ class _Folders:
         )
 
     def allowed(self, name: str) -> str:
-        """The path of a file to read, or a pattern of such.
+        """Return the path of a file, or a pattern of files, that may be read.
 
         Raises:
             ValueError: it is outside of the folders, or no regular file.
@@ -147,14 +146,14 @@ class _Folders:
 
 
 def _safe_xacro(path: Path) -> Any:
-    """The package xacro, with the functions replaced by which it evaluates and reads."""
+    """Return the package xacro with its functions for evaluation and file access replaced."""
     import xacro
 
     folders = _Folders(path)
     parse, abs_filename = xacro.parse, xacro.abs_filename_spec
 
     def extension(text: str) -> str:
-        """The value of ``$(find …)``, ``$(arg …)`` and the like."""
+        """Return the value of ``$(find …)``, ``$(arg …)`` and the like."""
         command, _, rest = text[2:-1].strip().partition(" ")
         return _extension(xacro, folders, command, rest.strip())
 
@@ -165,7 +164,7 @@ def _safe_xacro(path: Path) -> Any:
         "eval_extension": extension,
     }
     for name, function in ours.items():
-        getattr(xacro, name)  # a version without it would have another way to evaluate
+        getattr(xacro, name)  # a version without it would evaluate in another way
         setattr(xacro, name, function)
     symbols = xacro.create_global_symbols()
     for namespace, names in ((symbols, _NAMES), (symbols["python"], _PYTHON),
@@ -206,7 +205,7 @@ def _extension(xacro: Any, folders: _Folders, command: str, rest: str) -> str:
 
 
 def _evaluate(text: str, names: Any) -> Any:
-    """The value of an expression that can name nothing but `names`."""
+    """Return the value of an expression that may use only `names`."""
     tree = ast.fix_missing_locations(_Checked().visit(ast.parse(text.strip(), mode="eval")))
     code = compile(tree, "<expression>", "eval")
     try:
@@ -216,7 +215,7 @@ def _evaluate(text: str, names: Any) -> Any:
 
 
 class _Checked(ast.NodeTransformer):
-    """Refuses what is not among `_NODES`, and has `_attribute` look attributes up."""
+    """Rejects syntax outside `_NODES`, and redirects attribute access to `_attribute`."""
 
     def visit_Expression(self, node: ast.Expression) -> ast.Expression:
         return ast.Expression(self.visit(node.body))
@@ -233,7 +232,7 @@ class _Checked(ast.NodeTransformer):
 
 
 def _attribute(whole: Any, name: str) -> Any:
-    """A property of a namespace or mapping by its name, or one of the methods that are allowed."""
+    """Return a property of a namespace or mapping by its name, or one of the allowed methods."""
     if isinstance(whole, dict) and name in whole:
         return whole[name]
     if any(isinstance(whole, kind) and name in names for kind, names in _METHODS.items()):

@@ -1,1 +1,1 @@
-"""What 3-D viewers need of a run: the arm, and where its links are."""
+"""Messages for 3-D viewers: the arm, and the poses of its links."""

@@ -1,6 +1,6 @@
-"""What makes a recording or a live bus visible in 3-D: the arm, and where its links are.
+"""Messages that show a recording or a live bus in 3-D: the arm, and the poses of its links.
 
-A robot_state_publisher: it reads joint states, as they were delivered, and nothing else of a run.
+It works like robot_state_publisher and reads only the joint states as they were delivered.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from bus_schema.view.link_poses import CarriedLink, LinkPoses, Poses
 
 
 def encode_transforms(links: Sequence[CarriedLink], stamp_ns: int, poses: Poses) -> bytes:
-    """The message with these links.
+    """Encode link poses as one message.
 
     Args:
-        links: whose poses they are.
-        stamp_ns: when the links are there.
+        links: the links, in the order of `poses`.
+        stamp_ns: time of the poses.
         poses: shape (links, 7).
     """
     types = TYPESTORE.types
@@ -50,17 +50,17 @@ PLUGIN = "joint_state_topic_hardware_interface/JointStateTopicSystem"
 _PARAMETERS = {
     "joint_commands_topic": f"/{JOINT_COMMANDS.name}",
     "joint_states_topic": f"/{JOINT_STATES.name}",
-    # Else a command is left out where it differs little from the torque that was measured.
+    # Without it, a command is left out where it is close to the measured torque.
     "trigger_joint_command_threshold": "-1",
 }
 
 
 def with_ros2_control(urdf: str, joint_names: Sequence[str]) -> str:
-    """A URDF with its element ``ros2_control``: torques commanded, positions and more measured.
+    """Return a URDF with a ``ros2_control`` element: torque commands; position and other states.
 
     Args:
-        urdf: the URDF; what it says of ros2_control of its own is left out.
-        joint_names: of the driven joints; those that follow them are not on the bus.
+        urdf: the URDF; its existing ``ros2_control`` elements are removed.
+        joint_names: names of the driven joints; followers are not on the bus.
     """
     root = ET.fromstring(urdf)
     for own in root.findall("ros2_control"):
@@ -80,16 +80,16 @@ def with_ros2_control(urdf: str, joint_names: Sequence[str]) -> str:
 
 
 _PERIOD_NS = NANOSECONDS // 60
-"""Between two pictures: more often no screen shows them."""
+"""Shortest time between two pictures: screens show no more."""
 
 
 def description(robot: RobotDescription) -> str:
-    """The URDF as `ROBOT_DESCRIPTION` has it: for viewers, and for ros2_control."""
+    """Return the URDF for `ROBOT_DESCRIPTION`: for viewers, and for ros2_control."""
     return with_ros2_control(robot.viewer_urdf(), robot.joint_names)
 
 
 class ArmView:
-    """Makes messages on `VIEW_TOPICS`.
+    """Encoder of messages on `VIEW_TOPICS`.
 
     Args:
         robot: the arm.
@@ -103,7 +103,7 @@ class ArmView:
         self._last_ns: int | None = None
 
     def first(self) -> list[tuple[Topic, bytes]]:
-        """What is sent once: the URDF, and where links are that do not move."""
+        """Return the messages sent once: the URDF, and the poses of fixed links."""
         text = TYPESTORE.types[STRING](description(self._robot))
         static = encode_transforms(self._poses.fixed, 0, self._poses.fixed_poses)
         return [
@@ -112,10 +112,10 @@ class ArmView:
         ]
 
     def transforms(self, state: bytes, stamp_ns: int) -> bytes | None:
-        """The transforms to send on `TF` with a joint state; None where no picture is due.
+        """Return the transforms to send on `TF` with a joint state; None if no picture is due.
 
         Args:
-            state: the joint state as it came; one that nobody can read has no picture.
+            state: the joint state as received; an invalid one has no picture.
             stamp_ns: its stamp.
         """
         if self._last_ns is not None and abs(stamp_ns - self._last_ns) < _PERIOD_NS:

@@ -1,4 +1,4 @@
-"""Where each link of an arm is, as seen from the link that carries it."""
+"""Pose of each link of an arm in the frame of its parent link."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Poses = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CarriedLink:
-    """A link and the one that carries it, by their names, which are the names of their frames."""
+    """A link and its parent, by name; link names are frame names."""
 
     parent: str
     child: str
@@ -32,7 +32,7 @@ class LinkPoses:
         robot: the arm.
 
     Attributes:
-        fixed: links that do not move against their parents.
+        fixed: links that do not move relative to their parents.
         moving: links that do, in the order of the URDF.
         fixed_poses: shape (fixed, 7).
     """
@@ -47,7 +47,7 @@ class LinkPoses:
         origins = _origins(moving)
         axes = np.array([_numbers(joint, "axis", "xyz", "1 0 0") for joint in moving])
         self._slides = np.array([joint.get("type") == "prismatic" for joint in moving])
-        # A pose is a sum: what a link has when its joint is at zero, and what travel adds to it.
+        # A pose is a sum: the link's pose at joint position zero, and the part due to travel.
         self._places, self._untravelled, self._turned = np.zeros((3, len(moving), 7))
         self._places[:, :3], self._untravelled[:, 3:] = origins[:, :3], origins[:, 3:]
         self._turned[:, 3:] = _product(origins[:, 3:], axes)
@@ -57,7 +57,7 @@ class LinkPoses:
         self._leaders, self._factors, self._offsets = _couplings(robot, names)
 
     def moving_poses(self, position: Vector) -> Poses:
-        """Poses of the moving links, shape (moving, 7).
+        """Return the poses of the moving links, shape (moving, 7).
 
         Args:
             position: of the driven joints, shape (joints,), rad or m.
@@ -77,7 +77,7 @@ class LinkPoses:
 def _couplings(
     robot: RobotDescription, moving: list[str]
 ) -> tuple[NDArray[np.int64], Vector, Vector]:
-    """Which driven joint moves each moving one, and with what factor and offset."""
+    """Return, for each moving joint, the driven joint that moves it, with factor and offset."""
     leaders = np.zeros(len(moving), dtype=np.int64)
     factors, offsets = np.ones(len(moving)), np.zeros(len(moving))
     for place, name in enumerate(robot.joint_names):
@@ -104,7 +104,7 @@ def _numbers(joint: ET.Element, tag: str, attribute: str, default: str = "0 0 0"
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Turned about x, then y, then z of the parent: x y z w."""
+    """Return the quaternion x y z w of rotations about x, then y, then z of the parent."""
     (sr, cr), (sp, cp), (sy, cy) = (
         (math.sin(0.5 * angle), math.cos(0.5 * angle)) for angle in (roll, pitch, yaw)
     )
@@ -115,14 +115,14 @@ def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, fl
 
 
 def _product(quaternions: Poses, vectors: Matrix) -> Matrix:
-    """Products of quaternions and vectors as quaternions, row by row: x y z w."""
+    """Multiply quaternions and vectors as quaternions x y z w, row by row."""
     a, w = quaternions[:, :3], quaternions[:, 3:]
     scalar = -np.sum(a * vectors, axis=1, keepdims=True)
     return np.hstack([w * vectors + np.cross(a, vectors), scalar])
 
 
 def _rotated(quaternions: Poses, vectors: Matrix) -> Matrix:
-    """Vectors turned by quaternions, row by row."""
+    """Rotate vectors by quaternions, row by row."""
     a, w = quaternions[:, :3], quaternions[:, 3:]
     twice = 2.0 * np.cross(a, vectors)
     return np.asarray(vectors + w * twice + np.cross(a, twice))

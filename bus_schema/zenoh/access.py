@@ -1,8 +1,8 @@
-"""Zenoh settings for mutual TLS, and who may send what: the table of topics as access rules.
+"""Zenoh settings for mutual TLS, and the table of topics as access rules.
 
-A peer is what the common name of its certificate says. Every process applies the rules to what it
-receives and to what it sends, so a peer can neither speak nor listen out of turn even where the
-other side was set up carelessly. What no rule allows is dropped silently.
+The common name of its certificate is a peer's role. Every process applies the rules to all that it
+receives and sends, so one careful side suffices to stop forbidden messages. Messages that no rule
+allows are dropped silently.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ def recorded_key_expression(domain: int, gid: str = "*") -> str:
 
 
 def progress_key_expression(domain: int) -> str:
-    """Key of the messages by which recorders tell how far they have come."""
+    """Key of the messages by which recorders report their progress."""
     return f"funnel_hil/{domain}/progress"
 
 
 def scenario_key_expression(
     domain: int, role: str = "*", session: str = "*", digests: str = "*"
 ) -> str:
-    """Liveliness token by which a process tells which scenario it runs."""
+    """Liveliness token by which a process announces its scenario."""
     return f"funnel_hil/{domain}/scenario/{role}/{session}/{digests}"
 
 
@@ -37,22 +37,22 @@ def bundle_key_expression(domain: int, role: str = "*") -> str:
 
 
 def missed_key_expression(domain: int) -> str:
-    """Key of the messages by which recorders ask for bundles that never came to them."""
+    """Key of the messages by which recorders request missing bundles."""
     return f"funnel_hil/{domain}/missed"
 
 
 def bundling_key_expression(domain: int, role: str = "*", session: str = "*") -> str:
-    """Liveliness token by which a loop tells that it bundles all it sends."""
+    """Liveliness token by which a loop announces that it bundles all its messages."""
     return f"funnel_hil/{domain}/bundling/{role}/{session}"
 
 
 def secure_settings(role: Role, domain: int, keys: KeyFolder) -> dict[str, Any]:
-    """Settings of a session that speaks to holders of our authority's certificates alone.
+    """Return the settings of a session that accepts only certificates of our authority.
 
     Args:
         role: what this process is.
         domain: ROS domain.
-        keys: where its certificate and key lie.
+        keys: folder of its certificate and key.
     """
     certificate, key = str(keys.certificate(role)), str(keys.key(role))
     return {
@@ -71,7 +71,7 @@ def secure_settings(role: Role, domain: int, keys: KeyFolder) -> dict[str, Any]:
 
 
 def access_control(role: Role, domain: int) -> dict[str, Any]:
-    """Zenoh's section ``access_control`` for one process: by default, everything is denied."""
+    """Return Zenoh's section ``access_control`` for a process; by default, it denies all."""
     rules, policies = [], []
     for peer in Role:
         own = [*_rules(f"{role} from {peer}", "ingress", peer, domain),
@@ -90,7 +90,7 @@ def access_control(role: Role, domain: int) -> dict[str, Any]:
 
 
 def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, Any]]:
-    """What one process may send to another: every listener may listen, few may speak."""
+    """Return what one process may send to another: every listener may listen, few may send."""
     allowed = {
         "put": [topic.key_expression(domain) for topic in topics_of(speaker)],
         "declare_subscriber": [
@@ -120,10 +120,10 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
 
 
 def _rules_for_viewers(name: str, domain: int) -> list[dict[str, Any]]:
-    """What a recorder shows to viewers, who are behind a router of whatever certificate.
+    """Return the rules for a recorder's messages to viewers, behind a router of any certificate.
 
-    Messages that are kept for those who come late are found, asked for and answered with in keys of
-    their own, which begin with the topic's.
+    Late subscribers find and request kept messages under separate keys, which begin with the
+    topic's.
     """
     keys = [topic.key_expression(domain) for topic in VIEW_TOPICS]
     kept = [f"{key}/@adv/**" for key in keys]

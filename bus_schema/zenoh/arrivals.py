@@ -1,4 +1,4 @@
-"""Commands as they come to the plant, kept until its loop takes them."""
+"""Commands that arrived at the plant, kept until its loop takes them."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _NO_ATTACHMENT = Attachment(sequence=0, source_time_ns=0, gid=b"")
 
 
 class Arrivals:
-    """A thread waits for commands, so that each is stamped when it comes whatever the loop does.
+    """Queue of commands, filled by a thread that stamps each on arrival, even if the loop is busy.
 
     Args:
-        inbox: where they come in; waited for by nobody else.
+        inbox: source of the commands; no other thread waits on it.
         clock: the plant's clock, which stamps them.
-        note: called with each command as it came, and as it is taken in.
+        note: called with each command, both as received and as queued.
 
     Attributes:
-        received: how many came.
-        overflow: how many of them were left out, because too many waited to be taken.
+        received: how many arrived.
+        overflow: how many of them were dropped because too many waited to be taken.
     """
 
     def __init__(self, inbox: Inbox, clock: Clock, note: Note) -> None:
@@ -43,11 +43,11 @@ class Arrivals:
         self._thread.start()
 
     def is_empty(self) -> bool:
-        """Whether none waits to be taken."""
+        """Whether no command waits to be taken."""
         return not self._first and self._kept.empty()
 
     def await_one(self, timeout_s: float) -> bool:
-        """Wait for a command that was not yet taken; whether there is one."""
+        """Wait for a command that is not yet taken; return whether there is one."""
         if not self._first:
             try:
                 self._first.append(self._kept.get(timeout=timeout_s))
@@ -56,20 +56,20 @@ class Arrivals:
         return True
 
     def take(self) -> list[CommandArrival]:
-        """All that came since the last call, in order."""
+        """Return all commands that arrived since the last call, in order."""
         taken, self._first = self._first, []
         taken.extend(self._kept.get_nowait() for _ in range(self._kept.qsize()))
         return taken
 
     def close(self) -> None:
-        """End the thread: one that comes out of Zenoh while Python ends aborts the process."""
+        """End the thread: if it leaves Zenoh while Python exits, the process aborts."""
         self._closed.set()
         self._inbox.knock()
         self._thread.join()
         self._inbox.close()
 
     def _receive(self) -> None:
-        while True:  # whoever knocks at a full inbox waits until there is room
+        while True:  # a sender that knocks at a full inbox waits until there is room
             delivery = self._inbox.wait()
             if delivery is not None:
                 self._admit(delivery)
@@ -79,7 +79,7 @@ class Arrivals:
     def _admit(self, delivery: Delivery) -> None:
         self.received += 1
         if self._kept.qsize() >= LARGEST_BACKLOG:
-            self.overflow += 1  # a flood: what comes after is no use, and memory is bounded
+            self.overflow += 1  # a flood: later commands are of no use, and memory is bounded
             return
         arrival = arrival_of(delivery.payload, delivery.attachment, self._clock.now_ns())
         self._note(delivery, arrival)
@@ -87,10 +87,10 @@ class Arrivals:
 
 
 class AwaitedArrivals(Arrivals):
-    """In virtual time the loop waits for commands itself, which saves the thread's hand-over.
+    """In virtual time the loop itself waits for commands, which saves a switch of threads.
 
-    The thread then only ends its waits, and takes in what comes while nobody waits: a full inbox
-    would hold up all else that comes over the network.
+    The thread then only ends these waits, and empties the inbox while the loop does not wait: a
+    full inbox would block all other messages from the network.
     """
 
     def __init__(self, inbox: Inbox, clock: Clock, note: Note) -> None:
@@ -99,7 +99,7 @@ class AwaitedArrivals(Arrivals):
 
     def close(self) -> None:
         self._closed.set()
-        while self._thread.is_alive():  # it may be knocking at a full inbox
+        while self._thread.is_alive():  # it may be blocked by a full inbox
             with self._is_taking:
                 self._admit_all()
             self._thread.join(_CLOSING_LOOK_S)
@@ -142,6 +142,6 @@ class AwaitedArrivals(Arrivals):
 
 
 def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
-    """A command as the plant takes it in; a sender without an attachment has no name."""
+    """Return a command for the plant's loop; a sender without an attachment has no name."""
     known = Attachment.decode(attachment) or _NO_ATTACHMENT
     return CommandArrival(payload[: MAX_PAYLOAD_BYTES + 1], known.sequence, known.gid, now_ns)

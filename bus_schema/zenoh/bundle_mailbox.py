@@ -1,4 +1,4 @@
-"""All that is said in a domain, as a recorder takes it: from bundles, the rest by itself."""
+"""All messages of a domain for a recorder: from bundles, or directly from senders without them."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _RECORDED: dict[str, dict[bytes, Topic]] = {
 }
 """Topics that a recorder takes from the bundles of each loop, by their names in bundles."""
 _OBJECT_BYTES = 300
-"""Of Python around each delivery that is kept."""
+"""Memory of Python's objects around each delivery that is kept."""
 _MOST_SENDERS = 32
-"""Whoever makes up an id for each bundle fills no memory."""
+"""Limit on senders, so that invented ids cannot fill the memory."""
 
 
 class Mailbox:
-    """Collects deliveries on a key, up to so many bytes; they are taken in bulk.
+    """Queue of deliveries on a key, up to so many bytes; they are taken in bulk.
 
     Once it is full, senders wait, or the oldest delivery is dropped.
 
-    Each is copied as it comes: a sample of Zenoh's own keeps 64 KiB, however small it is.
+    Each delivery is copied on arrival: a sample of Zenoh keeps 64 KiB, however small it is.
 
     Attributes:
-        dropped: deliveries that made room for newer ones before they were taken.
+        dropped: deliveries removed, before they were taken, to make room for newer ones.
     """
 
     def __init__(self, session: ZenohSession, key: str, *, most_bytes: int, lossless: bool) -> None:
@@ -53,7 +53,7 @@ class Mailbox:
         self._unsubscribe = session.collect(key, self._add)
 
     def take(self) -> tuple[str, Delivery] | None:
-        """Key and content of the oldest delivery not yet taken; None if there is none."""
+        """Return key and content of the oldest delivery not yet taken; None if there is none."""
         if not self._deliveries:
             return None
         with self._change:
@@ -63,14 +63,14 @@ class Mailbox:
         return oldest
 
     def close(self) -> None:
-        """Subscribe no longer; what was not taken is lost."""
+        """Unsubscribe; deliveries not yet taken are lost."""
         with self._change:
             self._is_closed = True
             self._change.notify()
         self._unsubscribe()
 
     def _add(self, key: str, delivery: Delivery) -> None:
-        """Keep a delivery. In a full mailbox it waits, and so does its sender, or the oldest go."""
+        """Keep a delivery; if full, block its sender or drop the oldest ones."""
         new = key, delivery
         size = _size(new)
         with self._change:
@@ -92,23 +92,22 @@ class Mailbox:
 
 
 class BundleMailbox:
-    """All messages on our topics in a domain, each once, as ordered as their sender sent them.
+    """All messages on our topics in a domain, each once, in the order of their sender.
 
-    What a session that bundles says by itself comes in a bundle too, and is taken from there.
+    The direct messages of a session that bundles are ignored, as its bundles contain them.
 
     Args:
-        session: of the recorder.
+        session: the recorder's session.
         domain: ROS domain.
-        most_bytes: of messages to keep, in bundles and by themselves each.
-        lossless: once there are more, senders wait; or else the oldest make room.
+        most_bytes: largest size of the messages kept, for bundles and direct messages each.
+        lossless: beyond that size, senders wait; otherwise the oldest messages are dropped.
         graph: who is on the bus.
-        by_role: believe events of the loops in their bundles alone, where keys of a role are needed
-            to send them; by themselves, anyone with a key of the domain can send them.
+        by_role: accept events of the loops only in their bundles, which only keys of that role can
+            send; anyone with a key of the domain can send direct events.
 
     Attributes:
-        rejected: what was left out, by reason: bundles that their senders cannot have sent
-            (`bundle_order`), and run events that speak for another loop than the one that sends
-            them.
+        rejected: number of rejections by reason: bundles that their senders cannot have sent
+            (`bundle_order`), and run events that name another loop than their sender.
     """
 
     def __init__(
@@ -135,12 +134,12 @@ class BundleMailbox:
         self._missed = session.publisher(missed_key_expression(domain))
         self._bundles = self._mailbox(bundle_key_expression(domain))
         self._direct: Mailbox | None = None
-        self._dropped = 0  # of mailboxes that are closed
+        self._dropped = 0  # in mailboxes that are closed
         self._listen()
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
 
     def take(self) -> list[Received] | None:
-        """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
+        """Return the oldest messages not yet taken, all of one arrival; None if there are none."""
         bundle = self._bundles.take()
         if bundle is not None:
             key, delivery = bundle
@@ -148,29 +147,29 @@ class BundleMailbox:
         left = self._left.copy()
         alone = self._direct.take() if self._direct is not None else None
         if alone is None:
-            self._forget(left)
+            self._forget_left(left)
             self._listen()
-            return self._look_for_missed()
+            return self._request_missed()
         key, (payload, attachment) = alone
         topic = self._topics.get(key)
         if topic is None:
             return []
         message = (topic, payload, *(Attachment.decode(attachment) or UNKNOWN))
-        return [] if self._is_bundled(message) else self._believed([message], None)
+        return [] if self._is_bundled(message) else self._without_forgeries([message], None)
 
     @property
     def dropped(self) -> int:
-        """Deliveries that made room for newer ones, as too much waited to be taken."""
+        """Number of deliveries dropped to make room for newer ones."""
         boxes = (self._bundles, self._direct)
         return self._dropped + sum(box.dropped for box in boxes if box is not None)
 
     def let_go(self) -> list[Received]:
-        """Wait for no missing bundle any more; the messages of those that have waited."""
+        """Stop waiting for missing bundles; return the messages of those that waited."""
         self._waits = False
         return self._all_of(BundleOrder.rest)
 
     def _unbundle(self, role: str, bundle: Delivery) -> list[Received]:
-        """The messages of a bundle and of those that waited for it; none before its turn."""
+        """Return the messages of a bundle and of those that waited for it; none before its turn."""
         span = Span.decode(bundle.attachment)
         if span is None:
             return self._messages_in([bundle.payload], role)
@@ -182,8 +181,8 @@ class BundleMailbox:
         ready = order.take_in(span, bundle.payload)
         return self._messages_in(ready if self._waits else [*ready, *order.rest()], role)
 
-    def _look_for_missed(self) -> list[Received] | None:
-        """Ask for bundles that are missing, and wait no longer for those asked for in vain."""
+    def _request_missed(self) -> list[Received] | None:
+        """Request missing bundles, and give up those requested in vain too often."""
         now_s = time.monotonic()
         for order in self._orders.values():
             missed = order.missed(now_s)
@@ -201,36 +200,36 @@ class BundleMailbox:
     def _messages_in(self, bundles: list[bytes], role: str) -> list[Received]:
         topics = _RECORDED.get(role, {})
         messages = [message for bundle in bundles for message in unbundled(bundle, topics)]
-        return self._believed(messages, role)
+        return self._without_forgeries(messages, role)
 
-    def _believed(self, messages: list[Received], role: str | None) -> list[Received]:
-        """Messages of a bundle of this role, or that came alone; no event in another's name."""
+    def _without_forgeries(self, messages: list[Received], role: str | None) -> list[Received]:
+        """Filter a role's bundled messages, or direct ones: no event in another role's name."""
         believed = [
             message for message in messages
-            if message[0] is not RUN_EVENTS or self._may_say(message[1], role)
+            if message[0] is not RUN_EVENTS or self._may_send(message[1], role)
         ]  # fmt: skip
         if len(believed) < len(messages):
             self.rejected[WRONG_ROLE] += len(messages) - len(believed)
         return believed
 
-    def _may_say(self, event: bytes, role: str | None) -> bool:
+    def _may_send(self, event: bytes, role: str | None) -> bool:
         try:
             source = RunEvent.decode(event).source
         except InvalidMessageError:
-            return True  # nobody reads it
+            return True  # no reader can decode it either
         if role is not None:
             return source == role
         return not ((source in BUNDLED and self._by_role) or source in self._have_bundled)
 
     def _is_bundled(self, message: Received) -> bool:
-        """Whether a message that has come by itself comes in a bundle too."""
+        """Whether a direct message is also sent in a bundle."""
         topic, _, _, _, gid = message
         if topic is JOINT_COMMANDS and Role.PLANT in self._bundling.values():
             return True
         return self._graph.sessions.get(gid) in self._bundling
 
     def _listen(self) -> None:
-        """Listen to all that is sent, unless all of it comes in bundles."""
+        """Subscribe to direct messages, unless every sender bundles."""
         both_bundle = set(self._bundling.values()) == set(BUNDLED)
         if not both_bundle or not self._graph.speakers() <= self._bundling.keys():
             if self._direct is None:
@@ -250,8 +249,8 @@ class BundleMailbox:
             else:
                 self._left.add(session)
 
-    def _forget(self, left: set[str]) -> None:
-        """Sessions have left, and all that came by itself before was held against their bundles."""
+    def _forget_left(self, left: set[str]) -> None:
+        """Forget sessions that left, after all their direct messages have been handled."""
         with self._lock:
             for session in left & self._left:
                 self._left.discard(session)
@@ -259,6 +258,6 @@ class BundleMailbox:
 
 
 def _size(kept: tuple[str, Delivery]) -> int:
-    """Bytes that a delivery takes in memory, with the objects around it."""
+    """Return the memory that a delivery takes, with the objects around it, bytes."""
     key, (payload, attachment) = kept
     return len(key) + len(payload) + len(attachment) + _OBJECT_BYTES

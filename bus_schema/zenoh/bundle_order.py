@@ -1,4 +1,4 @@
-"""The bundles of one sender in the order of their numbers, each once, whenever they come."""
+"""Order of one sender's bundles by their numbers, each once, even if they arrive out of order."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from collections import Counter
 from bus_schema.zenoh.bundles import MOST_AT_ONCE, MOST_KEPT, Span
 
 FORGED_NUMBER, ALTERED_BUNDLE = "forged_number", "altered_bundle"
-"""Reasons for which a bundle is rejected."""
+"""Reasons for the rejection of a bundle."""
 _MOST_WAITING, _MOST_WAITING_BYTES = 256, 1 << 24
 _AGAIN_S = 0.1
 _LONGEST_JUMP = 200_000
-"""What no sender sends between two bundles that arrive, minutes at any rate: a number is forged."""
+"""More than a sender sends in minutes: a larger jump between two numbers shows a forgery."""
 _MOST_ASKED = 7
-"""So often in vain, each time after twice as long, 13 s in all, and what is missing is lost."""
+"""Requests in vain, each after twice the time (13 s in all), until a bundle counts as lost."""
 
 
 class BundleOrder:
-    """What comes before what is missing waits for it, and what is missing is asked for.
+    """Holds bundles back until the missing ones before them have been requested and received.
 
     Args:
-        sender: who sends them.
-        rejected: counts, by reason, bundles that their sender cannot have sent: it has not come so
-            far, or has sent another one of that number.
+        sender: the sender's identifier.
+        rejected: counts, by reason, bundles that their sender cannot have sent: their number is too
+            high, or their content differs from the one sent under that number.
     """
 
     def __init__(self, sender: bytes, rejected: Counter[str]) -> None:
         self._sender, self._rejected = sender, rejected
-        self._contents: dict[int, int] = {}  # hash of each that may still be sent again
+        self._contents: dict[int, int] = {}  # hash of each bundle that may still be sent again
         self._next = 1
-        self._last = 0  # the newest that is known to have been sent
+        self._last = 0  # newest number known to be sent
         self._waiting: dict[int, bytes] = {}
         self._asked_for = self._asked_to = self._asked = 0
-        self._since_s = 0.0  # when something was asked for, or came of it
+        self._since_s = 0.0  # time of the last request, or of its answer
 
     def take_in(self, span: Span, bundle: bytes) -> list[bytes]:
-        """A bundle came; those whose turn it is now.
+        """Take in a bundle; return the bundles whose turn it is now.
 
         Args:
-            span: what stood beside it: those before its first nobody has any more.
-            bundle: its bytes; empty where its number is only told of.
+            span: range of numbers sent with it; bundles before its first are no longer available.
+            bundle: its bytes; empty where only its number is reported.
         """
         if self._last and span.last > self._last + _LONGEST_JUMP:
             self._rejected[FORGED_NUMBER] += 1
@@ -58,10 +58,10 @@ class BundleOrder:
         return self._from(span.first)
 
     def missed(self, now_s: float) -> Span | None:
-        """What to ask the sender for at this time; None for nothing, or not yet.
+        """Return the range to request from the sender at this time; None for nothing, or not yet.
 
-        As little at a time as he sends at once, and no more while that is on its way: a slow
-        connection would be full of what was asked for again.
+        A request covers no more than the sender sends at once, and waits for the last one's answer:
+        repeated bundles would fill a slow connection.
         """
         if self._next > self._last:
             return None
@@ -78,16 +78,16 @@ class BundleOrder:
         return Span(self._next, self._asked_to, self._sender)
 
     def overdue(self) -> list[bytes]:
-        """Those that have waited for long enough for what is asked for in vain."""
+        """Return the bundles that have waited long enough for one requested in vain."""
         is_in_vain = self._asked_for == self._next and self._asked >= _MOST_ASKED
         return self._from(self._first_waiting()) if is_in_vain else []
 
     def rest(self) -> list[bytes]:
-        """All that wait, whatever is missing."""
+        """Return all waiting bundles, even if some before them are missing."""
         return self._from(self._last + 1)
 
     def _is_genuine(self, number: int, bundle: bytes) -> bool:
-        """Whether it is what came first under its number; one with other contents is counted."""
+        """Whether a bundle equals the first one of its number; a different one is counted."""
         content = hash(bundle)
         is_genuine = self._contents.setdefault(number, content) == content
         if not is_genuine:
@@ -100,7 +100,7 @@ class BundleOrder:
         return min(self._waiting, default=self._last + 1)
 
     def _from(self, first: int) -> list[bytes]:
-        """Those before the `first` as they are, and from there on those that follow one another."""
+        """Return all bundles before `first`, and from there on as long as none is missing."""
         before = sorted(number for number in self._waiting if number < first)
         ready = [self._waiting.pop(number) for number in before]
         self._next = max(self._next, first)

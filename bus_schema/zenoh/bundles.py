@@ -1,13 +1,13 @@
-"""Messages in bundles: what loops send, as a recorder takes it.
+"""Bundles of messages that loops send to recorders.
 
-A recorder that subscribes to what loops send at every tick is a second peer to each `put`, and a
-thread that is woken up each time, beside loops that wait for one another. So loops put all they
-send into bundles too, and tell so by a token. Commands are told of by the plant, as it
-takes them in, whoever sent them and whatever becomes of him. While nobody else has announced that
-he speaks, a recorder takes bundles alone. Whoever subscribes to topics gets each message at once.
+A recorder that subscribes to the topics of every tick costs each `put` a second peer, and wakes a
+thread each time, while the loops wait for each other. So loops also put all their messages into
+bundles, and announce this by a token. The plant bundles commands as it receives them, from any
+sender. While no other sender has announced itself, a recorder takes only bundles. Subscribers to
+topics still get each message at once.
 
-Bundles are numbered, and a loop keeps its newest: a connection may not be up yet when the first is
-sent, or fail later, and a recorder asks for what it lacks.
+Bundles are numbered, and a loop keeps its newest: a recorder whose connection was late or failed
+requests the missing ones.
 """
 
 from __future__ import annotations
@@ -32,32 +32,31 @@ _FULL_BYTES = 1 << 16
 _MOST_MESSAGES = 256
 MOST_KEPT = 512
 _KEPT_BYTES = 1 << 22
-"""Of a plant at 1 kHz some three seconds, of a controller ten: a connection is up again by then."""
+"""Three seconds of a plant at 1 kHz, ten of a controller: time for a connection to be restored."""
 _LARGEST_KEPT_BYTES = MAX_MESSAGE_BYTES // 2
 _MOST_ANSWERED_PER_S = 50
-"""Requests for bundles, whoever sends them: all that are kept in under three seconds."""
+"""Answered requests for bundles, from all senders: all kept bundles in under three seconds."""
 MOST_AT_ONCE = 4
-"""Bundles that are sent again at once: more would fill a loop's queue to a recorder."""
+"""Bundles sent again at once: more would fill a loop's queue to a recorder."""
 HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
 _SPAN = struct.Struct(f"<QQ{GID_BYTES}s")
 BUNDLED = {
     Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
     Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
 }
-"""What the bundles of each loop hold; nobody says more in another's name."""
+"""Topics in the bundles of each loop; no other role may send them in its name."""
 Received = tuple[Topic, bytes, int, int, bytes]
-"""A message as a recorder takes it: topic, payload, and what its attachment says of it: number,
-when it was sent (Unix time, ns) and id of its sender; `UNKNOWN` where it has none."""
+"""Topic, payload, and from the attachment: number, Unix time (ns), sender's id; or `UNKNOWN`."""
 UNKNOWN = Attachment(0, 0, b"")
 
 
 class Span(NamedTuple):
-    """Numbers of bundles: beside a bundle, of those that can be had up to itself; or those missed.
+    """Range of bundle numbers: beside a bundle, the available ones up to itself; or missing ones.
 
     Attributes:
-        first: the first of them, from 1.
-        last: the last of them.
-        sender: identifies who sends them, 16 bytes.
+        first: the first number, from 1.
+        last: the last number.
+        sender: identifier of the sender, 16 bytes.
     """
 
     first: int
@@ -69,7 +68,7 @@ class Span(NamedTuple):
 
     @staticmethod
     def decode(data: bytes) -> Span | None:
-        """The span, or None if these bytes are none."""
+        """Return the span, or None if these bytes are none."""
         if len(data) != _SPAN.size:
             return None
         span = Span(*_SPAN.unpack(data))
@@ -77,15 +76,15 @@ class Span(NamedTuple):
 
 
 class Bundler:
-    """Sends bundles.
+    """Sender of bundles.
 
     Args:
-        session: of the loop.
+        session: the loop's session.
         domain: ROS domain.
         role: which loop it is.
 
     Attributes:
-        topics: what is to be added; to the plant's, commands as it takes them in.
+        topics: topics to add; for the plant, also commands, as it receives them.
     """
 
     def __init__(self, session: ZenohSession, domain: int, role: Role) -> None:
@@ -102,21 +101,21 @@ class Bundler:
         session.announce(token)
 
     def add(self, topic: bytes, attachment: bytes, payload: bytes) -> None:
-        """Add a message; those that are many or large enough are sent."""
+        """Add a message; send the bundle once it is full."""
         head = HEAD.pack(len(topic), len(attachment), len(payload))
         self._waiting.append(head + topic + attachment + payload)
         if len(self._waiting) >= _MOST_MESSAGES or len(payload) >= _FULL_BYTES:
             self.send()
 
     def send(self) -> None:
-        """Send what was added since the last bundle, in more than one if it is much.
+        """Send all added messages, in several bundles if they are large.
 
-        A message that is too large for the transport takes no others along.
+        A message that is too large for the transport is sent alone, so no other is lost with it.
         """
         with self._lock:
             bundle: list[bytes] = []
             size = 0
-            for _ in range(len(self._waiting)):  # in a flood there are always more
+            for _ in range(len(self._waiting)):  # in a flood, more arrive meanwhile
                 message = self._waiting.popleft()
                 size += len(message)
                 if bundle and size > _FULL_BYTES:
@@ -127,13 +126,13 @@ class Bundler:
                 self._send(b"".join(bundle))
 
     def tell(self) -> None:
-        """Tell how many bundles there are, to recorders that may lack the last ones."""
+        """Report the number of bundles to recorders, which may lack the last ones."""
         with self._lock:
             if self._last:
                 self._publisher.put(b"", self._span(self._last))
 
     def _send(self, bundle: bytes) -> None:
-        if len(bundle) > _LARGEST_KEPT_BYTES:  # nobody is to wait for what may never pass
+        if len(bundle) > _LARGEST_KEPT_BYTES:  # bundles too large to be sent must not be waited for
             self._publisher.put(bundle, b"")
             return
         self._last += 1
@@ -152,7 +151,7 @@ class Bundler:
         return self._last - len(self._kept) + 1
 
     def _on_missed(self, delivery: Delivery) -> None:
-        """Send again what a recorder lacks, some of it; the loop is not to wait for that."""
+        """Send some missing bundles again; few at a time, so that the loop is not held up."""
         missed = Span.decode(delivery.payload)
         if missed is None or missed.sender != self._sender or not self._may_answer():
             return
@@ -167,7 +166,7 @@ class Bundler:
             self._publisher.put(bundle, span)
 
     def _may_answer(self) -> bool:
-        """Whether so few requests came lately that this one is no flood: a recorder asks again."""
+        """Whether few enough requests came lately; recorders repeat those not answered."""
         now_s = time.monotonic()
         if now_s - self._answering_since_s >= 1.0:
             self._answered, self._answering_since_s = 0, now_s
@@ -176,9 +175,10 @@ class Bundler:
 
 
 def unbundled(bundle: bytes, topics: Mapping[bytes, Topic]) -> list[Received]:
-    """The messages in a bundle on these topics, by their names; what is no message ends it.
+    """Yield the messages in a bundle on these topics; a malformed message ends it.
 
-    Recorders spend their time here: one loop, which reads attachments as `Attachment.decode` does.
+    Recorders spend most time here, so one loop also decodes attachments as `Attachment.decode`
+    does.
     """
     messages = []
     at, end, head_bytes, numbers_bytes = 0, len(bundle), HEAD.size, ATTACHMENT.size

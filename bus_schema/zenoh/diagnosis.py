@@ -1,7 +1,7 @@
-"""Why a peer may be missing. Zenoh refuses silently, so whoever waits has to know what to check.
+"""Possible causes of a missing peer: Zenoh refuses silently, so the waiting side has to check.
 
-A process that connects probes the endpoint once and reports what it found; one that listens can
-only list what keeps peers away.
+A connecting process probes the endpoint once and reports the result; a listening process can only
+list possible causes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bus_schema.messages.topics import Role
 logger = logging.getLogger(__name__)
 
 SILENCE_S = 2.0
-"""How long a peer may be missing before it is reported."""
+"""Time without a peer before its absence is reported."""
 _PROBE_S = 1.0
 
 
@@ -27,7 +27,7 @@ class SilenceWatch:
     Args:
         link: section ``link`` of the scenario.
         role: what this process is.
-        peer: whom it waits for.
+        peer: the role it waits for.
     """
 
     def __init__(self, link: LinkConfiguration, role: Role, peer: Role) -> None:
@@ -35,19 +35,19 @@ class SilenceWatch:
         self._warn_at_s: float | None = time.monotonic() + SILENCE_S
 
     def look(self) -> None:
-        """To be called again and again while the peer is missing."""
+        """Check once; call it repeatedly while the peer is missing."""
         if self._warn_at_s is not None and time.monotonic() >= self._warn_at_s:
             self._warn_at_s = None
             logger.warning("%s", explain_silence(self._link, self._role, self._peer))
 
 
 def explain_silence(link: LinkConfiguration, role: Role, peer: Role) -> str:
-    """What may keep a peer away, in one or two sentences.
+    """Explain in one or two sentences why a peer may be missing.
 
     Args:
         link: section ``link`` of the scenario.
         role: what this process is.
-        peer: who is missing.
+        peer: the missing role.
     """
     start = f"no {peer} yet after {SILENCE_S:g} s"
     if peer is Role.RECORDER or role is Role.PLANT:
@@ -79,7 +79,7 @@ def _why_nobody_answers(link: LinkConfiguration, peer: Role) -> str:
 
 
 def _probe(endpoint: str, link: LinkConfiguration, role: Role, peer: Role) -> str | None:
-    """What is wrong at a TCP or TLS endpoint; None if somebody is there who accepts us."""
+    """Return what is wrong at a TCP or TLS endpoint; None if a server there accepts us."""
     protocol, _, address = endpoint.partition("/")
     if protocol not in ("tcp", "tls"):
         return None
@@ -96,7 +96,7 @@ def _probe(endpoint: str, link: LinkConfiguration, role: Role, peer: Role) -> st
 def _shake_hands(
     plain: socket.socket, host: str, link: LinkConfiguration, role: Role, peer: Role
 ) -> str | None:
-    """What is wrong with a TLS server; None if it accepts us and is who it should be."""
+    """Return what is wrong with a TLS server; None if it accepts us under the expected name."""
     keys = link.security.keys
     try:
         context = ssl.create_default_context(cafile=str(keys.authority))
@@ -116,7 +116,7 @@ def _shake_hands(
 
 
 def _our_refusal(secure: ssl.SSLSocket, role: Role) -> str | None:
-    """Under TLS 1.3 a server says only after the handshake that it refuses our certificate."""
+    """Wait for a refusal of our certificate, which TLS 1.3 sends only after the handshake."""
     try:
         secure.settimeout(_PROBE_S)
         secure.recv(1)

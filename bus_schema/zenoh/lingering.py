@@ -1,4 +1,4 @@
-"""Connections that are closed at once, whatever their peers have not read yet."""
+"""Closing of connections without waiting for peers to read the rest."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ _OFF = struct.pack("ii", 0, 0)
 
 
 def never_linger() -> None:
-    """Have no connection of this process wait, when it is closed, until its peer has read all.
+    """Make all connections of this process close at once, even if peers have not read everything.
 
-    Zenoh asks for ten seconds of that (SO_LINGER). It closes a connection once a peer was not heard
-    of for its lease, and where that peer is frozen, receives nothing from anybody meanwhile.
+    Zenoh sets SO_LINGER to ten seconds. It closes a connection when a peer's lease expires; if that
+    peer is frozen, Zenoh receives nothing from any peer while it lingers.
     """
     entries: list[Path] = []
-    with contextlib.suppress(OSError):  # no descriptor is left to look with
+    with contextlib.suppress(OSError):  # no descriptor is left for the listing
         entries = list(Path("/dev/fd").iterdir())
     for entry in filter(Path.is_socket, entries):
-        with contextlib.suppress(OSError):  # it is closed by now, or only names a socket (O_PATH)
+        with contextlib.suppress(OSError):  # closed meanwhile, or only a name (O_PATH)
             own = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=int(entry.name))
             try:
                 own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)

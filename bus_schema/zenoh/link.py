@@ -1,7 +1,7 @@
 """Both sides of the link over Zenoh, in rmw_zenoh's wire format.
 
-The plant listens, and so does the controller; the controller connects to the plant, a recorder to
-both. So every pair has a connection of its own, and no message takes a detour.
+Plant and controller listen; the controller connects to the plant, a recorder to both. So each pair
+has its own connection, and no message takes a detour.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _LARGEST_STATE_BACKLOG = 1000
 _COMMANDS = topics.JOINT_COMMANDS.name.encode()
 _GRACE_S = 1.0
 _GRACE_BESIDE_RECORDER_S = 3.0
-"""A stranger beside a recorder may only be looking on, while our own controller still starts."""
+"""A client beside a recorder may be a mere viewer while our own controller still starts."""
 
 
 class ZenohPlantLink(ZenohNode, PlantLink):
@@ -47,8 +47,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
     Args:
         link: section ``link`` of the scenario.
         clock: the plant's clock, which stamps arrivals.
-        lockstep: time is virtual: the loop waits for commands, and rather for a slow recorder than
-            that it goes on without it.
+        lockstep: time is virtual: the loop waits for commands, and also for a slow recorder.
         agreement: what the controller must agree on.
     """
 
@@ -77,18 +76,18 @@ class ZenohPlantLink(ZenohNode, PlantLink):
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        """Wait for a publisher of commands, or for somebody who may be one without saying so.
+        """Wait for a publisher of commands, or for a client that may be one unannounced.
 
-        A client without rmw_zenoh's tokens is known by a command of any contents. Without one, it
-        is taken for the controller once it has been there for a while, subscribing to states. Our
-        own controller subscribes long before it is ready, and is waited for.
+        A client without rmw_zenoh's tokens counts as the controller once it sends any command, or
+        once it has subscribed to states for a while. Our own controller subscribes long before it
+        is ready, and must announce itself.
         """
         give_up_s = time.monotonic() + timeout_s
         stranger_since_s = None
         silence = self.watch_silence(Role.CONTROLLER)
         while not self._graph.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
             silence.look()
-            self.require_same_scenario(Role.CONTROLLER)  # which saw it first, and left
+            self.require_same_scenario(Role.CONTROLLER)  # noted even if that peer has left
             now_s = time.monotonic()
             if not self._arrivals.is_empty():
                 return
@@ -106,18 +105,18 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         self._commander_was_seen = self._graph.has_publisher(topics.JOINT_COMMANDS)
 
     def _note_command(self, delivery: Delivery, arrival: CommandArrival) -> None:
-        """Remember its sender, and tell recorders, whoever that is and whatever becomes of it."""
+        """Remember the sender of a command, and pass the command on to recorders."""
         self._graph.note_command(arrival.sender)
         if self._bundler is not None:
             self._bundler.add(_COMMANDS, delivery.attachment, arrival.payload)
 
     def _may_have_unannounced_controller(self) -> bool:
-        """A recorder subscribes to states too: beside one, a stranger has to be connected."""
+        """Whether a client may be a controller: a recorder subscribes too, but announces itself."""
         if self.sees(Role.CONTROLLER) or not self._states.has_subscribers():
             return False
-        return not self.sees(Role.RECORDER) or self._hears_a_stranger()
+        return not self.sees(Role.RECORDER) or self._has_unknown_session()
 
-    def _hears_a_stranger(self) -> bool:
+    def _has_unknown_session(self) -> bool:
         """Whether a session is connected that has announced nothing; routers do not count."""
         return not self._graph.knows_all(self._session.connected())
 
@@ -125,7 +124,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         return _GRACE_BESIDE_RECORDER_S if self.sees(Role.RECORDER) else _GRACE_S
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        """Send both in one message, which the controller waits for, and the status on its own."""
+        """Send both in one message, which the controller waits for, and the status alone too."""
         self.publish(topics.JOINT_STATES, state, status)
         self.publish(topics.PLANT_STATUS, status)
 
@@ -139,13 +138,13 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         return self._arrivals.overflow
 
     def may_miss_states(self) -> bool:
-        """Our own controller announces itself when it is ready; of others nobody knows."""
+        """Whether the controller has not announced itself: our own does so when it is ready."""
         return not self.sees(Role.CONTROLLER)
 
     def report(self) -> dict[str, Any]:
-        """How many commands were taken in: recorders compare it with their own.
+        """Return the number of commands taken in, which recorders compare with their own.
 
-        What was left out, because too many waited, is counted as that.
+        Commands dropped because too many waited are counted separately.
         """
         return {COMMANDS_RECEIVED: self._arrivals.received - self._arrivals.overflow}
 
@@ -158,13 +157,13 @@ class ZenohPlantLink(ZenohNode, PlantLink):
 
 
 class ZenohControllerLink(ZenohNode, ControllerLink):
-    """The controller's side. Whoever calls `spin` waits for states, and answers them.
+    """The controller's side. The thread that calls `spin` waits for states, and answers them.
 
-    Not before it is active, though: in a run that is under way they arrive at once.
+    It answers none before `activate`: in a run that is under way, states arrive at once.
 
     Args:
         link: section ``link`` of the scenario.
-        lossless: rather wait for a slow recorder than go on without it.
+        lossless: wait for a slow recorder instead of losing messages.
         agreement: what the plant must agree on.
     """
 
@@ -177,7 +176,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
             self.advertise(topic)
         self._states = self.inbox(topics.JOINT_STATES, _LARGEST_STATE_BACKLOG, lossless=False)
         self._closed = threading.Event()
-        self._knocking = threading.Thread(target=self._knock, daemon=True)
+        self._knocking = threading.Thread(target=self._wake_now_and_then, daemon=True)
         self._knocking.start()
         self.announce()
 
@@ -186,7 +185,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
 
     def activate(self) -> None:
         while self._states.take() is not None:
-            pass  # it came too early
+            pass  # it arrived too early
         self.advertise(topics.JOINT_COMMANDS)
 
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
@@ -210,15 +209,15 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
 
     def close(self) -> None:
         self._closed.set()
-        self._knocking.join()  # one that comes out of Zenoh while Python ends aborts the process
+        self._knocking.join()  # if it leaves Zenoh while Python exits, the process aborts
         super().close()
 
     def _answer(self, delivery: Delivery) -> None:
         if self._on_state is not None:
             self._on_state(delivery.payload, beside(delivery.attachment))
 
-    def _knock(self) -> None:
-        """Have whoever waits look up now and then."""
+    def _wake_now_and_then(self) -> None:
+        """Wake the waiting thread now and then."""
         while not self._closed.wait(POLL_S):
             self._states.knock()
 
@@ -226,12 +225,12 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
 def open_telemetry(
     link: LinkConfiguration, role: Role, *, lossless: bool, agreement: Agreement | None = None
 ) -> ZenohNode:
-    """Telemetry of a loop whose states and torques do not go over Zenoh.
+    """Return the telemetry of a loop whose states and torques do not go over Zenoh.
 
     Args:
         link: section ``link`` of the scenario.
-        role: whose it is.
-        lossless: rather wait for a slow recorder than go on without it.
+        role: the loop's role.
+        lossless: wait for a slow recorder instead of losing messages.
         agreement: what the other side must agree on.
 
     Raises:
@@ -239,7 +238,7 @@ def open_telemetry(
     """
     node = ZenohNode(link, role, lossless=lossless, agreement=agreement)
     for topic in (*topics.TOPICS, topics.CLOCK):
-        # Commands are told of by the plant's side, since it is there that they take effect.
+        # The plant's side bundles commands, as they take effect there.
         sender = Role.PLANT if topic is topics.JOINT_COMMANDS else topic.sender
         if sender in (role, None):
             node.advertise(topic)

@@ -1,4 +1,4 @@
-"""A Zenoh session that is a node of the ROS graph: it announces itself and knows who is there."""
+"""A Zenoh session that is a node of the ROS graph: it announces itself and knows other nodes."""
 
 from __future__ import annotations
 
@@ -37,25 +37,23 @@ from bus_schema.zenoh.session import Delivery, Inbox, ZenohPublisher, ZenohSessi
 
 POLL_S = 0.05
 _MOST_SESSIONS = 1000
-"""That announce a scenario: each may be made up."""
+"""Limit on sessions that announce a scenario, as any of them may be forged."""
 LOOK_S = 0.005
-"""Between two looks for a peer before a run: short, as each is waited for in every run."""
+"""Period of checks for a peer before a run: short, as it delays every run."""
 _PATIENCE_S = 0.1
-"""In virtual time a subscriber that reads slowly gets everything, and one that is frozen holds the
-loop up for so long, once. A loop in real time waits for nobody."""
+"""Largest delay of a loop in virtual time by a frozen subscriber. Real-time loops never wait."""
 _LEASE_S, _REALTIME_LEASE_S = 60.0, 3.0
-"""In virtual time a frozen recorder is waited for. In real time zenoh 1.10 may never send again to
-a peer for which it has once dropped something: a recorder then soon connects anew."""
+"""Short in real time: zenoh 1.10 may stop sending to a peer after a drop, until it reconnects."""
 
 
 class ZenohNode:
-    """A session that is a node of the ROS graph, and what both sides of a link have in common.
+    """A session that is a node of the ROS graph: the common base of both sides of a link.
 
     Args:
         link: section ``link`` of the scenario.
-        role: what this node is; the loops put all they send into bundles too, for recorders.
-        lossless: rather wait for a slow recorder than go on without it.
-        agreement: what others must agree on; None asks nobody.
+        role: this node's role; loops also bundle all their messages for recorders.
+        lossless: wait for a slow recorder instead of losing messages.
+        agreement: what others must agree on; None skips the check.
     """
 
     def __init__(
@@ -68,7 +66,7 @@ class ZenohNode:
     ) -> None:
         listen, connect = _endpoints(link, role)
         is_loop = role is not Role.RECORDER
-        # A recorder may fall behind, and must not hold up the loop when it does.
+        # A recorder may fall behind, and must not delay the loop.
         self._session = ZenohSession(
             listen,
             connect,
@@ -91,7 +89,7 @@ class ZenohNode:
         self._progress: ZenohPublisher | None = None
         self._agreement = agreement
         self._differences: dict[str, dict[str, list[str]]] = {}  # by role and session
-        # Before all other tokens: whoever sees this node knows which scenario it runs.
+        # Before all other tokens: peers that see this node then know its scenario.
         self._session.watch_tokens(scenario_key_expression(link.domain), self._on_scenario)
         if agreement is not None:
             own = (role.value, self._session.identifier, agreement.encode())
@@ -103,7 +101,7 @@ class ZenohNode:
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
 
     def announce(self) -> None:
-        """Show the node to the others; to be called once it is ready.
+        """Announce the node to the others; call it once the node is ready.
 
         From then on it watches for the token by which a recorder reports that it has everything.
         """
@@ -123,7 +121,7 @@ class ZenohNode:
         return publisher
 
     def inbox(self, topic: Topic, capacity: int, *, lossless: bool) -> Inbox:
-        """Subscribe and announce it."""
+        """Subscribe, and announce the subscription."""
         key = topic.key_expression(self._domain)
         inbox = self._session.inbox(key, capacity, lossless=lossless)
         self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
@@ -140,7 +138,7 @@ class ZenohNode:
         return mailbox
 
     def publish(self, topic: Topic, payload: bytes, beside: bytes = b"") -> int:
-        """Send a message; its sequence number. What goes `beside` it follows the attachment."""
+        """Send a message; return its sequence number. The bytes `beside` follow the attachment."""
         return self._outbox.send(topic, payload, beside)
 
     def sender_has_left(self, sender: bytes) -> bool:
@@ -150,14 +148,14 @@ class ZenohNode:
         return self._graph.sees(role)
 
     def watch_silence(self, role: Role) -> SilenceWatch:
-        """A watch that reports why one of our own processes may be missing."""
+        """Return a watch that reports why one of our own processes may be missing."""
         return SilenceWatch(self._link, self._role, role)
 
     def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
-        """Check what processes of a role announced; others announce nothing.
+        """Check the scenarios that processes of a role announced; foreign processes announce none.
 
-        One that agrees is enough: anybody may have sent what the others announce. So is one that
-        has announced its scenario and nothing else no process of ours.
+        One process that agrees suffices: the other announcements may be forged. A session that
+        announced a scenario and nothing else is none of our processes.
 
         Raises:
             ScenarioMismatchError: it runs another scenario.
@@ -173,19 +171,19 @@ class ZenohNode:
             )
 
     def says_its_scenario(self, role: Role) -> bool:
-        """Whether each of our own processes of a role has announced its scenario by now.
+        """Whether each of our own processes of a role has announced its scenario.
 
-        Zenoh brings the tokens of a session in any order: the scenario may come after the rest.
+        Zenoh delivers the tokens of a session in any order: the scenario may arrive last.
         """
         said = self._differences.get(role.value, {}).keys()
         return self._agreement is None or self._graph.sessions_of(role) <= said
 
     def acknowledge(self, gid: bytes) -> None:
-        """As a recorder: announce that all messages of a publisher of run events are recorded."""
+        """Announce, as a recorder, that all messages of a publisher of run events are recorded."""
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
 
     def tell_progress(self, gid: bytes, sequence: int) -> None:
-        """As a recorder: tell the sender of a topic that paces how far its messages are written."""
+        """Report, as a recorder, progress on a topic that paces to the sender of the topic."""
         if self._progress is None:
             self._progress = self._session.publisher(progress_key_expression(self._domain))
         told = Attachment(sequence, 0, gid).encode()
@@ -211,7 +209,7 @@ class ZenohNode:
                 self._bundler.tell()
 
     def close(self) -> None:
-        """Leave the bus. What is still on its way to a slow peer is lost."""
+        """Leave the bus. Messages still queued for a slow peer are lost."""
         if self._bundler is not None:
             self._bundler.send()
         self._session.close()
@@ -223,7 +221,7 @@ class ZenohNode:
         )
 
     def _on_scenario(self, token: str, alive: bool) -> None:
-        """Remember what differs; also of a peer that has seen it first, and left."""
+        """Remember the differences, also of a peer that has left meanwhile."""
         *_, role, session, theirs = token.split("/")
         if alive and self._agreement is not None and session != self._session.identifier:
             sessions = self._differences.setdefault(role, {})
@@ -247,7 +245,7 @@ def _is_recorder(entity: Entity) -> bool:
 
 
 def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:
-    """Endpoints to listen on and to connect to."""
+    """Return the endpoints to listen on and to connect to."""
     router = [link.router_endpoint] if link.router_endpoint is not None else []
     match role:
         case Role.PLANT:

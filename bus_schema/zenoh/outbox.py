@@ -1,4 +1,4 @@
-"""What a node sends: at once what somebody waits for, the rest with some more of its kind."""
+"""Outgoing messages of a node: urgent ones at once, the others in batches."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ logger = logging.getLogger(__name__)
 
 _BATCH = 32
 _LONGEST_WAIT_NS = 20_000_000
-"""Where ticks are far apart, a batch of them would keep who looks on waiting."""
+"""With rare ticks, a full batch would keep viewers waiting."""
 
 
 LARGEST_LEAD_BYTES = 1 << 19
-"""Half of what the queue to a peer holds: 16 batches of up to 64 KiB."""
+"""Half of a peer's queue, which holds 16 batches of up to 64 KiB."""
 OVERHEAD_BYTES = 100
-"""What else of each message is in the queue: key, attachment, headers."""
+"""Bytes that each message adds in the queue: key, attachment, headers."""
 _PATIENCE_S = 60.0
 _FIRST_PATIENCE_S = 15.0
-"""For one that has never said how far it has come: anybody can announce one. But a true one may be
-held up for seconds by a slow machine."""
+"""Patience before a recorder's first report: it may be forged, or delayed by a slow machine."""
 
 
 @dataclass(eq=False, slots=True)
@@ -37,11 +36,11 @@ class Stream:
 
     Attributes:
         topic: their topic.
-        name: its name as bundles have it.
-        publisher: sends them.
+        name: its name in bundles.
+        publisher: the publisher that sends them.
         gid: id of the publisher in the ROS graph.
         is_bundled: whether they go into bundles too.
-        sequence: number of the last one.
+        sequence: number of the last message.
     """
 
     topic: Topic
@@ -55,38 +54,38 @@ class Stream:
 class FlowControl:
     """Limits how far a sender may be ahead of recorders, where no recorded message may be lost.
 
-    What finds a peer's queue full is dropped (`session.py`), so that no subscriber holds up a loop.
-    So recorders report how far they have come, and a sender that is too far ahead of one waits for
-    it, well before a queue is full. Others are not waited for.
+    A message to a full queue is dropped (`session.py`), so that no subscriber delays a loop. So
+    recorders report their progress, and a sender that is too far ahead of one waits for it, well
+    before a queue is full. It does not wait for other subscribers.
 
     Args:
-        patience_s: how long one that says nothing is waited for before it counts no more.
+        patience_s: time that the sender waits for a silent recorder before it ignores it.
     """
 
     def __init__(self, patience_s: float = _PATIENCE_S) -> None:
         self._patience_s = patience_s
         self._sent_bytes = self._recorded_bytes = 0
-        self._marks: deque[tuple[int, int]] = deque()  # sequence, bytes sent with and before it
+        self._marks: deque[tuple[int, int]] = deque()  # sequence, bytes sent up to and including it
         self._last_mark = 0
         self._recorders: dict[str, int] = {}  # sequence that each has, by session
-        self._silent: set[str] = set()  # of these, those that have said nothing yet
+        self._silent: set[str] = set()  # of these, those that have reported nothing yet
         self._change = threading.Condition()
 
     def join(self, recorder: str) -> None:
-        """A recorder is there, and gets all that is sent from now on."""
+        """Add a recorder, which receives all messages from now on."""
         with self._change:
             if recorder not in self._recorders:
                 self._recorders[recorder] = self._last_mark
                 self._silent.add(recorder)
 
     def leave(self, recorder: str) -> None:
-        """A recorder is gone, and is waited for no longer."""
+        """Remove a recorder; the sender no longer waits for it."""
         with self._change:
             self._drop(recorder)
             self._change.notify_all()
 
     def send(self, size_bytes: int, mark: int = 0) -> None:
-        """Messages are sent; recorders will tell of them by their `mark`, should they have one."""
+        """Count messages sent; `mark` is the number that recorders will acknowledge, if any."""
         with self._change:
             self._sent_bytes += size_bytes
             if mark:
@@ -94,7 +93,7 @@ class FlowControl:
                 self._last_mark = mark
 
     def acknowledge(self, recorder: str, mark: int) -> None:
-        """A recorder has all that was sent up to a mark."""
+        """Note that a recorder has all messages up to a mark."""
         with self._change:
             if recorder in self._recorders:
                 self._silent.discard(recorder)
@@ -103,7 +102,7 @@ class FlowControl:
                 self._change.notify_all()
 
     def await_recorders(self) -> None:
-        """Wait until none of them is too far behind."""
+        """Wait until no recorder is too far behind."""
         with self._change:
             patience_s = min(self._patience_s, _FIRST_PATIENCE_S if self._silent else math.inf)
             if self._change.wait_for(self._may_send, patience_s):
@@ -128,14 +127,14 @@ class FlowControl:
 
 
 class Outbox:
-    """Sends the messages of a node.
+    """Sender of a node's messages.
 
-    What is not urgent waits for some more of its kind: each message that leaves alone costs its
-    receivers a wake-up, and on few cores these wake-ups get in the way of the loops.
+    Messages that are not urgent are sent in batches: each message sent alone wakes its receivers,
+    and on few cores these wake-ups delay the loops.
 
     Args:
-        bundler: takes everything for recorders too; None where recorders take each by itself.
-        flow: holds the sender back where recorders are too far behind; None for no waiting.
+        bundler: also bundles all messages for recorders; None where recorders subscribe to topics.
+        flow: delays the sender when recorders are too far behind; None for no waiting.
     """
 
     def __init__(self, bundler: Bundler | None, flow: FlowControl | None) -> None:
@@ -147,7 +146,7 @@ class Outbox:
         self._sent_bytes = self._mark = 0
 
     def add(self, topic: Topic, publisher: ZenohPublisher, gid: bytes) -> None:
-        """From now on send a topic too."""
+        """Add a topic to send."""
         is_bundled = self._bundler is not None and topic in self._bundler.topics
         self._streams[topic.name] = Stream(topic, topic.name.encode(), publisher, gid, is_bundled)
 
@@ -156,12 +155,12 @@ class Outbox:
         return {stream.gid for stream in list(self._streams.values())}
 
     def gid_of(self, topic: Topic) -> bytes | None:
-        """Id of the publisher of a topic; None without one."""
+        """Return the id of a topic's publisher; None without one."""
         stream = self._streams.get(topic.name)
         return None if stream is None else stream.gid
 
     def send(self, topic: Topic, payload: bytes, beside: bytes) -> int:
-        """Send a message; its sequence number. What goes `beside` it follows the attachment."""
+        """Send a message; return its sequence number. The bytes `beside` follow the attachment."""
         stream = self._streams[topic.name]
         stream.sequence = sequence = stream.sequence + 1
         attachment = Attachment(sequence, time.time_ns(), stream.gid).encode()
@@ -190,7 +189,7 @@ class Outbox:
             self._flow.await_recorders()
 
     def _send_what_waits(self) -> None:
-        unheard = self._unheard()
+        unheard = self._streams_without_listeners()
         for stream, payload, attachment in self._waiting:
             if stream not in unheard:
                 stream.publisher.put(payload, attachment)
@@ -201,8 +200,8 @@ class Outbox:
             self._flow.send(self._sent_bytes, self._mark)
             self._sent_bytes = self._mark = 0
 
-    def _unheard(self) -> set[Stream]:
-        """What recorders have from bundles, and nobody else subscribes to."""
+    def _streams_without_listeners(self) -> set[Stream]:
+        """Return the streams whose only subscribers are recorders, which read bundles."""
         if self._bundler is None:
             return set()
         ticking = {stream for stream, _, _ in self._waiting if stream.topic.paces}

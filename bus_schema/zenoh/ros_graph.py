@@ -1,4 +1,4 @@
-"""What rmw_zenoh puts around a message: the attachment, and the tokens that make up the ROS graph.
+"""rmw_zenoh's additions to messages: the attachment, and the tokens of the ROS graph.
 
 Formats after rmw_zenoh_cpp's design document (sections "Topics" and "Graph Cache").
 """
@@ -17,18 +17,18 @@ from bus_schema.messages.types import type_hash
 
 GID_BYTES = 16
 ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
-"""What an `Attachment` is on the wire; before its identifier stands how many bytes that has."""
+"""Wire format of an `Attachment`; the length of the identifier precedes it."""
 _ADMIN = "@ros2_lv"
 _FIELDS_BEFORE_NODE_NAME = 8
 _MOST_SENDERS, _MOST_PUBLISHERS = 1000, 10_000
 
 
 class Attachment(NamedTuple):
-    """Travels beside every payload.
+    """Metadata that accompanies every payload.
 
     Attributes:
         sequence: number of the message on its topic, from 1.
-        source_time_ns: when it was sent, Unix time.
+        source_time_ns: time of sending, Unix time.
         gid: identifier of the sending publisher, 16 bytes.
     """
 
@@ -41,7 +41,7 @@ class Attachment(NamedTuple):
 
     @staticmethod
     def decode(data: bytes) -> Attachment | None:
-        """The attachment, or None if these bytes are none. As in rmw_zenoh, more may follow."""
+        """Decode an attachment; None if these bytes are none. As in rmw_zenoh, more may follow."""
         if len(data) < ATTACHMENT.size:
             return None
         sequence, source_time_ns, gid_bytes, gid = ATTACHMENT.unpack_from(data)
@@ -51,7 +51,7 @@ class Attachment(NamedTuple):
 
 
 def beside(data: bytes) -> bytes | None:
-    """What follows an attachment, with a joint state its plant status; None if nothing does."""
+    """Return the bytes after an attachment (a joint state's plant status); None without any."""
     if len(data) > ATTACHMENT.size and Attachment.decode(data) is not None:
         return data[ATTACHMENT.size :]
     return None
@@ -83,7 +83,7 @@ class Entity:
 
     @staticmethod
     def from_token(token: str) -> Entity | None:
-        """The entity that a liveliness token announces, or None if it is no such token."""
+        """Return the entity that a liveliness token announces; None if it is no such token."""
         parts = token.split("/")
         if parts[0] != _ADMIN or len(parts) <= _FIELDS_BEFORE_NODE_NAME:
             return None
@@ -102,7 +102,7 @@ def node_name(role: Role) -> str:
 
 
 def node_tokens(domain: int, role: Role) -> str:
-    """Key expression of all tokens of one of our own nodes, in whatever session."""
+    """Key expression of all tokens of one of our own nodes, in any session."""
     return f"{_ADMIN}/{domain}/*/*/*/*/*/*/{node_name(role)}/**"
 
 
@@ -127,19 +127,19 @@ def endpoint_gid(token: str) -> bytes:
 
 
 class RosGraph:
-    """Who takes part in a ROS domain, by liveliness tokens; and which senders have left.
+    """Members of a ROS domain by their liveliness tokens, and which senders have left.
 
-    An id made from a token, as rmw_zenoh makes it, is known by that token. Other ids are any bytes:
-    the sender of a command is then one of the publishers of commands that were on the bus when it
-    was first heard, and is gone once all of those are.
+    An id that rmw_zenoh made from a token identifies that token's publisher. Other ids are
+    arbitrary: their sender is one of the publishers of commands that were on the bus at its first
+    command, and has left once all of those have.
 
     Args:
         own_session: identifier of this process's session.
 
     Attributes:
-        announced: sessions of which a token came, ever.
-        sessions: session of each publisher by its id, also of those that are gone; of so many that
-            nobody fills memory by making up publishers.
+        announced: sessions that ever announced a token.
+        sessions: session of each publisher by its id, also of those that left; their number is
+            limited, so that forged publishers cannot fill the memory.
     """
 
     def __init__(self, own_session: str) -> None:
@@ -147,13 +147,13 @@ class RosGraph:
         self._entities: dict[str, Entity] = {}  # by token
         self._publishers: set[bytes] = set()  # ids
         self._commanders: set[str] = set()  # tokens
-        self._offered: set[str] = set()  # topics of which others announced publishers, ever
-        self._companions: dict[bytes, set[str]] = {}  # commanders, by a sender heard with them
+        self._offered: set[str] = set()  # topics of which others ever announced publishers
+        self._companions: dict[bytes, set[str]] = {}  # commanders at a sender's first command
         self.announced: set[str] = set()
         self.sessions: dict[bytes, str] = {}
 
     def change(self, token: str, alive: bool) -> Entity | None:
-        """A token was announced, or is gone; what it stands for, None for nothing in the graph."""
+        """Add or remove a token; return its entity, or None for a token of no entity."""
         entity = Entity.from_token(token)
         if entity is None:
             return None
@@ -167,7 +167,7 @@ class RosGraph:
         return entity
 
     def others(self, kind: EntityKind) -> list[Entity]:
-        """What other sessions have announced of this kind, and is still there."""
+        """Return the entities of this kind that other sessions have announced."""
         known = list(self._entities.values())
         return [each for each in known if each.session != self._own_session and each.kind == kind]
 
@@ -176,7 +176,7 @@ class RosGraph:
         return any(entity.topic == topic.name for entity in self.others(EntityKind.PUBLISHER))
 
     def publishers_have_left(self, topic: Topic) -> bool:
-        """Whether others had announced that they send on a topic, and none does any more."""
+        """Whether other sessions had publishers of a topic, and none is left."""
         return topic.name in self._offered and not self.has_publisher(topic)
 
     def sees(self, role: Role) -> bool:
@@ -184,33 +184,33 @@ class RosGraph:
         return any(entity.node == node_name(role) for entity in self.others(EntityKind.NODE))
 
     def sessions_of(self, role: Role) -> set[str]:
-        """Other sessions that have announced anything in the name of a process of ours."""
+        """Return the other sessions with an entity in the name of one of our own processes."""
         known = list(self._entities.values())
         return {each.session for each in known if each.node == node_name(role)} - {
             self._own_session
         }
 
     def speakers(self) -> set[str]:
-        """Sessions that have announced that they send on our topics."""
+        """Return the sessions that have announced publishers of our topics."""
         names = {topic.name for topic in TOPICS}
         others = self.others(EntityKind.PUBLISHER)
         return {entity.session for entity in others if entity.topic in names}
 
     def knows_all(self, sessions: set[str]) -> bool:
-        """Whether all of these sessions have announced something that is still there."""
+        """Whether each of these sessions still has an announced entity."""
         return sessions <= {entity.session for entity in list(self._entities.values())}
 
     def note_command(self, sender: bytes) -> None:
-        """A command came from `sender`; b"" is whoever gives no id, and may come again as another.
+        """Note a command from `sender`; b"" is any sender without an id, so each may be a new one.
 
-        Until a publisher of commands is known, it may still be about to announce itself.
+        Without a known publisher of commands, nothing is noted: it may still announce itself.
         """
         is_new = not sender or sender not in self._companions
         if is_new and self._commanders and len(self._companions) < _MOST_SENDERS:
             self._companions[sender] = set(self._commanders)
 
     def has_left(self, sender: bytes) -> bool:
-        """Whether a sender was announced, and is gone."""
+        """Whether a sender was announced and has left."""
         if sender in self._publishers:
             return False
         companions = self._companions.get(sender)

@@ -1,8 +1,8 @@
 """The Zenoh session: the only file that imports zenoh.
 
-Settings are chosen for latency: one runtime thread, no discovery but through a router, no batching
-of what must leave at once. What a loop waits for comes to an `Inbox`; what comes now and then, to
-callbacks on the network thread.
+Settings are chosen for latency: one runtime thread, discovery only through a router, no batching of
+urgent messages. Messages that a loop waits for go to an `Inbox`; rare ones go to callbacks on the
+network thread.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-# Read by zenoh when it is imported: what receives shares one thread, so that a message reaches its
-# callback without a hand-over. What sends from queues has another: a callback that fills a queue
-# must not be what the emptying of the queue waits for.
-# What blocks leaves its work to another thread. Of zenoh's fifty, thirty at once start when the
-# machine is late, and where memory is locked, 2 MiB of stack for each make it later by 30 ms.
+# Zenoh reads these at import. All receivers share one thread, so a message reaches its callback
+# without a thread switch. Senders from queues have another thread: a callback that fills a queue
+# must not block the thread that empties it. Blocking work goes to further threads, by default up to
+# fifty: on a late machine thirty start at once, and with locked memory their 2 MiB stacks add 30
+# ms.
 os.environ.setdefault(
     "ZENOH_RUNTIME",
     "(rx: (handover: app), net: (handover: app), acc: (handover: app),"
@@ -33,12 +33,12 @@ import zenoh.ext
 from bus_schema.errors import BusError
 from bus_schema.zenoh.lingering import never_linger
 
-# Of messages for a session that is just opening or closing, zenoh says in red that it does not know
-# their keys. Whoever has to have them counts what is missing.
+# Zenoh logs, in red, unknown keys of messages for a session that is just opening or closing.
+# Receivers that need these messages count the missing ones.
 zenoh.init_log_from_env_or("error,zenoh::api::session=off")
 
 MAX_MESSAGE_BYTES = 1 << 20
-"""Larger messages are cut off by the transport itself."""
+"""The transport itself cuts off larger messages."""
 _SETTINGS: dict[str, Any] = {
     "mode": "peer",
     "connect/timeout_ms": -1,
@@ -46,7 +46,7 @@ _SETTINGS: dict[str, Any] = {
     "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
     "scouting/multicast/enabled": False,
     "scouting/delay": 0,
-    # Messages are too small for it, and a process leaves its segments behind in /dev/shm.
+    # Our messages are too small for it, and a process leaves its segments behind in /dev/shm.
     "transport/shared_memory/enabled": False,
     "transport/unicast/qos/enabled": False,
     "transport/link/tx/queue/size/data": 16,
@@ -64,7 +64,7 @@ class Delivery(NamedTuple):
 
     Attributes:
         payload: its bytes.
-        attachment: the bytes beside it; empty if there were none.
+        attachment: the bytes sent with it; empty if there were none.
     """
 
     payload: bytes
@@ -74,10 +74,10 @@ class Delivery(NamedTuple):
 class Inbox:
     """Deliveries on one key, for a thread that waits for them itself.
 
-    That thread is woken by Zenoh directly. A callback costs more than twice as much: the network's
-    thread first has to wait for Python's lock, and then wakes whoever waits for what it was given.
+    Zenoh wakes that thread directly. A callback costs more than twice as much: the network thread
+    waits for Python's lock, and then wakes the waiting thread.
 
-    Zenoh knows no time-out of a wait: `knock` ends it, with a sample that stays in this session.
+    Zenoh's wait has no time-out: `knock` ends it, with a sample that stays in this session.
     """
 
     def __init__(self, session: zenoh.Session, key: str, capacity: int, *, lossless: bool) -> None:
@@ -86,10 +86,10 @@ class Inbox:
         self._knocker = session.declare_publisher(
             key, allowed_destination=zenoh.Locality.SESSION_LOCAL
         )
-        self._mark = os.urandom(16)  # nobody else knows how we knock
+        self._mark = os.urandom(16)  # only this session knows the key of its knocks
 
     def wait(self) -> Delivery | None:
-        """The next delivery as soon as there is one; None if somebody knocked instead."""
+        """Wait for the next delivery and return it; None if a knock ended the wait."""
         try:
             delivery = _delivery(self._subscriber.recv())
         except zenoh.ZError:  # the session is closed
@@ -97,7 +97,7 @@ class Inbox:
         return None if delivery.attachment == self._mark else delivery
 
     def take(self) -> Delivery | None:
-        """The oldest delivery that is there; None if none is."""
+        """Return the oldest delivery; None if there is none."""
         while (sample := self._subscriber.try_recv()) is not None:
             delivery = _delivery(sample)
             if delivery.attachment != self._mark:
@@ -105,33 +105,33 @@ class Inbox:
         return None
 
     def close(self) -> None:
-        """Subscribe no longer: of a full inbox that nobody reads, no session could be closed."""
+        """Unsubscribe: a full inbox that no thread reads would block the closing of the session."""
         _undeclare(self._subscriber)
 
     def knock(self) -> None:
-        """End the wait under way, or else the next one."""
+        """End the current wait, or else the next one."""
         with contextlib.suppress(zenoh.ZError):
             self._knocker.put(b"", attachment=self._mark)
 
 
 class ZenohPublisher:
-    """Sends on one key."""
+    """Publisher on one key."""
 
     def __init__(self, publisher: zenoh.Publisher | zenoh.ext.AdvancedPublisher) -> None:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """Send; nothing happens once the session is closed."""
+        """Send; does nothing once the session is closed."""
         try:  # noqa: SIM105 (at every tick; a context manager takes half as long as the call)
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError:
             pass
 
     def has_subscribers(self) -> bool:
-        """Whether anybody on the network subscribes to the key.
+        """Whether anyone on the network subscribes to the key.
 
-        What is sent at once may still miss them: in a session of zenoh 1.10, routes follow a few
-        milliseconds later. Whoever has announced a token *after* subscribing gets everything.
+        A message sent at once may still miss them: zenoh 1.10 adds routes a few milliseconds later.
+        A subscriber that announces a token *after* subscribing gets everything.
         """
         return bool(self._publisher.matching_status.matching)  # type: ignore[union-attr]
 
@@ -142,15 +142,14 @@ class ZenohSession:
     Args:
         listen: endpoints to serve.
         connect: endpoints to connect to; retried in the background until they answer.
-        patience_s: how long a full queue to a slow peer may hold up a sender, before messages for
-            that peer are dropped; once, until that peer reads again.
-        lease_s: after so long without a sign of this session, others take it for gone; they look
-            for it anew.
+        patience_s: how long a full queue to a slow peer may block a sender before messages for that
+            peer are dropped; once, until that peer reads again.
+        lease_s: silence after which others consider this session lost and reconnect.
         low_latency: use the transport without queues: least delay, but a peer that stops reading
-            holds up the sender. Both ends must want it.
-        gossip: tell a router where this session listens, and connect to whom it tells of: that is
-            how nodes with rmw_zenoh, which are peers by default, find one another.
-        security: settings that restrict who is spoken to (`access.py`); by default, anybody.
+            blocks the sender. Both ends must enable it.
+        gossip: report this session's endpoints to a router, and connect to the peers that it
+            reports; nodes with rmw_zenoh, which are peers by default, find each other in this way.
+        security: settings that restrict peers (`access.py`); by default, all are accepted.
 
     Raises:
         SessionError: an endpoint cannot be served or is malformed.
@@ -193,15 +192,15 @@ class ZenohSession:
         self._watch_transports()
 
     def publisher(self, key: str, kept: int = 0) -> ZenohPublisher:
-        """Declare a publisher, which keeps so many messages for subscribers that come late.
+        """Declare a publisher, which keeps so many messages for late subscribers.
 
-        Those ask for them as rmw_zenoh does, which calls such topics transient local.
+        They request them as in rmw_zenoh, which calls such topics transient local.
 
-        What a peer's queue has no room for is dropped, for that peer. To block instead would stop
-        this session for good: in zenoh 1.10, whoever gives up on a full queue closes its connection
-        with a message that waits for room in that queue, on the thread that receives for all.
-        Messages are not marked express: the low-latency transport sends each at once anyway, and
-        in the queue to a recorder each would take a whole batch for itself.
+        A message for a peer whose queue is full is dropped for that peer. Blocking could stop this
+        session for good: when zenoh 1.10 gives up on a full queue, it sends a closing message that
+        waits for room in that queue, on the thread that receives for all. Messages are not marked
+        express: the low-latency transport sends each at once anyway, and in the queue to a recorder
+        each would take a whole batch for itself.
         """
         congestion = zenoh.CongestionControl.DROP
         if not kept:
@@ -221,11 +220,11 @@ class ZenohSession:
         )
 
     def subscribe(self, key: str, on_delivery: Callable[[Delivery], None]) -> None:
-        """Have `on_delivery` called on the network thread; it must neither block nor raise."""
+        """Call `on_delivery` on the network thread for each delivery; no blocking, no errors."""
         self._kept.append(self.collect(key, lambda _, delivery: on_delivery(delivery)))
 
     def collect(self, key: str, on_delivery: Callable[[str, Delivery], None]) -> Callable[[], None]:
-        """Have `on_delivery` called with keys and deliveries, until the returned function is."""
+        """Call `on_delivery` with keys and deliveries until the returned function is called."""
 
         def handle(sample: zenoh.Sample) -> None:
             on_delivery(str(sample.key_expr), _delivery(sample))
@@ -234,7 +233,7 @@ class ZenohSession:
         return partial(_undeclare, self._session.declare_subscriber(key, handler))
 
     def inbox(self, key: str, capacity: int, *, lossless: bool) -> Inbox:
-        """Subscribe with an inbox; once it is full, senders wait, or the oldest is dropped."""
+        """Subscribe with an inbox; if full, senders wait, or the oldest delivery is dropped."""
         return Inbox(self._session, key, capacity, lossless=lossless)
 
     def announce(self, token: str) -> None:
@@ -242,7 +241,7 @@ class ZenohSession:
         self._kept.append(self._session.liveliness().declare_token(token))
 
     def watch_tokens(self, key: str, on_change: Callable[[str, bool], None]) -> None:
-        """Have `on_change` called with each token and whether it is alive, old ones first."""
+        """Call `on_change` with each token and whether it is alive, existing ones first."""
 
         def handle(sample: zenoh.Sample) -> None:
             on_change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
@@ -251,14 +250,14 @@ class ZenohSession:
         self._kept.append(self._session.liveliness().declare_subscriber(key, handler, history=True))
 
     def connected(self) -> set[str]:
-        """Identifiers of the sessions at the other ends of our connections, without routers."""
+        """Return the identifiers of the sessions that are connected to this one, except routers."""
         return self._connected.copy()
 
     def _watch_transports(self) -> None:
         """Keep track of connections by their events.
 
-        To ask for them, by `info.transports()` or for a history of events, panics in zenoh 1.10
-        where one of low latency closes meanwhile.
+        In zenoh 1.10, `info.transports()` and the history of events panic if a low-latency
+        connection closes meanwhile.
         """
 
         def handle(event: zenoh.TransportEvent) -> None:
@@ -276,9 +275,9 @@ class ZenohSession:
         never_linger()
 
     def close(self) -> None:
-        """Close the session. What is still queued for a slow peer is lost.
+        """Close the session. Messages still queued for a slow peer are lost.
 
-        A peer that is frozen would hold the closing up for long; it is not waited for.
+        It does not wait for a frozen peer, which would delay the closing for long.
         """
         closing = threading.Thread(target=self._close, daemon=True)
         closing.start()

@@ -1,10 +1,10 @@
-"""What a controller believes about its arm while it runs: the nominal model, and what was learned.
+"""The controller's model of its arm while it runs: the nominal model, and corrections learned.
 
     (1 + α) (M̂ q̈ + ĥ) + (1 + ρ) Ĵ q̈ + m (M_t q̈ + h_t) = τ_a + f − c tanh(q̇ / v) − b q̇,
     ℓ τ̇_a = τ − τ_a
 
 with an inertia factor 1 + α of the links and 1 + ρ of the rotors, a payload m at the tip, Coulomb
-and viscous friction c and b, a lag ℓ of the actuators, and a disturbance f for all the rest.
+and viscous friction c and b, a lag ℓ of the actuators, and a disturbance f for all other torques.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ SMOOTHING_RAD_S = 0.02
 
 
 class NominalArm(NamedTuple):
-    """The model that a controller starts from.
+    """The nominal model before anything is learned.
 
     Attributes:
         bodies: structure of the arm.
         inertia: nominal inertia table, shape (joints, 11).
-        tip_inertia: what 1 kg at the tip adds to it, shape (joints, 11).
+        tip_inertia: change of that table per kg at the tip, shape (joints, 11).
         limits_nm: largest torques of the actuators, shape (joints,); inf for none.
     """
 
@@ -40,7 +40,7 @@ class NominalArm(NamedTuple):
 
 
 class ArmBelief(NamedTuple):
-    """Model and state that are learned; arrays of shape (joints,) unless it says otherwise.
+    """Learned model and state; arrays of shape (joints,) unless stated otherwise.
 
     Attributes:
         inertia: (1 + α), (1 + ρ) and m applied to the nominal table, shape (joints, 11).
@@ -60,11 +60,11 @@ class ArmBelief(NamedTuple):
 
 
 def nominal_arm(model: ManipulatorModel, loaded: ManipulatorModel, limits_nm: Vector) -> NominalArm:
-    """The arm that compiled code starts from.
+    """Return the nominal arm for compiled code.
 
     Args:
         model: the nominal model.
-        loaded: the same with 1 kg more at its tip.
+        loaded: the same model with 1 kg more at its tip.
         limits_nm: largest torques of the actuators, shape (joints,).
     """
     inertia = model.inertia_table()
@@ -72,7 +72,7 @@ def nominal_arm(model: ManipulatorModel, loaded: ManipulatorModel, limits_nm: Ve
 
 
 def first_belief(nominal: NominalArm) -> ArmBelief:
-    """The nominal model, and nothing learned."""
+    """Return the belief before anything is learned: the nominal model."""
     joints = nominal.limits_nm.size
     belief = ArmBelief(
         np.empty_like(nominal.inertia),
@@ -84,14 +84,14 @@ def first_belief(nominal: NominalArm) -> ArmBelief:
 
 @compiled
 def smooth_sign(velocity: float) -> tuple[float, float]:
-    """tanh(q̇ / v) and its slope by q̇, both from one exponential: a third of what tanh takes."""
+    """Return tanh(q̇ / v) and its slope by q̇ from one exponential: a third of tanh's time."""
     rest = 2.0 / (math.exp((2.0 / SMOOTHING_RAD_S) * velocity) + 1.0)
     return 1.0 - rest, rest * (2.0 - rest) / SMOOTHING_RAD_S
 
 
 @compiled
 def forget(nominal: NominalArm, belief: ArmBelief) -> None:
-    """Go back to the nominal model."""
+    """Reset the belief to the nominal model."""
     belief.inertia[:] = nominal.inertia
     belief.disturbance_nm[:] = 0.0
     belief.coulomb_nm[:] = 0.0

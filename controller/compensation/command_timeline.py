@@ -1,4 +1,4 @@
-"""Which torque acts when: the commands that were sent, and how long they take to act."""
+"""Timeline of commands: which were sent, and when each comes into force."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from bus_schema.runtime.compiled import compiled
 CAPACITY = 8192
 """Commands remembered: all that can be in flight, even at 10 kHz."""
 LONGEST_HORIZON_NS = 500_000_000
-"""No prediction reaches further, whatever a plant says of its delays."""
+"""Limit of prediction, even if a plant reports longer delays."""
 HELD = 0
-"""Number of no command: before the first one acts, brakes hold the arm."""
+"""Number that stands for no command: before the first one acts, brakes hold the arm."""
 _FOLLOW = 0.1
 """Share of a new observation in the horizon: jitter is averaged over about ten commands."""
 
 _PATIENCE = 2.0
-"""A command is waited for beyond its time, in mean deviations of the horizon."""
+"""Time that a late command is waited for, in mean deviations of the horizon."""
 
 
 class CommandFeedback(NamedTuple):
-    """What a plant status says about commands.
+    """A plant status's report about commands.
 
     Attributes:
         sequence: number of the command in force, `HELD` before the first.
-        delay_ns: from the state which that command answers to its coming into force.
+        delay_ns: time from the state that this command answers until it came into force.
     """
 
     sequence: int
@@ -36,9 +36,9 @@ class CommandFeedback(NamedTuple):
 
 
 class Commands(NamedTuple):
-    """The commands a controller sent, and the horizon at which they act, for compiled code.
+    """Commands sent, and the horizon at which they act, for compiled code.
 
-    A command's place is its number % `CAPACITY`.
+    A command's index is its number % `CAPACITY`.
 
     Attributes:
         numbers: shape (CAPACITY,); `HELD` for none.
@@ -46,11 +46,11 @@ class Commands(NamedTuple):
         torques_nm: shape (CAPACITY, joints).
         targets: for the drives: position as of that stamp, rad, and velocity, rad/s, as rows;
             shape (CAPACITY, 2, joints).
-        state: one row. `least_horizon_ns`: no torque acts sooner than this after the state it
-            answers; `first_horizon_ns`: what the horizon is taken for until a command has come into
-            force; `horizon_ns`: expected time from a state to the acting of the torque that answers
-            it; `mean_delay_ns` and `spread_ns`: what it is worked out from; `first` and `newest`:
-            numbers of commands; `in_force`: the one that the plant reported last.
+        state: one row. `least_horizon_ns`: shortest time from a state until the torque that answers
+            it acts; `first_horizon_ns`: assumed horizon until a command has come into force;
+            `horizon_ns`: expected time from a state until its torque acts, from `mean_delay_ns` and
+            `spread_ns`; `first` and `newest`: numbers of commands; `in_force`: the one that the
+            plant reported last.
     """
 
     numbers: NDArray[np.int64]
@@ -61,13 +61,13 @@ class Commands(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """Which commands act from an instant on.
+    """Commands that act from an instant on.
 
     Attributes:
         in_force: number of the command in force at first.
         upcoming: number of the command that acts next.
         newest: number of the last command.
-        delay_ns: from a command's stamp to its coming into force.
+        delay_ns: time from a command's stamp until it comes into force.
     """
 
     in_force: int
@@ -77,7 +77,7 @@ class Flight(NamedTuple):
 
 
 def no_commands(joints: int, least_horizon_ns: int, first_horizon_ns: int = 0) -> Commands:
-    """Commands of which none is sent yet; horizons as in `Commands.state`."""
+    """Return an empty table of commands; horizons as in `Commands.state`."""
     state = {
         "least_horizon_ns": least_horizon_ns, "first_horizon_ns": first_horizon_ns,
         "horizon_ns": 0, "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD,
@@ -103,7 +103,7 @@ def forget_commands(commands: Commands) -> None:
 
 @compiled
 def note(commands: Commands, torque_nm: Vector, target: Matrix, number: int, stamp_ns: int) -> None:
-    """A command was sent, whose number is above those of all before; see `Commands`."""
+    """Note a command that was sent, with a number above all before; see `Commands`."""
     slot, state = number % CAPACITY, commands.state[0]
     commands.numbers[slot], commands.stamps_ns[slot] = number, stamp_ns
     commands.torques_nm[slot] = torque_nm
@@ -115,7 +115,7 @@ def note(commands: Commands, torque_nm: Vector, target: Matrix, number: int, sta
 
 @compiled
 def explains(commands: Commands, sequence: int, delay_ns: int, now_ns: int) -> bool:
-    """Whether a state that left the plant at `now_ns` can bear this feedback."""
+    """Whether this feedback is plausible for a state that left the plant at `now_ns`."""
     slot = sequence % CAPACITY
     return bool(
         sequence == HELD
@@ -131,7 +131,7 @@ def observe_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
     """Learn the horizon from the feedback of a state that left the plant at `now_ns`."""
     state = commands.state[0]
     if sequence == HELD:
-        # Nothing acts yet, so the first command has been on its way for at least as long.
+        # Nothing acts yet, so the first command has been on its way for at least this long.
         waited_ns = 0
         if state.first != HELD:
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
@@ -148,7 +148,7 @@ def observe_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
 
 @compiled
 def schedule(commands: Commands, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Flight:
-    """What acts from an instant on, if every command up to `newest` takes this delay."""
+    """Return which commands act from an instant on, if each up to `newest` takes this delay."""
     upcoming = max(in_force + 1, commands.state[0].first)
     since_ns = from_ns - delay_ns
     while upcoming <= newest and commands.stamps_ns[upcoming % CAPACITY] < since_ns:
@@ -158,10 +158,10 @@ def schedule(commands: Commands, in_force: int, newest: int, delay_ns: int, from
 
 @compiled
 def ahead(commands: Commands, in_force: int, now_ns: int) -> Flight:
-    """What will act from now on.
+    """Return which commands will act from now on.
 
-    A command that should have come by now is just about to, or it is lost if it is overdue by
-    more than the horizon's usual variation.
+    An overdue command is expected immediately; overdue by more than the horizon's usual variation,
+    it counts as lost.
     """
     state = commands.state[0]
     patience_ns = int(np.rint(_PATIENCE * state.spread_ns))
@@ -170,7 +170,7 @@ def ahead(commands: Commands, in_force: int, now_ns: int) -> Flight:
 
 @compiled
 def assumed_in_force(commands: Commands, now_ns: int) -> int:
-    """The command that should have come into force before now, for want of feedback."""
+    """Return, without feedback, the command that should have come into force before now."""
     state = commands.state[0]
     return schedule(commands, HELD, state.newest, state.horizon_ns, now_ns).upcoming - 1
 

@@ -1,9 +1,9 @@
-"""Delay compensation: a wrapper that shows a control law the future it will act in.
+"""Delay compensation: a wrapper that gives a control law the future state in which it will act.
 
 A torque sent now acts one horizon after the state it answers was measured: the round trip of the
-bus, or the plant's play-out time if that is longer. So the law is given not the measured state but
-the one that the arm will be in by then, with reference and funnel of that time. Any law can be
-wrapped, as it sees nothing but another `Tracking`.
+bus, or the plant's play-out time if that is longer. So the law receives not the measured state but
+the predicted one, with reference and funnel of that time. Any law can be wrapped, as it only
+receives another `Tracking`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from controller.reference import Reference
 from controller.rigid_bodies.dynamics import mass_matrix
 
 _LARGEST_NM = 1e6
-"""No arm ever misses more: a state that says so is not to be learned from."""
+"""Largest disturbance of a plausible state: nothing is learned from a larger one."""
 
 
 @compiled
@@ -50,14 +50,14 @@ def observe(
     mass: Matrix, velocity: Vector, predicted_velocity: Vector, step_s: float, gain: float,
     disturbance: Vector,
 ) -> bool:  # fmt: skip
-    """Let the disturbance follow what was missed over a step; whether that could be.
+    """Update the disturbance from the prediction error over a step; return whether it is plausible.
 
-    A constant one is followed with 1 − e^(−bandwidth × time), whatever the length of the steps.
+    A constant disturbance is followed with 1 − e^(−bandwidth × time), at any length of the steps.
 
     Args:
         mass: M(q), kg m², shape (joints, joints).
         velocity: measured at the end of the step, rad/s, shape (joints,).
-        predicted_velocity: what the model made of the state at its start, rad/s.
+        predicted_velocity: the model's prediction from the state at its start, rad/s.
         step_s: its length.
         gain: 1 − e^(−bandwidth × step).
         disturbance: f, driving, N m, changed in place.
@@ -77,18 +77,18 @@ def observe(
 
 
 _NO_FEEDBACK = CommandFeedback(-1, 0)
-"""Explains no state."""
+"""Feedback that is plausible for no state."""
 _LARGEST_NUMBER = 2**62
 
 
 class Arm(NamedTuple):
-    """All that a prediction works with, for compiled code.
+    """All inputs of a prediction, for compiled code.
 
     Attributes:
-        nominal: the arm as the controller was told.
-        belief: what it believes by now.
-        identification: how it learns that.
-        drive: what the drives add of their own.
+        nominal: the nominal arm.
+        belief: the current belief about it.
+        identification: the filter that updates the belief.
+        drive: gains of the drives' own loops.
         commands: all that were sent.
         last: position and velocity of the state answered last as rows, shape (2, joints).
         last_answered: its stamp in ns and the command in force at it, `HELD` for none; shape (2,).
@@ -104,23 +104,23 @@ class Arm(NamedTuple):
 
 
 class DelayCompensation:
-    """Predicts the state in which a command will act.
+    """Predictor of the state in which a command will act.
 
     Args:
         nominal: the nominal arm.
-        identification: what is to be learned of its model; as fresh.
-        drive: what the drives add of their own.
+        identification: the filter for its model, in its initial state.
+        drive: gains of the drives' own loops.
         observer_bandwidth_rad_s: how fast disturbances are learned.
-        least_horizon_ns: no torque acts sooner than this after the state it answers.
-        first_horizon_ns: what the horizon is taken for until a command has come into force.
+        least_horizon_ns: shortest time from a state until the torque that answers it acts.
+        first_horizon_ns: assumed horizon until a command has come into force.
 
     Attributes:
         commands: those sent, and the horizon.
-        belief: what is believed of the arm.
-        identification: how the model was learned.
-        predicted: the situation predicted last.
-        target: that state as a target for the drives, as of the stamp of the state that was
-            answered: position, rad, and velocity, rad/s, as rows; shape (2, joints).
+        belief: the belief about the arm.
+        identification: the filter that updates the belief.
+        predicted: the latest prediction.
+        target: this prediction as a target for the drives, at the stamp of the answered state:
+            position, rad, and velocity, rad/s, as rows; shape (2, joints).
     """
 
     def __init__(
@@ -152,25 +152,25 @@ class DelayCompensation:
 
     @property
     def horizon_ns(self) -> int:
-        """Expected time from a state to the acting of the torque that answers it."""
+        """Expected time from a state until the torque that answers it acts."""
         return int(self.commands.state["horizon_ns"][0])
 
     def reset(self) -> None:
-        """Forget all commands and all that was learned."""
+        """Forget all commands and everything learned."""
         forget_commands(self.commands)
         forget(self._arm.nominal, self.belief)
         start_again(self.identification)
         self._arm.last_answered[:] = 0, HELD
 
     def warm_up(self, measured: Tracking, reference: Reference, funnel: Funnel) -> None:
-        """Compile everything before time counts, and leave no trace of it."""
+        """Compile everything before the run, without a trace in the state."""
         self.note_command(1, 0, measured.velocity)
         for stamp_ns in (1_000_000, 2_000_000):
             self.predict(measured, stamp_ns, CommandFeedback(1, stamp_ns), reference, funnel)
         self.reset()
 
     def note_command(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
-        """A command was sent in answer to the state of `stamp_ns`; numbers increase."""
+        """Note a command sent in answer to the state of `stamp_ns`; numbers increase."""
         self._torque_nm[:] = torque_nm
         self._note(number, stamp_ns)
 
@@ -182,12 +182,12 @@ class DelayCompensation:
         reference: Reference,
         funnel: Funnel,
     ) -> Tracking:
-        """The situation in which the answer to a state will act.
+        """Return the situation in which the answer to a state will act.
 
         Args:
             measured: the situation at the state; states come in order.
             stamp_ns: stamp of the state.
-            feedback: the command in force at it; None if the plant does not say.
+            feedback: the command in force at it; None if the plant does not report it.
             reference: the reference of `measured`.
             funnel: the funnel of `measured`.
         """
@@ -203,7 +203,7 @@ class DelayCompensation:
         return self.predicted
 
     def _bind(self, measured: Tracking) -> None:
-        """Fix what compiled code works on: to find out its types costs more than its work."""
+        """Bind the arguments of compiled code: determining their types costs more than the work."""
         self._measured = measured
         self._foresee = bind(
             _foresee, self._arm, self._bandwidth_rad_s, measured.motion, measured.error,
@@ -216,7 +216,7 @@ def _foresee(
     arm: Arm, bandwidth_rad_s: float, measured: Matrix, error: Vector, bounds: Matrix,
     predicted: Matrix, target: Matrix, stamp_ns: int, sequence: int, delay_ns: int,
 ) -> float:  # fmt: skip
-    """Learn from a state, and write where its answer will act into `predicted`; how far ahead."""
+    """Learn from a state, and predict for its answer into `predicted`; return the horizon."""
     commands, (last_ns, last_in_force) = arm.commands, arm.last_answered
     if explains(commands, sequence, delay_ns, stamp_ns):
         observe_delay(commands, sequence, delay_ns, stamp_ns)
@@ -239,7 +239,7 @@ def _learn(
     arm: Arm, measured: Matrix, error: Vector, bounds: Matrix, flight: Flight,
     last_ns: int, stamp_ns: int, gain: float,
 ) -> None:  # fmt: skip
-    """Compare how the arm moved since the last state with how it should have moved."""
+    """Compare the arm's motion since the last state with the prediction."""
     nominal, belief, identification, drive, commands, last, _ = arm
     joints, step_s = error.size, (stamp_ns - last_ns) * 1e-9
     motion, impulse = np.empty((3, joints)), np.empty(joints)
@@ -261,7 +261,7 @@ def _learn(
 
 @compiled
 def _is_inside(error: Vector, bounds: Matrix) -> bool:
-    """Whether all errors are inside the funnel; what is learned in a lost arm's motion is wild."""
+    """Whether all errors are inside the funnel: a lost arm's motion teaches nothing useful."""
     for i in range(error.size):  # noqa: SIM110 (numba compiles no generators)
         if not -bounds[LOWER, i] < error[i] < bounds[UPPER, i]:
             return False
@@ -273,7 +273,7 @@ def _predict(
     arm: Arm, measured: Matrix, predicted: Matrix, target: Matrix, flight: Flight,
     stamp_ns: int, until_ns: int,
 ) -> float:  # fmt: skip
-    """The state in which a torque will act into `predicted`, shape (2, joints); how far ahead."""
+    """Predict the state in which a torque acts into `predicted`, (2, joints); return the span."""
     nominal, belief, _, drive, commands, _, _ = arm
     joints = measured.shape[1]
     motion, impulse = np.empty((3, joints)), np.empty(joints)
@@ -283,7 +283,7 @@ def _predict(
     move(nominal, belief, drive, commands, flight, stamp_ns, acts_ns, motion, actuator, impulse)
     predicted[:] = motion[:2]
     if not (all_finite(predicted[0]) and all_finite(predicted[1])):
-        # no motion of an arm: far beyond its speed, the model's numbers overflow
+        # no real motion: at such speeds the model's numbers overflow
         predicted[:] = measured
     horizon_s = (acts_ns - stamp_ns) * 1e-9
     for i in range(joints):

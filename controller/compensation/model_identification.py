@@ -1,14 +1,14 @@
 """The arm's model, identified while it runs: inertia, payload, friction and the actuators' lag.
 
-A Kalman filter takes in the equation of motion (see `arm_belief`), averaged over some 16 ms, in
-which encoder noise and a law's chattering mean out:
+A Kalman filter uses the equation of motion (see `arm_belief`), averaged over some 16 ms, which
+removes encoder noise and a law's chattering:
 
     M̂ q̈ + ĥ + Ĵ q̈ − τ
         = f − c tanh(q̇ / v) − b q̇ − α (M̂ q̈ + ĥ) − ρ Ĵ q̈ − m (M_t q̈ + h_t) − ℓ τ̇_a
 
 with M̂ and ĥ of the links and Ĵ of the rotors. It is linear in θ = (α, m, ℓ, f, c, b, ρ), the last
-four with an entry for each joint; without rotors there is no ρ. Here f takes up what is none of the
-others; prediction has an observer of its own for that, which is faster.
+four with an entry for each joint; without rotors there is no ρ. Here f takes up the rest;
+prediction has a separate, faster observer for it.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, Nomin
 from controller.rigid_bodies.dynamics import ROTOR, inverse_dynamics
 
 INERTIA, PAYLOAD, LAG, PER_JOINT = range(4)
-"""Places in θ; from `PER_JOINT` on, f, c, b and, where there are rotors, ρ of all joints."""
+"""Indices in θ; from `PER_JOINT` on, f, c, b and, where there are rotors, ρ of all joints."""
 WINDOW_S = 0.016
 
 
 class _Entry(NamedTuple):
-    """What is known of an entry of θ beforehand. Ours, from three arms.
+    """Prior knowledge of an entry of θ. Ours, from three arms.
 
     Attributes:
         at_start: standard deviation at the start.
-        per_root_s: how far it may walk in a second.
-        lowest: it is never believed to be less.
-        highest: or more.
+        per_root_s: standard deviation of its random walk over a second.
+        lowest: lower limit of the estimate.
+        highest: upper limit.
     """
 
     at_start: float
@@ -54,16 +54,16 @@ _VISCOUS = _Entry(3.0, 0.05, 0.0, 30.0)
 
 _NOISE_RAD_S2 = 1.0
 _SATURATED = 0.999
-"""Share of its limit at which an actuator may give less than it was asked for."""
+"""Share of its limit above which an actuator may deliver less than requested."""
 _ROUNDS_TO_LIMITS = 3
-"""To bring one entry back may push another out; what is left then is cut off."""
+"""Correcting one entry may push another out; after these rounds, the rest is clipped."""
 
 
 class Window(NamedTuple):
     """Sums over the motion since the last update; arrays of shape (joints,).
 
     Attributes:
-        elapsed_s: shape (1,); 0 for a window that has not begun.
+        elapsed_s: shape (1,); 0 before the window begins.
         impulse: ∫ τ dt.
         sign: ∫ tanh(q̇ / v) dt.
         angle: ∫ q̇ dt.
@@ -90,12 +90,12 @@ class Identification(NamedTuple):
         is_active: whether there is anything to learn.
         estimate: θ, shape (n,).
         covariance: its covariance, shape (n, n).
-        at_start: standard deviations at the start, shape (n,); 0 for what is not to be learned.
-        per_root_s: how far θ may walk in a second, shape (n,).
+        at_start: standard deviations at the start, shape (n,); 0 for entries that are not learned.
+        per_root_s: standard deviation of θ's random walk over a second, shape (n,).
         lowest: shape (n,).
         highest: shape (n,).
         noise_nm: standard deviation of a window's average, shape (joints,).
-        window: what is being averaged.
+        window: the window that is being averaged.
     """
 
     is_active: bool
@@ -112,16 +112,16 @@ class Identification(NamedTuple):
 def identification(
     inertia_kg_m2: Vector, *, model: bool, friction: bool, rotors: bool = False
 ) -> Identification:
-    """A filter that knows nothing yet.
+    """Return a filter before its first measurement.
 
     Args:
         inertia_kg_m2: inertia that governs each joint, shape (joints,).
         model: learn inertia, payload, lag and viscous friction.
         friction: learn Coulomb friction.
-        rotors: whether the nominal model has rotors, of which inertia is learned too.
+        rotors: whether the nominal model has rotors, whose inertia is then learned too.
     """
     joints, one = inertia_kg_m2.size, np.ones_like(inertia_kg_m2)
-    # Each entry with the scale of its numbers, and whether it is to be learned.
+    # Each entry with the scale of its numbers, and whether it is learned.
     scalars = [(entry, np.ones(1), model) for entry in (_FACTOR, _PAYLOAD_KG, _LAG_S)]
     of_joints = [
         (_DISTURBANCE, inertia_kg_m2, model or friction),
@@ -143,7 +143,7 @@ def identification(
 
 @compiled
 def start_again(filter_: Identification) -> None:
-    """Forget all that was learned."""
+    """Forget everything learned."""
     filter_.estimate[:] = 0.0
     _forget_certainty(filter_)
     filter_.window.elapsed_s[0] = 0.0
@@ -161,12 +161,12 @@ def take_in(
     nominal: NominalArm, filter_: Identification, belief: ArmBelief, before: Matrix, after: Matrix,
     actuator_before: Vector, impulse: Vector, step_s: float,
 ) -> bool:  # fmt: skip
-    """Take in a step of motion; whether the belief was changed by it.
+    """Process a step of motion; return whether the belief changed.
 
     Args:
         nominal: the nominal arm.
         filter_: the filter.
-        belief: what is believed, changed in place when a window is full.
+        belief: the belief, changed in place when a window is full.
         before: measured position and velocity at the start of the step, shape (2, joints).
         after: the same at its end.
         actuator_before: τ_a at its start, N m, shape (joints,).
@@ -202,7 +202,7 @@ def take_in(
 def _update(
     nominal: NominalArm, filter_: Identification, belief: ArmBelief, velocity: Vector
 ) -> None:
-    """Take in a full window that ended with a velocity."""
+    """Process a full window that ended with this velocity."""
     window, joints = filter_.window, velocity.size
     elapsed_s = window.elapsed_s[0]
     position, mean_velocity = window.position / elapsed_s, window.angle / elapsed_s
@@ -238,13 +238,13 @@ def _update(
     changed = np.empty(joints)
     inverse_dynamics(nominal.bodies, belief.inertia, *motion, changed)
     for i in range(joints):
-        # what the model now explains is no disturbance any longer: prediction makes no jump
+        # the model now explains this part of the disturbance: the prediction does not jump
         belief.disturbance_nm[i] += changed[i] - needed[i]
 
 
 @compiled
 def _correct(filter_: Identification, row: Vector, measured: float, noise: float) -> None:
-    """One scalar measurement, in Joseph's form, which keeps the covariance positive."""
+    """Apply one scalar measurement, in Joseph's form, which keeps the covariance positive."""
     theta, covariance = filter_.estimate, filter_.covariance
     size = theta.size
     spread = np.zeros(size)
@@ -272,12 +272,12 @@ def _correct(filter_: Identification, row: Vector, measured: float, noise: float
 
 @compiled
 def _keep_within_limits(filter_: Identification) -> None:
-    """Bring each entry that left its limits back to them, and what is correlated with it along.
+    """Return each entry outside its limits to them, and correct correlated entries accordingly.
 
-    So the estimate stays the likeliest within the limits (D. Simon, "Kalman filtering with state
-    constraints", IET Control Theory & Applications 4, 2010, section 2.4). Had only the entry itself
-    been cut off, the others would be right together with a value that nobody believes: every window
-    would then drive them further away.
+    So the estimate stays the most likely one within the limits (D. Simon, "Kalman filtering with
+    state constraints", IET Control Theory & Applications 4, 2010, section 2.4). If only the entry
+    itself were clipped, the others would still match its rejected value, and every window would
+    drive them further away.
     """
     theta, covariance = filter_.estimate, filter_.covariance
     for _ in range(_ROUNDS_TO_LIMITS):
@@ -293,7 +293,7 @@ def _keep_within_limits(filter_: Identification) -> None:
 
 @compiled
 def _believe(nominal: NominalArm, filter_: Identification, belief: ArmBelief) -> None:
-    """Bring the belief up to date with the estimate, within its limits."""
+    """Update the belief from the estimate, within its limits."""
     theta, joints = filter_.estimate, belief.coulomb_nm.size
     _keep_within_limits(filter_)
     belief.inertia[:] = (1.0 + theta[INERTIA]) * nominal.inertia

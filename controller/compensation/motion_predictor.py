@@ -1,8 +1,8 @@
-"""Where the arm will be: what is believed of it, and the torques in flight.
+"""Prediction of the arm's motion from the belief and the torques in flight.
 
-The rigid-body terms M and C q̇ + G change slowly: they are taken anew every few milliseconds, for
-the middle of the stretch they stand for. Friction is stiff: it is integrated in steps of at most a
-millisecond, implicitly in the velocity. What the drives add of their own is soft beside it.
+The rigid-body terms M and C q̇ + G change slowly: they are computed every few milliseconds, for the
+middle of the interval. Friction is stiff: it is integrated in steps of at most a millisecond,
+implicitly in the velocity. The drives' own loops are soft in comparison.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ def move(
     nominal: NominalArm, belief: ArmBelief, drive: DriveGains, commands: Commands, flight: Flight,
     from_ns: int, until_ns: int, motion: Matrix, actuator: Vector, impulse: Vector,
 ) -> None:  # fmt: skip
-    """Move an arm on from one instant to another; until a first command acts, it stands still.
+    """Move an arm from one instant to another; until a first command acts, it stands still.
 
     Args:
         nominal: the arm's structure and limits.
         belief: its inertia, friction, lag and disturbance.
-        drive: what the drives add of their own.
+        drive: gains of the drives' own loops.
         commands: all that were sent.
         flight: which of them act from `from_ns` on, and when.
         from_ns: start.
@@ -55,7 +55,7 @@ def move(
             now_ns = max(from_ns, commands.stamps_ns[upcoming % CAPACITY] + delay_ns)
     while now_ns < until_ns:
         end_ns = now_ns + _STRETCH_NS
-        if end_ns > until_ns - _STEP_NS:  # what is left would not be worth terms of its own
+        if end_ns > until_ns - _STEP_NS:  # the rest is too short for separate terms
             end_ns = until_ns
         half_s = 0.5e-9 * (end_ns - now_ns)
         for i in range(joints):
@@ -77,12 +77,12 @@ def _stretch(
     commands: Commands, flight: Flight, from_ns: int, until_ns: int,
     motion: Matrix, actuator: Vector, impulse: Vector,
 ) -> tuple[int, int]:  # fmt: skip
-    """Move on with the same rigid-body terms; the command in force at the end, and the next."""
+    """Move with constant rigid-body terms; return the command in force at the end, and the next."""
     position, velocity, acceleration = motion[0], motion[1], motion[2]
     in_force, upcoming, newest, delay_ns = flight
     joints, lag_s = position.size, belief.lag_s[0]
     asked, total, slope = np.empty(joints), np.empty(joints), np.empty(joints)
-    acceleration[:] = velocity  # of the start, until the end
+    acceleration[:] = velocity  # start velocity, replaced at the end
     now_ns, last_step_ns, left, mean_left = from_ns, 0, 0.0, 0.0
     while now_ns < until_ns:
         end_ns = min(now_ns + _STEP_NS, until_ns)
@@ -119,7 +119,7 @@ def _ask(
     commands: Commands, slot: int, age_s: float, drive: DriveGains, limits: Vector,
     position: Vector, velocity: Vector, asked: Vector,
 ) -> None:  # fmt: skip
-    """What a command of this age and the drives' own loops ask of the actuators, N m."""
+    """Write the torque that a command of this age and the drives' own loops request, N m."""
     for i in range(asked.size):
         asked[i] = commands.torques_nm[slot, i]
         if drive.is_active:
@@ -135,7 +135,7 @@ def _push(
     inverse_mass: Matrix, total: Vector, belief: ArmBelief, slope: Vector, step_s: float,
     position: Vector, velocity: Vector,
 ) -> None:  # fmt: skip
-    """Move on by one step under these torques, implicitly in what friction damps."""
+    """Move by one step under these torques, implicitly in the damping of friction."""
     for i in range(total.size):
         damping = belief.coulomb_nm[i] * slope[i] + belief.viscous_nm_s[i]
         pull = 0.0

@@ -1,1 +1,1 @@
-"""A control law in a program of its own, in any language: asked over a pipe at every state."""
+"""A control law in a separate program, in any language: asked over a pipe at every state."""

@@ -1,4 +1,4 @@
-"""The control law that asks a program."""
+"""A control law whose torques come from a program."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class ExternalLawConfiguration(StrictModel):
 
     Attributes:
         command: the program and its arguments; started in the current folder, without a shell.
-        timeout_s: wall time it may take for an answer.
-        start_timeout_s: wall time from its start to its first answer.
+        timeout_s: longest wall time for an answer.
+        start_timeout_s: longest wall time from its start to its first answer.
     """
 
     command: Annotated[tuple[Word, ...], Field(min_length=1)]
@@ -35,14 +35,14 @@ _SHOWN_BYTES = 24
 
 
 class ExternalLaw:
-    """A law whose torques come from a program; the program starts with the first question.
+    """A law whose torques come from a program, which starts with the first question.
 
     Args:
-        configuration: the program, and how long it may take.
+        configuration: the program, and its time limits.
         torque_limits_nm: the actuators' limits, shape (joints,).
 
     Raises:
-        ConfigurationError: there is no such program here.
+        ConfigurationError: the program does not exist here.
     """
 
     def __init__(self, configuration: ExternalLawConfiguration, torque_limits_nm: Vector) -> None:
@@ -62,7 +62,7 @@ class ExternalLaw:
         self._program: LawProgram | None = None
 
     def torque(self, tracking: Tracking) -> Vector:
-        """What the program says.
+        """Return the program's torques.
 
         Raises:
             ExternalLawError: it failed, ended, or took too long.
@@ -78,7 +78,7 @@ class ExternalLaw:
         return self._answer[1:]
 
     def reset(self) -> None:
-        """Have the program forget; one that has not been asked yet has nothing to forget."""
+        """Reset the program; one that has not been asked yet needs no reset."""
         if self._program is not None:
             self._ask(Question.RESET, 0.0, 0.0, 0.0)
 

@@ -1,4 +1,4 @@
-"""The program: started when it is first asked, ended with its input."""
+"""The process of an external law: started with the first question, ended by closing its input."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _GRACE_S = 1.0
 
 
 class ExternalLawError(ControllerError):
-    """The program of an external law did not do its part."""
+    """The program of an external law failed."""
 
 
 class LawProgram:
@@ -33,8 +33,8 @@ class LawProgram:
 
     Args:
         command: the program and its arguments.
-        question: what it is asked; sent as it is at each `ask`.
-        answer: where its answers go.
+        question: buffer of the question, sent as it is at each `ask`.
+        answer: buffer for the answers.
     """
 
     def __init__(self, command: Sequence[str], question: Vector, answer: Vector) -> None:
@@ -61,16 +61,16 @@ class LawProgram:
         """Send the question, and wait for the answer.
 
         Raises:
-            ExternalLawError: the program has ended, or says nothing in time.
+            ExternalLawError: the program has ended, or does not answer in time.
         """
         give_up_s = time.monotonic() + timeout_s
         try:
-            os.write(self._to, self._question)  # whole: the pipe is empty, and holds far more
+            os.write(self._to, self._question)  # whole: the pipe is empty, and large enough
         except OSError:
             raise self._gone() from None
         received, wanted = 0, self._answer.nbytes
         while received < wanted:
-            left_s = give_up_s - time.monotonic()  # a program that writes byte by byte gets no more
+            left_s = give_up_s - time.monotonic()  # the same limit for all parts of an answer
             if not self._poll.poll(1e3 * max(0.0, left_s)):
                 self.end()
                 raise ExternalLawError(
@@ -98,7 +98,7 @@ class LawProgram:
 
 
 def _end(process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
-    """Close the program's input, by which it ends; one that does not is ended."""
+    """Close the program's input, which ends it; terminate it if it does not end."""
     for stream in (process.stdin, process.stdout):
         if stream is not None:
             stream.close()
@@ -111,7 +111,7 @@ def _end(process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
 
 
 def why_not_startable(command: Sequence[str]) -> str | None:
-    """Why a command cannot be started; None if it looks as if it could."""
+    """Explain why a command cannot be started; None if no reason is found."""
     name = command[0]
     if shutil.which(name) is not None:
         return None

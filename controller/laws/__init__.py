@@ -20,11 +20,11 @@ class LawEntry(NamedTuple):
     """One line of the table of laws.
 
     Attributes:
-        build: a fresh law from its gains, a nominal model, which model-free laws leave alone, and
-            the torque limits, shape (joints,), N m, by which a law with a memory stops it.
+        build: returns a new law from its gains, a nominal model, which model-free laws ignore, and
+            torque limits, shape (joints,), N m, at which a law with a memory stops integrating.
         gains: the type of its gains: a NamedTuple of values as `bus_schema.configuration` has them,
             which can derive itself by `from_inertia`.
-        settling_bound_s: bound on the settling time, s, for the laws that have one.
+        settling_bound_s: bound on the settling time, s; only for laws that have one.
     """
 
     build: Callable[[Any, Dynamics, Vector], ControlLaw]
@@ -43,9 +43,9 @@ LAWS = {
     "tsmc": LawEntry(SlidingMode, TsmcGains),
     "ftsmc": LawEntry(SlidingMode, FtsmcGains),
 }
-"""All that scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies know of."""
+"""The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
 
 
 def likely_law(unknown: str) -> str:
-    """``; did you mean …?`` for a name that no law has but one nearly has; else nothing."""
+    """Return ``; did you mean …?`` if a name resembles a law's; else nothing."""
     return did_you_mean(unknown, LAWS)

@@ -1,6 +1,6 @@
-"""Laws that users bring: ``module:Class``, or a program (``external``).
+"""Custom laws: ``module:Class``, or a program (``external``).
 
-Where modules of a user's own are found: in the current folder, behind what is installed.
+Custom modules are found in the current folder, after installed ones.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
 from controller.errors import is_of_the_law
 
 OURS = ("bus_schema", "controller", "deploy", "plant_emulator", "funnel_hil")
-"""Names of packages of ours, which nothing of a user's takes the place of."""
+"""Names of our packages, which no user module replaces."""
 
 _OUR_FOLDER = str(Path(__file__).resolve().parents[2])
 
 
-class _OtherFilesOfOurFolderLast:
-    """Finds whatever is no package of ours in a user's folder before it is looked for in our own.
+class _UserModulesFirst:
+    """Finds modules in a user's folder before modules in ours that belong to none of our packages.
 
-    Our folder may be a clone, with any files in it. It stands before the user's on Python's path
-    for the sake of our packages alone.
+    Our folder may be a clone with unrelated files. It precedes the user's folder on Python's path
+    only for our own packages.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class _OtherFilesOfOurFolderLast:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Where a module is; None for Python's own ways."""
+        """Return a module's specification; None leaves it to Python's own finders."""
         if path is not None or name in OURS:
             return None
         each_with_next = zip_longest(sys.path, sys.path[1:], fillvalue="")
@@ -52,34 +52,34 @@ class _OtherFilesOfOurFolderLast:
         return spec if spec is not None and spec.loader is not None else None  # no mere folder
 
 
-_finder = _OtherFilesOfOurFolderLast()
+_finder = _UserModulesFirst()
 
 
 def find_in_current_folder() -> None:
     """Let imports find the modules in the current folder, as with ``python -m``."""
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
-        sys.path += [_OUR_FOLDER, here]  # in this order: other processes get it, and import ours
+        sys.path += [_OUR_FOLDER, here]  # in this order, as other processes inherit it
     _finder.folders.add(here)
     if _finder not in sys.meta_path:
         sys.meta_path.insert(sys.meta_path.index(PathFinder), _finder)
 
 
 EXTERNAL = "external"
-"""Name of the law that is a program of its own."""
+"""Name of the law that is a separate program."""
 
 _LAW_KEY = "controller.law"
 _left_out: ContextVar[bool] = ContextVar("custom laws are left out", default=False)
 _GAINS_KEY = "controller.gains.custom"
 
 Maker = Callable[..., ControlLaw]
-"""Makes a law from the nominal model and its gains: a class, as a rule."""
+"""Creates a law from the nominal model and its gains: usually a class."""
 
 _given: ContextVar[Mapping[str, Maker]] = ContextVar("laws given", default=MappingProxyType({}))
 
 
 def is_custom(name: str) -> bool:
-    """Whether a law is a user's own: a ``module:Class`` or a program."""
+    """Whether a law is custom: a ``module:Class`` or a program."""
     if name == EXTERNAL:
         return True
     module, separator, class_name = name.partition(":")
@@ -89,9 +89,9 @@ def is_custom(name: str) -> bool:
 
 @contextmanager
 def custom_laws_left_out() -> Iterator[None]:
-    """Import and start no law of a user's own meanwhile: scenarios can be read, but not run.
+    """Import and start no custom law while the context lasts: scenarios can be read, but not run.
 
-    For scenarios that come with a recording, which may be anybody's.
+    For scenarios in recordings, which are untrusted.
     """
     before = _left_out.set(True)
     try:
@@ -107,7 +107,7 @@ def are_left_out() -> bool:
 
 @contextmanager
 def laws_given(makers: Mapping[str, Maker]) -> Iterator[None]:
-    """Meanwhile these names stand for these laws, and nothing is imported for them."""
+    """Use these laws for these names, without imports, while the context lasts."""
     before = _given.set({**_given.get(), **makers})
     try:
         yield
@@ -116,16 +116,16 @@ def laws_given(makers: Mapping[str, Maker]) -> Iterator[None]:
 
 
 class LeftOut:
-    """Stands for a law that must not be imported or started; it gives no torque."""
+    """Placeholder for a law that must not be imported or started; it returns no torque."""
 
     def __init__(self, joints: int) -> None:
         self.diagnostics = Diagnostics(joints)
 
     def reset(self) -> None:
-        """There is nothing to forget."""
+        """Do nothing: there is no state."""
 
     def torque(self, _tracking: Tracking) -> Vector:
-        """None.
+        """Refuse to return a torque.
 
         Raises:
             RuntimeError: always.
@@ -134,10 +134,10 @@ class LeftOut:
 
 
 def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLaw:
-    """A fresh ``Class(model, **gains)``, or within `custom_laws_left_out` what stands for it.
+    """Return a new ``Class(model, **gains)``, or a placeholder within `custom_laws_left_out`.
 
     Raises:
-        ConfigurationError: there is no such class, it refuses the gains, or what it makes is no
+        ConfigurationError: there is no such class, it refuses the gains, or its instance is no
             control law.
     """
     if are_left_out():
@@ -145,7 +145,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
     make = find_law(name)
     try:
         law = make(model, **gains)
-    except BaseException as error:  # a user's code may raise anything, or exit
+    except BaseException as error:  # user code may raise any exception, or exit
         if not is_of_the_law(error):
             raise
         raise ConfigurationError(
@@ -163,7 +163,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
 
 
 def find_law(name: str) -> Maker:
-    """The class of a law; modules in the current folder are found, as with ``python -m``.
+    """Return the class of a law; modules in the current folder are found, as with ``python -m``.
 
     Raises:
         ConfigurationError: there is none.

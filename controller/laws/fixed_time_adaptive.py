@@ -1,7 +1,7 @@
-"""The fixed-time adaptive law: a nominal model for what is known, a network for what it misses.
+"""The fixed-time adaptive law: a nominal model, and a network for the model's errors.
 
-It has the funnel and the terminal sliding surface that the laws of the paper share. With the
-reference motion q̇_r, q̈_r of the model-based law and the network of the neural one,
+It has the funnel and the terminal sliding surface of the paper's laws. With the reference motion
+q̇_r, q̈_r of the model-based law and the network of the neural one,
 
     τ = M̂ q̈_r + Ĉ q̇_r + Ĝ − Ŵᵀ Φ(z) − K₁ sig(s)^γ₁ − K₂ sig(s)^γ₂ − K₃ s.
 
@@ -10,10 +10,10 @@ With s = q̇ − q̇_r the arm then moves by
     M ṡ + C s = Δ − Ŵᵀ Φ(z) − K₁ sig(s)^γ₁ − K₂ sig(s)^γ₂ − K₃ s,
     Δ = (M̂ − M) q̈_r + (Ĉ − C) q̇_r + Ĝ − G − friction − disturbance,
 
-which is the equation of the paper's second theorem with Δ, what the model misses, in place of all
-of the arm's dynamics. So its proof holds as it stands: V = ½ sᵀ M s + ½ Σ W̃ᵀ Γ⁻¹ W̃ is practically
-fixed-time stable, with a network that has less to learn. Where the model is exact and nothing
-disturbs, Δ = 0, and the first theorem's bound on the settling time holds too.
+which is the equation of the paper's second theorem with the model error Δ instead of the arm's
+whole dynamics. So its proof applies unchanged: V = ½ sᵀ M s + ½ Σ W̃ᵀ Γ⁻¹ W̃ is practically
+fixed-time stable, with a network that has less to learn. With an exact model and no disturbance, Δ
+= 0, and the first theorem's bound on the settling time holds too.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class FixedTimeAdaptiveGains(FixedTimeNeuralGains):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeAdaptiveGains:
-        """Gains for joints that see these inertias, shape (joints,).
+        """Return gains for joints with these inertias, shape (joints,).
 
-        What the model leaves to the network is learned twice as fast. That makes up for a K₂ of a
-        tenth: its power below 1 is so steep at s = 0 that in discrete time the torque chatters.
+        The network learns the model's errors twice as fast. That compensates for a tenth of K₂,
+        whose power below 1 is so steep at s = 0 that in discrete time the torque chatters.
         """
         own = cls(*FixedTimeNeuralGains.from_inertia(inertia_kg_m2))
         return own._replace(
@@ -43,7 +43,7 @@ class FixedTimeAdaptiveGains(FixedTimeNeuralGains):
 
 
 class FixedTimeAdaptive:
-    """The law: the sum of the neural law's torque and of what the model asks for."""
+    """The law: the sum of the neural law's torque and the model's."""
 
     def __init__(
         self, gains: FixedTimeAdaptiveGains, model: Dynamics, torque_limits_nm: Vector
@@ -56,7 +56,7 @@ class FixedTimeAdaptive:
             for name in FixedTimeModelBasedGains._fields
             if not name.startswith("k_")
         }
-        # Without gains of its own, what is left of the model-based law is its model.
+        # With zero gains, the model-based law returns only its model's torque.
         feedforward = FixedTimeModelBasedGains(k_1=none, k_2=none, k_3=none, **shared)
         self._model_based = FixedTimeModelBased(feedforward, model, torque_limits_nm)
 
@@ -65,7 +65,7 @@ class FixedTimeAdaptive:
         self._model_based.reset()
 
     def torque(self, tracking: Tracking) -> Vector:
-        # In place: the network stops learning where the torque of both is beyond a limit.
+        # In place: the network stops learning while the sum is beyond a limit.
         torque = self._neural.torque(tracking)
         torque += self._model_based.torque(tracking)
         return torque

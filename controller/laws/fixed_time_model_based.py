@@ -42,15 +42,15 @@ class FixedTimeModelBasedGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeModelBasedGains:
-        """Gains for joints that see these inertias, shape (joints,).
+        """Return gains for joints with these inertias, shape (joints,).
 
-        With no network to learn it, feedback alone has to dominate what the model misses.
+        Without a network, feedback alone has to dominate the model's errors.
         """
         return cls(k_1=100.0 * inertia_kg_m2, k_2=100.0 * inertia_kg_m2, k_3=250.0 * inertia_kg_m2)
 
 
 class _Memory(NamedTuple):
-    """What the law keeps or works out, in arrays that its kernel changes in place.
+    """The law's state and intermediate values, in arrays that its kernel changes in place.
 
     All have shape (joints,).
 
@@ -93,7 +93,7 @@ class FixedTimeModelBased:
         return along - reaching
 
     def _bind(self, tracking: Tracking) -> None:
-        """Fix what the kernel works on: to find out its types costs more than its work."""
+        """Bind the kernel's arguments: determining their types costs more than the work."""
         self._tracking = tracking
         self._kernel = bind(
             _reference_motion,

@@ -8,10 +8,10 @@ r of the error transformation, so that s = q̇ − q̇_r for a reference velocit
 
 The radial basis function network that stands in for the arm's unknown dynamics.
 
-After section 4 of the paper: inputs are the *transformed* errors, so they stay in a known range
-however large the errors are, and the adaptation itself converges in fixed time. Placement and
-width of the nodes are ours: each joint has its own grid over its own two inputs, so that the
-network neither grows with the square of the joints nor depends on their order.
+After section 4 of the paper: inputs are the *transformed* errors, so they stay in a known range for
+errors of any size, and the adaptation itself converges in fixed time. Placement and width of the
+nodes are ours: each joint has its own grid over its own two inputs, so that the network neither
+grows with the square of the joints nor depends on their order.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ NODE_AXIS = np.linspace(-1.0, 1.0, NODES_PER_AXIS)
 
 @compiled
 def activate(inputs_1: float, inputs_2: float, width: float, out: Vector) -> None:
-    """Φ_k(z) = exp(−|z − c_k|² / (2 width²)) into `out`, shape (nodes,).
+    """Write Φ_k(z) = exp(−|z − c_k|² / (2 width²)) into `out`, shape (nodes,).
 
     On a grid the Gaussian is a product of one factor per input, which saves most exponentials.
     """
@@ -63,7 +63,7 @@ def activate(inputs_1: float, inputs_2: float, width: float, out: Vector) -> Non
     steepness = -1.0 / (2.0 * width * width)
     for j in range(size):
         out[j] = math.exp(steepness * (inputs_2 - axis[j]) ** 2)
-    for i in range(size - 1, -1, -1):  # the first row holds the second factors until its own turn
+    for i in range(size - 1, -1, -1):  # the first row comes last: it holds the second factors
         factor = math.exp(steepness * (inputs_1 - axis[i]) ** 2)
         for j in range(size):
             out[i * size + j] = factor * out[j]
@@ -74,7 +74,7 @@ def adapt(
     weights: Vector, activation: Vector, s: float, step_s: float,
     rate: float, kappa_1: float, kappa_2: float, gamma_1: float, gamma_2: float,
 ) -> None:  # fmt: skip
-    """One explicit step of dŴ/dt = Γ (Φ s − κ₁ sig(Ŵ)^γ₁ − κ₂ sig(Ŵ)^γ₂), in place."""
+    """Take one explicit step of dŴ/dt = Γ (Φ s − κ₁ sig(Ŵ)^γ₁ − κ₂ sig(Ŵ)^γ₂), in place."""
     for k in range(weights.shape[0]):
         w = weights[k]
         leakage = 0.0
@@ -88,15 +88,15 @@ def adapt(
 class FixedTimeNeuralGains(NamedTuple):
     """Gains, named as in the equations above; per joint where they carry torque.
 
-    Over a delay that is compensated, a network with narrow nodes and fast adaptation is too steep a
-    spring: what the prediction gets wrong, it answers with a limit cycle. So gains follow the
-    horizon h, with the share (h / h_½)⁴ / (1 + (h / h_½)⁴) of the way to
+    With a compensated delay, a network with narrow nodes and fast adaptation is too stiff:
+    prediction errors cause a limit cycle. So gains depend on the horizon h, and go the share (h /
+    h_½)⁴ / (1 + (h / h_½)⁴) of the way to
 
-        delayed_node_width: the width of the nodes, by then,
+        delayed_node_width: the width of the nodes,
         delayed_adaptation: a factor on the adaptation rate,
         delayed_k_2: a factor on k_2, whose power below 1 is infinitely steep at s = 0,
 
-    and half_way_s = h_½. Without delay they are the gains as given.
+    and half_way_s = h_½. Without delay the gains are used as given.
     """
 
     k_1: PerJointNonNegative
@@ -120,10 +120,10 @@ class FixedTimeNeuralGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeNeuralGains:
-        """Gains for joints that see these inertias, shape (joints,).
+        """Return gains for joints with these inertias, shape (joints,).
 
-        Wide nodes: where gravity is large against inertia, narrow ones would make the network's
-        output depend so steeply on the error rate that the loop rings.
+        The nodes are wide: with large gravity and small inertia, narrow nodes would make the
+        network's output so steep in the error rate that the loop rings.
         """
         return cls(
             k_1=80.0 * inertia_kg_m2,
@@ -135,13 +135,13 @@ class FixedTimeNeuralGains(NamedTuple):
 
 
 class _Memory(NamedTuple):
-    """What the law keeps from cycle to cycle; its kernel changes it in place.
+    """The law's state between cycles; its kernel changes it in place.
 
     Attributes:
         torque: N m, shape (joints,).
         opening: of the funnel, see `working_bounds`; rad, shape (joints,).
         weights: Ŵ, shape (joints, nodes).
-        activation: Φ(z) of the joint that is being worked on, shape (nodes,).
+        activation: Φ(z) of the current joint, shape (nodes,).
     """
 
     torque: Vector
@@ -176,7 +176,7 @@ class FixedTimeNeural:
         return self._torque
 
     def _bind(self, tracking: Tracking) -> None:
-        """Fix what the kernel works on: to find out its types costs more than the law itself."""
+        """Bind the kernel's arguments: determining their types costs more than the law itself."""
         self._tracking, inner = tracking, self.diagnostics
         self._kernel = bind(
             _torque,
@@ -188,10 +188,9 @@ class FixedTimeNeural:
 
 
 def _packed(several: FixedTimeNeuralGains | _Memory) -> NDArray[np.void]:
-    """A tuple of numbers and arrays as a structured array of one element with fields of its names.
+    """Return a tuple of numbers and arrays as a structured array of one element, same field names.
 
-    As tuples, gains and memory would have to be taken apart at every call, for a tenth of a control
-    step.
+    Tuples would be unpacked at every call, which takes a tenth of a control step.
     """
     values = several._asdict()
     dtype = np.dtype([(name, np.float64, np.shape(value)) for name, value in values.items()])
@@ -200,8 +199,8 @@ def _packed(several: FixedTimeNeuralGains | _Memory) -> NDArray[np.void]:
 
 @compiled
 def _delayed(g: Any, horizon_s: float) -> tuple[float, float, float]:
-    """Node width, and factors on adaptation rate and k_2, at a horizon."""
-    share = 1.0 / (1.0 + (g.half_way_s / horizon_s) ** 4)  # none at 0, whatever half_way_s is
+    """Return node width, and factors on adaptation rate and k_2, at a horizon."""
+    share = 1.0 / (1.0 + (g.half_way_s / horizon_s) ** 4)  # none at 0, for any half_way_s
     width = g.node_width * (g.delayed_node_width / g.node_width) ** share
     return width, g.delayed_adaptation**share, 1.0 + share * (g.delayed_k_2 - 1.0)
 

@@ -1,4 +1,4 @@
-"""PID on the joint errors: the model-free rival of the paper's section 5."""
+"""PID on the joint errors: the model-free baseline of the paper's section 5."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class PidGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> PidGains:
-        """Gains for joints that see these inertias: `paper_arm`'s, on average, per kg m²."""
+        """Return gains for joints with these inertias: `paper_arm`'s mean gains per kg m²."""
         return cls(800.0 * inertia_kg_m2, 400.0 * inertia_kg_m2, 90.0 * inertia_kg_m2)
 
 
 class Pid:
-    """τ = −K_p e − K_i ∫e − K_d ė; an integral whose joint saturates only grows back inwards."""
+    """τ = −K_p e − K_i ∫e − K_d ė; while a joint saturates, its integral changes only inwards."""
 
     def __init__(self, gains: PidGains, _model: Dynamics, torque_limits_nm: Vector) -> None:
         joints = gains.proportional.size

@@ -1,10 +1,10 @@
-"""The funnel as a law works with it: it opens again around an error that has got out.
+"""The working funnel of a law, which opens again around an error that has left it.
 
-The paper assumes that the error never leaves. Behind a network it does, in a gap between commands,
-and then the transformation has no value, and close to its end the surface hardly pulls back. So the
-working funnel opens around such an error as the real one does around an error at the start, and
-closes at a rate of its own, after which both are the same again. Ours; whether a run *kept* its
-bounds is judged by the real funnel alone.
+The paper assumes that the error never leaves. Over a network it does, in a gap between commands:
+the transformation is then undefined, and near its end the surface hardly pulls back. So the working
+funnel opens around such an error as the real one does at the start, and closes at a separate rate
+until both are equal again. This part is ours; only the real funnel decides whether a run *kept* its
+bounds.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, 
 from controller.funnel import Bound
 
 LARGEST_SHARE = 0.98
-"""Share of a bound at which the funnel opens: a little later, the logarithm ends."""
+"""Share of a bound at which the funnel opens, just before the logarithm diverges."""
 OPENING = 1.5
-"""The new bound over the error, so that the error uses two thirds of it."""
+"""New bound divided by the error, so that the error uses two thirds of it."""
 RATE_PER_S = 4.0
 
 
@@ -27,16 +27,16 @@ RATE_PER_S = 4.0
 def working_bounds(
     error: float, bounds: Vector, step_s: float, opening: float
 ) -> tuple[Bound, Bound, float]:
-    """Upper and lower bound of a joint between which its error has its place.
+    """Return the upper and lower working bound of a joint.
 
     Args:
         error: rad.
         bounds: the joint's column of `Tracking.bounds`.
         step_s: time since the last call.
-        opening: by how much the working funnel was wider than the real one at the last call, rad.
+        opening: how much wider the working funnel was than the real one at the last call, rad.
 
     Returns:
-        The bounds, and by how much they are wider now; unless an error has got out, by nothing.
+        The bounds, and how much wider they are now; zero if no error has left.
     """
     opening *= math.exp(-RATE_PER_S * step_s)
     bound = bounds[UPPER] if error > 0.0 else bounds[LOWER]

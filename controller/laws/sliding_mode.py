@@ -1,8 +1,8 @@
-"""Sliding mode control on a nominal model: the three rivals of the paper's section 5.
+"""Sliding mode control on a nominal model: the three baselines of the paper's section 5.
 
     s = ė + σ(e),    τ = Ĉ q̇ + Ĝ + M̂ (q̈_d − σ′(e) ė − K sign s − k s).
 
-They differ in their surface alone:
+They differ only in their surface:
 
     smc    σ(e) = λ e
     tsmc   σ(e) = β sig(e)^(q/p),  0 < q/p < 1                  (terminal)
@@ -10,7 +10,7 @@ They differ in their surface alone:
 
 Below |e| = η a power below 1 is continued by a quadratic of equal value and slope (see
 `surface_pull`), which bounds the slope that is infinite at zero. Inside ±boundary_layer (rad/s) the
-sign gives way to a straight line; 0 for none.
+sign becomes a straight line; 0 for none.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class SmcGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> SmcGains:
-        """The same for all joints but for the switching, as M̂ already scales by inertia."""
+        """Return equal gains for all joints, as M̂ scales by inertia, except for the switching."""
         one = np.ones_like(inertia_kg_m2)
         return cls(8.0 * one, default_switching(inertia_kg_m2), _LINEAR_PER_S * one)
 
@@ -120,18 +120,18 @@ class FtsmcGains(NamedTuple):
 
 
 def default_switching(inertia_kg_m2: Vector) -> Vector:
-    """Switching gains for joints that see these inertias, shape (joints,), rad/s².
+    """Return switching gains for joints with these inertias, shape (joints,), rad/s².
 
-    They have to outweigh friction, disturbance and what the model misses, per inertia. Friction
-    grows more slowly than inertia, so light joints need more; factor and power are ours, from three
-    arms of 0.0005 to 12 kg m².
+    They must exceed friction, disturbance and model errors, per inertia. Friction grows more slowly
+    than inertia, so light joints need more; factor and power are ours, from three arms of 0.0005 to
+    12 kg m².
     """
     gains: Vector = 9.0 / np.sqrt(np.sqrt(inertia_kg_m2))
     return gains
 
 
 class SlidingMode:
-    """The law, which has no memory, on the surface that its gains describe."""
+    """The law on the surface that its gains describe; it has no memory."""
 
     def __init__(
         self, gains: SmcGains | TsmcGains | FtsmcGains, model: Dynamics, _torque_limits_nm: Vector
@@ -143,7 +143,7 @@ class SlidingMode:
         self._acceleration: Vector = np.zeros(gains.linear.size)
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: there is no state."""
 
     def torque(self, tracking: Tracking) -> Vector:
         _acceleration(
@@ -173,7 +173,7 @@ def _acceleration(
 
 @compiled
 def _switch(s: float, boundary_layer: float) -> float:
-    """sign(s), or s / boundary_layer where |s| is less than that."""
+    """Return sign(s), or s / boundary_layer where |s| is less than that."""
     if s == 0.0:
         return 0.0
     if abs(s) < boundary_layer:

@@ -1,7 +1,7 @@
 """The fixed-time terminal sliding surface in the transformed error.
 
-After section 3 of the paper: two powers, one above and one below 1, so that the time to slide into
-zero has a bound that does not depend on where the motion starts.
+After section 3 of the paper: one power above and one below 1, so that the time to slide to zero has
+a bound independent of the initial error.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from bus_schema.runtime.compiled import compiled
 
 @compiled
 def sig(x: float, power: float) -> float:
-    """The signed power sign(x) |x|^p."""
+    """Return the signed power sign(x) |x|^p."""
     return math.copysign(abs(x) ** power, x)
 
 
@@ -21,7 +21,7 @@ def sig(x: float, power: float) -> float:
 def surface_pull(
     transformed: float, alpha_1: float, alpha_2: float, phi_1: float, phi_2: float, eta: float
 ) -> float:
-    """ψ(ε) = α₁ sig(ε)^φ₁ + α₂ χ(ε).
+    """Return ψ(ε) = α₁ sig(ε)^φ₁ + α₂ χ(ε).
 
     χ is sig(ε)^φ₂, continued below |ε| = η by a quadratic of equal value and slope, because the
     power itself has no finite slope at zero.
@@ -40,7 +40,7 @@ def surface_pull(
 def surface_pull_slope(
     transformed: float, alpha_1: float, alpha_2: float, phi_1: float, phi_2: float, eta: float
 ) -> float:
-    """ψ′(ε)."""
+    """Return ψ′(ε)."""
     size = abs(transformed)
     if size >= eta:
         d_chi = phi_2 * size ** (phi_2 - 1.0)

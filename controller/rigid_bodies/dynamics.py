@@ -1,8 +1,8 @@
 """Rigid-body dynamics of an arm for compiled code, which cannot call pinocchio.
 
-The same numbers as `ManipulatorModel`'s, to rounding, in a twentieth of its time. All vectors are
-written in the base frame, about its origin: there the spatial inertias of bodies that move together
-simply add, and nothing is transformed from joint to joint. After Featherstone, Rigid Body Dynamics
+The results equal `ManipulatorModel`'s, except for rounding, in a twentieth of its time. All vectors
+are written in the base frame, about its origin: there the spatial inertias of bodies that move
+together add, without transformations from joint to joint. After Featherstone, Rigid Body Dynamics
 Algorithms (2008), sections 5.3 (recursive Newton–Euler) and 6.2 (composite rigid bodies).
 """
 
@@ -28,24 +28,24 @@ from controller.rigid_bodies.vectors import (
 )
 
 ROTOR = 10
-"""Column of an inertia table that has the rotors."""
+"""Column of an inertia table for the rotors."""
 
 
 class RigidBodies(NamedTuple):
-    """How the moving bodies of an arm hang together; body i is what joint i moves.
+    """Kinematic structure of an arm; body i is moved by joint i.
 
-    What they weigh stands in inertia tables, shape (joints, 11), a row for each body in the frame
-    of its joint: mass, mass times centre of mass (x, y, z), rotational inertia about the joint's
-    origin (xx, xy, yy, xz, yz, zz), and the inertia of the joint's rotor. All of it is linear in
-    mass: tables can be scaled and added.
+    Masses are in inertia tables, shape (joints, 11), with a row for each body in its joint's frame:
+    mass, mass times centre of mass (x, y, z), rotational inertia about the joint's origin (xx, xy,
+    yy, xz, yz, zz), and the inertia of the joint's rotor. All of it is linear in mass: tables can
+    be scaled and added.
 
     Attributes:
-        outwards: numbers of the bodies such that each comes after its parent; shape (joints,).
+        outwards: numbers of the bodies, each after its parent; shape (joints,).
         parents: number of the body that carries joint i, −1 for the base; shape (joints,).
         rotations: of joint i's frame in the frame of its parent, at zero; shape (joints, 3, 3).
         origins: of joint i's frame there, m; shape (joints, 3).
         axes: unit axis of joint i in its own frame, shape (joints, 3).
-        slides: whether joint i moves along its axis, not about it; shape (joints,).
+        slides: whether joint i is prismatic; shape (joints,).
         gravity: m/s², in the base frame; shape (3,).
     """
 
@@ -62,9 +62,9 @@ class _Placed(NamedTuple):
     """An arm in a posture, in the base frame.
 
     Attributes:
-        axes: z, shape (joints, 3); 0 for joints that slide.
+        axes: z, shape (joints, 3); 0 for prismatic joints.
         moments: o × z of the joints' origins o, shape (joints, 3): with z, the joint's screw. For
-            joints that slide, their direction.
+            prismatic joints, their direction.
         masses: shape (joints,).
         first: mass times centre of mass, shape (joints, 3).
         second: rotational inertia about the base's origin, shape (joints, 6), order as above.
@@ -138,7 +138,7 @@ def _place_inertia(own: Vector, frame: Matrix, o: Vec, i: int, placed: _Placed) 
 
 @compiled
 def _momentum(placed: _Placed, i: int, turning: Vec, moving: Vec) -> tuple[Vec, Vec]:
-    """Linear, and angular about the base's origin, of body i with this twist."""
+    """Return linear momentum, and angular about the base's origin, of body i with this twist."""
     x, y, z = turning
     first, second = get(placed.first, i), placed.second[i]
     spin = (
@@ -152,7 +152,7 @@ def _momentum(placed: _Placed, i: int, turning: Vec, moving: Vec) -> tuple[Vec, 
 
 @compiled
 def _along(placed: _Placed, i: int, linear: Vec, angular: Vec) -> float:
-    """The share of a force and a torque, or of a momentum, that joint i has along its axis."""
+    """Return the component of a force and a torque, or of a momentum, along joint i's axis."""
     return dot(get(placed.axes, i), angular) + dot(get(placed.moments, i), linear)
 
 
@@ -161,7 +161,7 @@ def inverse_dynamics(
     bodies: RigidBodies, inertia: Matrix, position: Vector, velocity: Vector,
     acceleration: Vector, out: Vector,
 ) -> None:  # fmt: skip
-    """M(q) q̈ + C(q, q̇) q̇ + G(q) into `out`, N m.
+    """Write M(q) q̈ + C(q, q̇) q̇ + G(q) into `out`, N m.
 
     Args:
         bodies: the arm.
@@ -188,7 +188,7 @@ def _recursive_newton_euler(
         z, s, parent = get(placed.axes, i), get(placed.moments, i), bodies.parents[i]
         turning, moving = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         d_turning = (0.0, 0.0, 0.0)
-        # the base accelerates upwards, which weighs the same as gravity
+        # an upward acceleration of the base equals gravity
         d_moving = (-bodies.gravity[0], -bodies.gravity[1], -bodies.gravity[2])
         if parent >= 0:
             turning, moving = get(twists[0], parent), get(twists[1], parent)
@@ -220,7 +220,7 @@ def mass_and_load(
     bodies: RigidBodies, inertia: Matrix, position: Vector, velocity: Vector,
     mass: Matrix, load: Vector,
 ) -> None:  # fmt: skip
-    """M(q) into `mass`, kg m², and C(q, q̇) q̇ + G(q) into `load`, N m.
+    """Write M(q) into `mass`, kg m², and C(q, q̇) q̇ + G(q) into `load`, N m.
 
     Args:
         bodies: the arm.
@@ -238,21 +238,21 @@ def mass_and_load(
 
 @compiled
 def mass_matrix(bodies: RigidBodies, inertia: Matrix, position: Vector, mass: Matrix) -> None:
-    """M(q) into `mass`, kg m², shape (joints, joints); the rest as for `mass_and_load`."""
+    """Write M(q) into `mass`, kg m², shape (joints, joints); the rest as for `mass_and_load`."""
     _composite_rigid_bodies(bodies, _place(bodies, inertia, position), mass)
     _add_rotors(inertia, mass)
 
 
 @compiled
 def _add_rotors(inertia: Matrix, mass: Matrix) -> None:
-    """Add the rotors, each of which turns with its own joint alone."""
+    """Add the rotors, each of which turns only with its own joint."""
     for i in range(mass.shape[0]):
         mass[i, i] += inertia[i, ROTOR]
 
 
 @compiled
 def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) -> None:
-    """M(q) into `mass`; leaves in `placed` each body together with all that it carries."""
+    """Write M(q) into `mass`; leave in `placed` each body combined with all that it carries."""
     mass[:] = 0.0
     for i in bodies.outwards[::-1]:
         momentum, spin = _momentum(placed, i, get(placed.axes, i), get(placed.moments, i))

@@ -1,4 +1,4 @@
-"""Vectors of space as triples, and small matrices, for compiled code."""
+"""3-D vectors as triples, and small matrices, for compiled code."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def rotated(rotation: Matrix, a: Vec) -> Vec:
 
 @compiled
 def turned(rotation: Matrix, axis: Vec, angle: float, out: Matrix) -> None:
-    """`rotation` followed by a turn about an axis (Rodrigues' formula), into `out`."""
+    """Write `rotation` followed by a turn about an axis (Rodrigues' formula) into `out`."""
     c, s = math.cos(angle), math.sin(angle)
     x, y, z = axis
     d = 1.0 - c
@@ -78,7 +78,7 @@ def turned(rotation: Matrix, axis: Vec, angle: float, out: Matrix) -> None:
 
 @compiled
 def product(matrix: Matrix, vector: Vector) -> Vector:
-    """M v, each sum in the order of the columns; `@` rounds as BLAS does on this CPU."""
+    """Return M v, each sum in the order of the columns; `@` rounds as BLAS does on this CPU."""
     result = np.empty(matrix.shape[0])
     for row in range(matrix.shape[0]):
         total = 0.0
@@ -90,7 +90,7 @@ def product(matrix: Matrix, vector: Vector) -> Vector:
 
 @compiled
 def invert(mass: Matrix, inverse: Matrix) -> None:
-    """M⁻¹ into `inverse` by Cholesky's M = L Lᵀ; `mass` keeps its values."""
+    """Write M⁻¹ into `inverse` by Cholesky's M = L Lᵀ; `mass` is not changed."""
     n = mass.shape[0]
     lower = np.zeros((n, n))
     for i in range(n):

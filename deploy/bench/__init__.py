@@ -1,1 +1,1 @@
-"""What things cost, as ratios of medians that are measured side by side in one run."""
+"""Benchmarks: costs as ratios of medians, measured side by side in one run."""

@@ -1,7 +1,7 @@
-"""`bench`: what a loop, a simulation and a sweep cost on this machine, as a table and as JSON.
+"""`bench`: costs of a loop, a simulation and a sweep on this machine, as a table and as JSON.
 
-There is no absolute claim in it: times depend on the machine and on what else it does, and all
-candidates of a section are measured by turns so that they suffer alike.
+It makes no absolute claim: times depend on the machine and its load. All candidates of a section
+are measured in turn, so that the load affects them equally.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _SCENARIO = "paper_arm"
 
 
 def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[Section]:
-    """Measure everything, show it, and write it to a file.
+    """Measure everything, show the results, and write them to a file.
 
     Args:
-        console: where to show it.
-        json_file: what to write; None for nothing.
+        console: where to show the results.
+        json_file: file to write; None for none.
         quick: fewer and shorter repetitions.
 
     Raises:
@@ -51,7 +51,7 @@ def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[
 
 
 def as_dict(sections: list[Section], *, quick: bool) -> dict[str, object]:
-    """All numbers, for JSON."""
+    """Return all numbers, for JSON."""
     return {
         "host": provenance()["host"],
         "quick": quick,
@@ -60,7 +60,7 @@ def as_dict(sections: list[Section], *, quick: bool) -> dict[str, object]:
 
 
 def show_section(console: Console, section: Section) -> None:
-    """One section as a table, a row per ratio."""
+    """Show one section as a table, a row per ratio."""
     table = Table(title=section.title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("ratio")
     for heading in ("median", "lowest", "highest", "µs", "over µs"):
@@ -78,7 +78,7 @@ def show_section(console: Console, section: Section) -> None:
 
 
 def _measured(title: str, measure: Callable[[], Section]) -> Section:
-    """A section, or a section without numbers that says why it has none."""
+    """Return a section, or one without numbers that explains why it has none."""
     try:
         return measure()
     except (RuntimeError, OSError, InputError) as error:
@@ -96,7 +96,7 @@ def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
 
 
 def _require_writable(file: Path) -> None:
-    """Find out before minutes of measuring, not after."""
+    """Check before minutes of measuring, not after."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.touch()

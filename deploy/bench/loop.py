@@ -1,4 +1,4 @@
-"""What a tick costs: control step, physics, simulation, and the loop in lockstep and real time."""
+"""Cost of a tick: control step, physics, simulation, and the loop in lockstep and real time."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ ROUND_TRIP = "round trip of the real loop"
 WAKE_UP_P50, WAKE_UP_P99 = (f"wake-up lateness of the plant, {each}" for each in ("p50", "p99"))
 _PERIOD = "period of the loop"
 _PAIRS = 8
-"""Simulations and bare physics take no time to start, so that more of them can be compared."""
+"""Simulations and bare physics start instantly, so more of them are compared."""
 _ENGINES_COMPARED_ON = "iiwa"
 _ARMS = ("paper_arm", "iiwa")
 _SITUATIONS = 256
 _SETTLED_S = 2.0
 _ERROR_RAD, _ERROR_RATE_RAD_S = 1e-4, 1e-3
 _PATIENCE_MS = 2000
-"""A busy machine may hold up a run for a while; that ends no measurement of medians."""
+"""A busy machine may delay a run for a while; that must not end a measurement of medians."""
 
 
 def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Section:
@@ -59,7 +59,7 @@ def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Secti
 
 
 def measure_real_time(scenario: str, seconds: float, repetitions: int) -> Section:
-    """Measure a scenario's loop in real time beside its period, which all of it has to fit into.
+    """Measure a scenario's loop in real time, beside its period, into which it has to fit.
 
     Args:
         scenario: name or path.
@@ -75,12 +75,12 @@ def measure_real_time(scenario: str, seconds: float, repetitions: int) -> Sectio
 
 
 def lockstep_setup(scenario: str, seconds: float) -> Setup:
-    """A scenario in lockstep, at endpoints that are free."""
+    """Return a scenario in lockstep, at free endpoints."""
     return with_free_endpoints(load_setup(scenario, _in_lockstep(seconds)))
 
 
 def realtime_setup(scenario: str, seconds: float) -> Setup:
-    """A scenario in real time, at endpoints that are free."""
+    """Return a scenario in real time, at free endpoints."""
     overrides = [
         f"duration_s={seconds}", "clock=realtime", "plant.gui=false",
         f"plant.command_timeout_ms={_PATIENCE_MS}",
@@ -93,7 +93,7 @@ def _in_lockstep(seconds: float) -> list[str]:
 
 
 def _engines(scenario: str, seconds: float, repetitions: int) -> Section:
-    """A scenario on every engine that is installed: simulated, and its physics alone."""
+    """Return a scenario on every installed engine: simulated, and its physics alone."""
     setups = {
         f"{scenario} on {engine.title}": load_setup(
             scenario, [*_in_lockstep(seconds), f"plant.physics.engine={name}"]
@@ -116,7 +116,7 @@ def _engines(scenario: str, seconds: float, repetitions: int) -> Section:
 
 
 def measure_control_steps(steps: int, repetitions: int) -> Section:
-    """Measure every law beside a step of physics, on arms of 3 and 7 joints.
+    """Measure every law, and a step of physics, on arms of 3 and 7 joints.
 
     Args:
         steps: control steps, and steps of physics, in each measurement.
@@ -140,7 +140,7 @@ def measure_control_steps(steps: int, repetitions: int) -> Section:
 
 
 def _control_step(setup: Setup) -> Callable[[], None]:
-    """A control step of a law, in one of many situations near the reference after another."""
+    """Return a law's control step, applied to many situations near the reference in turn."""
     task, tracking = setup.control_task(), Tracking(setup.robot.joints)
     step_s = setup.grid.period_ns * 1e-9
     guard = TorqueGuard(task.law_name, task.limits, tracking.motion)
@@ -164,7 +164,7 @@ def _control_step(setup: Setup) -> Callable[[], None]:
 
 
 def physics_us(setup: Setup, substeps: int, calls: int) -> float:
-    """Cost of so many substeps of an arm that falls, with all torques at its joints."""
+    """Return the cost of so many substeps of a falling arm, with all torques at its joints."""
     with closing(setup.arm()) as arm:
         arm.begin()
         arm.command(np.zeros(setup.robot.joints))
@@ -172,12 +172,12 @@ def physics_us(setup: Setup, substeps: int, calls: int) -> float:
 
 
 def simulate_us(setup: Setup) -> float:
-    """Cost of one tick of a simulation, all messages kept."""
+    """Return the cost of one tick of a simulation, with all messages kept."""
     return _wall_us(simulate(setup).data())
 
 
 def lockstep_us(setup: Setup) -> float:
-    """Cost of one tick of a run in lockstep.
+    """Return the cost of one tick of a run in lockstep.
 
     Raises:
         RuntimeError: the run failed.
@@ -186,7 +186,7 @@ def lockstep_us(setup: Setup) -> float:
 
 
 def loop_us(setup: Setup) -> dict[str, float]:
-    """Round trip and wake-ups of a run in real time.
+    """Return round trip and wake-ups of a run in real time.
 
     Raises:
         RuntimeError: the run failed.

@@ -1,4 +1,4 @@
-"""Interleaved repetitions: whatever the machine does meanwhile, it does to all candidates alike."""
+"""Interleaved repetitions: the machine's load affects all candidates equally."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ Costs = dict[str, Spread]
 
 @dataclass(frozen=True)
 class Ratio:
-    """A ratio of costs, formed in each repetition.
+    """A ratio of costs, computed in each repetition.
 
     Attributes:
-        over: names of the costs whose sum is divided.
-        under: names of the costs by whose sum it is divided.
+        over: names of the costs in the numerator, summed.
+        under: names of the costs in the denominator, summed.
     """
 
     over: tuple[str, ...]
@@ -63,13 +63,13 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Section:
-    """What was measured side by side.
+    """Costs measured side by side.
 
     Attributes:
-        title: what it is about.
+        title: its title.
         costs_us: all costs.
-        ratios: the ratios that matter.
-        notes: what is missing and why, and what a reader has to know.
+        ratios: the ratios to report.
+        notes: missing parts with reasons, and notes for the reader.
     """
 
     title: str
@@ -88,14 +88,14 @@ class Section:
 def interleave(
     candidates: Mapping[str, Callable[[], float | Mapping[str, float]]], repetitions: int
 ) -> Costs:
-    """Measure all candidates in turn, again and again.
+    """Measure all candidates in turn, repeatedly.
 
     Args:
         candidates: by name, a function that returns a cost in µs, or several costs by their names.
         repetitions: how often each is called, after one call that does not count.
 
     Raises:
-        Stopped: a request to stop came where Python ignores what a handler raises.
+        Stopped: a stop was requested where Python ignores exceptions of a handler.
     """
     samples: defaultdict[str, list[float]] = defaultdict(list)
     for repetition in range(repetitions + 1):
@@ -109,7 +109,7 @@ def interleave(
 
 
 def ratio(costs: Costs, over: str | Sequence[str], under: str | Sequence[str]) -> Ratio:
-    """The ratio of two sums of costs, repetition by repetition."""
+    """Return the ratio of two sums of costs, repetition by repetition."""
     above, below = ((names,) if isinstance(names, str) else tuple(names) for names in (over, under))
     sums = (np.sum([costs[name].samples for name in names], axis=0) for names in (above, below))
     numerator, denominator = sums
@@ -119,12 +119,12 @@ def ratio(costs: Costs, over: str | Sequence[str], under: str | Sequence[str]) -
 def cost_us(
     action: Callable[[], object], times: int, clock_ns: Callable[[], int] = time.perf_counter_ns
 ) -> float:
-    """Mean cost of an action, in µs.
+    """Return the mean cost of an action, in µs.
 
     Args:
         action: what to do.
         times: how often.
-        clock_ns: a clock that never goes back.
+        clock_ns: a monotonic clock.
     """
     started_ns = clock_ns()
     for _ in range(times):

@@ -1,4 +1,4 @@
-"""What a run costs in a sweep: against a bare simulation, and on two workers against one."""
+"""Cost of a run in a sweep: against a bare simulation, and on two workers against one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def measure_sweep(scenario: str, seconds: float, runs: int, repetitions: int) ->
 
 
 def _sweep_us(sweep: Sweep, workers: DaskWorkers) -> float:
-    """Cost of one run of a whole sweep, in µs of wall time."""
+    """Return the cost of one run of a whole sweep, in µs of wall time."""
     with tempfile.TemporaryDirectory() as path:
         folder = StudyFolder(Path(path), sweep)
         started_ns = time.perf_counter_ns()

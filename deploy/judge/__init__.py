@@ -1,1 +1,1 @@
-"""What a recording says of the law: figures, bounds and their conditions."""
+"""Evaluation of recordings: figures, bounds and their conditions."""

@@ -1,4 +1,4 @@
-"""What may change the last bits of a run: the C library's functions, and versions of libraries."""
+"""Causes of different last bits in a run: the C library's functions, and versions of libraries."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any
 _POINTS = 1000
 _DIGITS = 12
 _COMPUTING = ("pybullet", "mujoco", "pin", "numpy", "numba")
-"""Libraries whose numbers reach a torque; the others carry, store or show them."""
+"""Libraries whose numbers affect a torque; others only transport, store or show them."""
 
-# Each takes numbers between 0 and 1. glibc picks variants of them by CPU, with and without FMA.
+# Each takes numbers between 0 and 1. glibc has variants with and without FMA, chosen by CPU.
 _FUNCTIONS: tuple[Callable[[float], float], ...] = (
     lambda x: math.sin(20.0 * x),
     lambda x: math.cos(20.0 * x),
@@ -33,18 +33,18 @@ _FUNCTIONS: tuple[Callable[[float], float], ...] = (
 
 @cache
 def libm_fingerprint() -> str:
-    """Hash of what this machine's C library computes, for Python, compiled code and physics."""
+    """Return a hash of this machine's C library's results in Python, compiled code and physics."""
     points = [(k + 0.5) / _POINTS for k in range(_POINTS)]
     values = [function(x) for function in _FUNCTIONS for x in points]
     return hashlib.sha256(struct.pack(f"<{len(values)}d", *values)).hexdigest()[:_DIGITS]
 
 
 def difference_of_arithmetic(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """A sentence on why two runs may differ in their last bits; empty for no known reason.
+    """Explain in a sentence why two runs may differ in their last bits; empty if unknown.
 
     Args:
         one: manifest of a run.
-        other: of the other; what either of them does not say counts for nothing.
+        other: manifest of the other; values missing in either are ignored.
     """
     pairs = [("libm", _libm(one), _libm(other))]
     pairs += [(name, _version(one, name), _version(other, name)) for name in _COMPUTING]

@@ -19,20 +19,20 @@ _COUNTED = ("ticks", "outside", "margin_min")
 
 
 def bound_usage(run: RunData) -> Matrix:
-    """|e| over the bound on the error's own side, at every tick, shape (ticks, joints)."""
+    """Return |e| over the bound on the error's side, at every tick, shape (ticks, joints)."""
     errors = run.true_errors_rad
     upper, lower = run.setup.funnel.bounds(run.times_s(topics.PLANT_TRUTH))
     return np.where(errors >= 0.0, errors / upper, errors / lower)
 
 
 def judge_bounds(run: RunData) -> dict[str, Any]:
-    """How the true error kept inside the funnel, at the ticks that are known.
+    """Judge how the true error kept inside the funnel, at the known ticks.
 
-    An error that is not a number is outside: nothing says where the arm was. Where the plant came
-    to no tick there is nothing to judge. `deploy.judge.verdict` decides what follows.
+    An error that is NaN counts as outside, since the arm's position is unknown. Without any tick
+    there is nothing to judge. `deploy.judge.verdict` decides what follows.
     """
     usage = bound_usage(run)
-    if len(usage) < 2:  # the first is where the arm stood before any tick
+    if len(usage) < 2:  # the first is the arm's position before any tick
         return dict.fromkeys(("violation_fraction", "first_violation_s", "margin_min"))
     outside = ~(usage < 1.0).all(axis=1)
     largest = float(usage.max())
@@ -45,11 +45,11 @@ def judge_bounds(run: RunData) -> dict[str, Any]:
 
 
 def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> list[str]:
-    """What the plant counted otherwise than its recording shows, where no tick is missing.
+    """Report how the plant's own count differs from its recording, if no tick is missing.
 
     Args:
         run: the run.
-        bounds: what `judge_bounds` says of it.
+        bounds: result of `judge_bounds`.
         known: which of its ticks are recorded.
     """
     counted = plant_count(run)
@@ -60,7 +60,7 @@ def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> 
     found = (rows, round(bounds["violation_fraction"] * rows), bounds["margin_min"])
     told = tuple(counted[name] for name in _COUNTED)
     margins = (math.inf if each[-1] is None else each[-1] for each in (found, told))
-    # Another machine's functions may have other last bits.
+    # Another machine's functions may differ in their last bits.
     is_same = found[:-1] == told[:-1] and math.isclose(*margins, rel_tol=1e-6, abs_tol=1e-6)
     ours, theirs = (
         f"{outside} of {ticks} ticks outside, smallest margin {margin}"
@@ -70,9 +70,9 @@ def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> 
 
 
 def lacks_end(run: RunData) -> list[str]:
-    """What is wrong with a recording that shows a plant at work, but not how it ended.
+    """Report that a recording shows a working plant, but not how it ended.
 
-    Where a process failed, its failure says that already.
+    The failure of a process already explains that.
     """
     is_ended = "ticks" in run.last_values(Role.PLANT, EventKind.ENDED)
     if is_ended or run.faults() or not len(run.tables[topics.PLANT_TRUTH.name]):
@@ -81,5 +81,5 @@ def lacks_end(run: RunData) -> list[str]:
 
 
 def plant_count(run: RunData) -> dict[str, Any]:
-    """What the plant counted against the funnel itself; {} of older versions and other plants."""
+    """Return the plant's own count of the funnel; {} for older versions and other plants."""
     return dict(run.last_values(Role.PLANT, EventKind.ENDED).get("bounds", {}))

@@ -1,4 +1,4 @@
-"""Chattering: how much of a torque's variation is too fast for anything but the switching of a law.
+"""Chattering: variation of torque that is too fast for anything but the switching of a law.
 
 Power spectra after Welch: Hann-windowed segments of one second that overlap by half, averaged.
 """
@@ -12,7 +12,7 @@ from bus_schema.arrays import Matrix, Vector
 from deploy.judge.recorded_ticks import NO_ROWS, Rows
 
 CHATTER_HZ = 50.0
-"""From here on up, torque is chatter; the motions asked of an arm are far slower."""
+"""Torque counts as chatter from this frequency up; an arm's motions are far slower."""
 
 _SEGMENT_S = 1.0
 
@@ -20,12 +20,12 @@ _SEGMENT_S = 1.0
 def power_spectrum(
     torques_nm: Matrix, rate_hz: float, after_gaps: Rows = NO_ROWS
 ) -> tuple[Vector, Matrix]:
-    """Power of each joint's torque by frequency, its mean removed.
+    """Return the power of each joint's torque by frequency, with its mean removed.
 
     Args:
         torques_nm: evenly spaced in time, shape (samples, joints), at least 2 samples.
         rate_hz: samples per second.
-        after_gaps: samples before which some are missing, so that no segment goes over that.
+        after_gaps: samples that follow a gap, which no segment may span.
 
     Returns:
         Frequencies in Hz, shape (frequencies,), and N² m² at each, shape (frequencies, joints).
@@ -40,7 +40,7 @@ def power_spectrum(
     ])  # fmt: skip
     spectra = np.fft.rfft(window * segments)
     power = (spectra.real**2 + spectra.imag**2).mean(axis=0).T
-    bins = np.arange(len(power))  # all but the first, and the last of an even length, stand for two
+    bins = np.arange(len(power))  # each stands for two, except at both ends
     sides = np.where((bins == 0) | (2 * bins == length), 1.0, 2.0)
     scale = sides[:, None] / (length * np.sum(window**2))
     frequencies = np.asarray(bins * (rate_hz / length), dtype=np.float64)
@@ -50,11 +50,11 @@ def power_spectrum(
 def chatter_shares(
     torques_nm: Matrix, rate_hz: float, after_gaps: Rows = NO_ROWS
 ) -> list[float] | None:
-    """Share of each joint's varying torque energy above `CHATTER_HZ`; 0 for a constant torque.
+    """Return each joint's share of varying torque energy above `CHATTER_HZ`; 0 if it is constant.
 
     Args:
         torques_nm: evenly spaced in time, shape (samples, joints).
-        rate_hz: samples per second; at twice `CHATTER_HZ` or below there is nothing to tell: None.
+        rate_hz: samples per second; at twice `CHATTER_HZ` or below, the result is None.
         after_gaps: as for `power_spectrum`.
     """
     if rate_hz <= 2.0 * CHATTER_HZ or len(torques_nm) < 2:

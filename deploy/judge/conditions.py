@@ -1,4 +1,4 @@
-"""Under what conditions results came about: what a number must be quoted with."""
+"""Conditions of results, to be quoted with every number."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deploy.scenario.setup import Setup
 from plant_emulator.physics.engines import DEFAULT_ENGINE, ENGINES, default_note, physics_in_force
 
 Conditions = dict[str, str]
-"""Sentences or numbers with their unit, by what they tell of."""
+"""Sentences or numbers with their unit, by subject."""
 
 _UNKNOWN = "not known"
 _GRANTED_IN_SILENCE = f"{_UNKNOWN}: the manifest does not say, as where loops were started by hand"
@@ -21,10 +21,10 @@ _SHOWN_GRANTS = (SCHEDULER, AFFINITY)
 
 
 def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> Conditions:
-    """The conditions of a run, or of runs that differ in their law alone.
+    """Return the conditions of a run, or of runs that differ only in their law.
 
     Args:
-        setups: the scenario, under each law.
+        setups: the scenario, with each law.
         manifest: ``manifest.json`` of the folder; empty where there is none.
     """
     scenario, laws = setups[0].scenario, [setup.scenario.controller.name for setup in setups]
@@ -45,7 +45,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
 
 
 def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Conditions:
-    """The conditions of a run that was recorded.
+    """Return the conditions of a recorded run.
 
     Args:
         run: its data.
@@ -53,7 +53,7 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
     """
     conditions = {**conditions_of_runs([run.setup], manifest), "law": run.controller}
     if physics := run.last_values(Role.PLANT, EventKind.ENDED).get("physics"):
-        has_rotors = run.setup.scenario.plant.actuator.has_rotors  # which only one engine knows
+        has_rotors = run.setup.scenario.plant.actuator.has_rotors  # known only to one engine
         note = "" if has_rotors else _note_of_default(physics, manifest)
         conditions["physics"] = physics + note
     if run.clock == "realtime" and not manifest.get("realtime"):
@@ -62,19 +62,19 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
 
 
 def _physics_of(setups: Sequence[Setup]) -> str:
-    """Engine and integrator of the plants."""
+    """Return engine and integrator of the plants."""
     plants = [setup.scenario.plant for setup in setups]
     return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
 
 
 def drives_of(setups: Sequence[Setup]) -> Conditions:
-    """Where the numbers of motors and friction come from, where scenarios say so."""
+    """Return the sources of the motors' and friction's numbers, if scenarios name them."""
     said = dict.fromkeys(setup.scenario.robot.drive_data for setup in setups)
     return {"drives": "; ".join(filter(None, said))} if any(said) else {}
 
 
 def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
-    """That nobody chose the engine of a recorded run, where it is not the default one."""
+    """Note that a recorded run used another engine than the default one, without choosing it."""
     section: Any = manifest
     for key in ("scenario", "plant", "physics"):  # older manifests lack the last one
         section = section.get(key) if isinstance(section, dict) else None
@@ -84,7 +84,7 @@ def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
 
 
 def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
-    """Which versions it was, and when; several of results that have grown."""
+    """Return versions and dates; several for results that have grown."""
     return {
         "version": _each(manifest, _version_text),
         "date": _each(manifest, lambda made: str(made.get("started", _UNKNOWN))),
@@ -92,13 +92,13 @@ def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
 
 
 def _warnings_of(manifest: Mapping[str, Any]) -> Conditions:
-    """What the arm's file leaves open or has odd, where it does."""
+    """Return warnings about missing or suspicious contents of the arm's file."""
     told = manifest.get("warnings")
     return {"warnings": "; ".join(map(str, told))} if told and isinstance(told, list) else {}
 
 
 def host_of(manifest: Mapping[str, Any]) -> Conditions:
-    """On what machine it was, and what that granted."""
+    """Return the machine, and the settings that it granted."""
     grants = manifest.get("realtime") or {}
     granted = [f"{role} {_grants_text(settings)}" for role, settings in grants.items()]
     return {
@@ -108,19 +108,19 @@ def host_of(manifest: Mapping[str, Any]) -> Conditions:
 
 
 def granted_and_not(conditions: Mapping[str, str]) -> tuple[bool, list[str]]:
-    """Whether it is known what the machine granted the loops, and what of it one of them lacked."""
+    """Return whether the grants for the loops are known, and those that one of the loops lacked."""
     granted = conditions.get("granted", _UNKNOWN)
     lacked = [name for name in _SHOWN_GRANTS if f"no {name}" in granted]
     return not granted.startswith(_UNKNOWN), lacked
 
 
 def conditions_line(conditions: Mapping[str, str]) -> str:
-    """All conditions on one line, to stand below a table."""
+    """Return all conditions on one line, to stand below a table."""
     return "Conditions: " + "; ".join(f"{name}: {text}" for name, text in conditions.items()) + "."
 
 
 def _each(manifest: Mapping[str, Any], tell: Callable[[Mapping[str, Any]], str]) -> str:
-    """What is to be told of the first results and of all that was added to them, each once."""
+    """Return the values of the first results and of all added ones, each once."""
     made = [*manifest.get("grown_from", ()), manifest]
     return ", then ".join(dict.fromkeys(tell(each) for each in made))
 
@@ -138,7 +138,7 @@ def _host_text(manifest: Mapping[str, Any]) -> str:
 
 
 def _grants_text(settings: Sequence[Mapping[str, Any]]) -> str:
-    """What a process was granted of what matters most for its deadlines."""
+    """Describe a process's grants that matter most for its deadlines."""
     by_name = {setting["name"]: setting for setting in settings}
     asked = [by_name[name] for name in _SHOWN_GRANTS if name in by_name] or settings
     return ", ".join(one["detail"] if one["granted"] else f"no {one['name']}" for one in asked)

@@ -1,4 +1,4 @@
-"""What a compensated run identified of its arm, and what the arm really was."""
+"""Model values that a compensated run identified, and the arm's true values."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ FIELDS = {
 
 
 def truth_of(setup: Setup) -> dict[str, Any]:
-    """What there was to be found in the emulated arm, by the names of `FIELDS`.
+    """Return the emulated arm's true values, by the names of `FIELDS`.
 
-    Of the payload from when on, s, and how much, kg; of friction a value for each joint.
+    For the payload: start time, s, and mass, kg; for friction a value for each joint.
     """
     scenario, joints = setup.scenario, setup.robot.joints
     friction, key = scenario.plant.friction, "plant.friction"
@@ -41,7 +41,7 @@ def truth_of(setup: Setup) -> dict[str, Any]:
 
 
 def series(run: RunData, name: str) -> Vector | None:
-    """What was believed at every cycle, shape (cycles,) or (cycles, joints); None if nothing was.
+    """Return the belief at every cycle, shape (cycles,) or (cycles, joints); None without any.
 
     Args:
         run: the run.
@@ -55,9 +55,9 @@ def series(run: RunData, name: str) -> Vector | None:
 
 
 def identified(run: RunData) -> dict[str, Any] | None:
-    """What was believed at the end, and under ``truth`` what was so; None if nothing was learned.
+    """Return the belief at the end, and the true values under ``truth``; None without any.
 
-    A value is None where it is not among what was to be learned.
+    A value that was not to be learned is None.
     """
     believed = {name: series(run, name) for name in FIELDS}
     final = {name: None if v is None else v[-1].tolist() for name, v in believed.items()}

@@ -1,4 +1,4 @@
-"""From the data of a run to the numbers of ``summary.json``."""
+"""Computation of the numbers in ``summary.json`` from the data of a run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
 def summarise(run: RunData) -> dict[str, Any]:
-    """The summary of a run, ready for JSON."""
+    """Return the summary of a run, ready for JSON."""
     setup = run.setup
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
     known, tracking = known_ticks(run), _tracking(run)
@@ -93,7 +93,7 @@ def _tracking(run: RunData) -> dict[str, Any]:
 
 
 def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[float | None]:
-    """When each joint's error last entered ±band to stay; null if it never did."""
+    """Return the time when each joint's error last entered ±band to stay; null if it never did."""
     settled: list[float | None] = []
     for error, band in zip(errors.T, band_rad, strict=True):
         outside = np.flatnonzero(np.abs(error) > band)
@@ -103,10 +103,10 @@ def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[
 
 
 def settling_bound_s(setup: Setup) -> float | None:
-    """The law's bound for this arm with its payload, s; None for a law that has none.
+    """Return the law's bound for this arm with its payload, s; None for a law without one.
 
-    The largest inertia is the largest found in positions spread over all joint ranges, not only on
-    the reference: one bound for every start.
+    It uses the largest inertia in positions spread over all joint ranges, not only on the
+    reference: one bound for every start.
     """
     robot, payload_kg = setup.robot, setup.scenario.plant.payload_kg
 
@@ -144,7 +144,7 @@ def _torque(run: RunData) -> dict[str, Any]:
 
 
 def _command_times(run: RunData) -> tuple[Vector, Rows]:
-    """When the states were measured that commands answer, s, and which stand behind a gap."""
+    """Return when the states that commands answer were measured, s, and which follow a gap."""
     times_s = run.times_s(topics.JOINT_COMMANDS)
     return times_s, rows_after_gaps(run, times_s)
 
@@ -152,9 +152,9 @@ def _command_times(run: RunData) -> tuple[Vector, Rows]:
 def _recording(
     run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
 ) -> dict[str, Any]:
-    """How whole the recording is.
+    """Describe how complete the recording is.
 
-    What missing ticks cost: time without torques, and whether settling times are the latest.
+    It includes the torque time missing in gaps, and which settling times are upper limits.
     """
     skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
     command_times_s, after_gaps = _command_times(run)
@@ -188,7 +188,7 @@ def _timing(run: RunData, known: KnownTicks, stolen_ms: float | None) -> dict[st
 
 
 def times_us(run: RunData) -> dict[str, Vector]:
-    """All values of every time that was ever measured, µs, by its name in the summary."""
+    """Return all values of every measured time, µs, by its name in the summary."""
     truth = run.tables[topics.PLANT_TRUTH.name]
     in_nanoseconds = {
         "round_trip_us": truth["round_trip_ns"],
@@ -197,12 +197,12 @@ def times_us(run: RunData) -> dict[str, Vector]:
         "control_step_us": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
         "wakeup_lateness_us": truth["timing.lateness_ns"],
     }
-    # below 0: there is none
+    # negative: there is none
     return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
 
 
 def _limits(run: RunData) -> dict[str, Any]:
-    """How often each side met each limit: the controller by torques, the plant by ticks."""
+    """Return how often each side met each limit: the controller by torques, the plant by ticks."""
     return {
         "controller": run.last_values(Role.CONTROLLER, EventKind.ENDED).get("limits"),
         "plant": run.last_values(Role.PLANT, EventKind.COUNTS).get("limits"),
@@ -221,7 +221,7 @@ def _transport(run: RunData) -> dict[str, Any]:
 
 
 def _commander(run: RunData) -> dict[str, Any]:
-    """What "one commander" was worth: whether whoever commanded had to prove who it is."""
+    """Describe the security of "one commander": whether senders had to prove their identity."""
     if run.link != "zenoh":
         return {"authenticated": None, "note": None}
     is_authenticated = run.setup.scenario.link.security.enabled

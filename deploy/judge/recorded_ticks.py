@@ -1,4 +1,4 @@
-"""At which of its ticks the true motion of a run is known: messages may be missing anywhere."""
+"""Ticks at which the true motion of a run is known: messages may be missing anywhere."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _SHOWN_GAPS = 3
 
 
 class KnownTicks(NamedTuple):
-    """How much of a run is known.
+    """Known part of a run.
 
     Attributes:
         known: ticks at which the true motion was recorded.
-        ticks: of the run, as far as is known.
+        ticks: number of the run's ticks, as far as known.
         gaps_s: first and last tick of each gap between them, on the run's clock.
     """
 
@@ -38,7 +38,7 @@ class KnownTicks(NamedTuple):
 
     @property
     def gaps_text(self) -> str:
-        """Where the gaps are, such as "2.443 to 2.649 s"; the first few of many."""
+        """Describe the gaps, such as "2.443 to 2.649 s"; only the first few of many."""
         shown = [
             f"{first:.3f} s" if first == last else f"{first:.3f} to {last:.3f} s"
             for first, last in self.gaps_s[:_SHOWN_GAPS]
@@ -48,7 +48,7 @@ class KnownTicks(NamedTuple):
 
 
 def tick_numbers(run: RunData) -> NDArray[np.int64]:
-    """The tick of each message of the true motion, by its stamp; 0 is where the arm stood before.
+    """Return the tick of each message of the true motion, by its stamp; 0 is before the first tick.
 
     Shape (messages,).
     """
@@ -57,9 +57,9 @@ def tick_numbers(run: RunData) -> NDArray[np.int64]:
 
 
 def known_ticks(run: RunData) -> KnownTicks:
-    """What is known of a run, up to the end that the plant told; else to the last tick known."""
+    """Return the known ticks up to the end that the plant reported, else to the last known one."""
     numbers = tick_numbers(run)
-    if (np.diff(numbers) <= 0).any():  # to look costs a tenth of what sorting does
+    if (np.diff(numbers) <= 0).any():  # checking costs a tenth of sorting
         numbers = np.unique(numbers)
     told = run.last_values(Role.PLANT, EventKind.ENDED)
     ticks = int(told.get("ticks", numbers.max(initial=0)))
@@ -75,7 +75,7 @@ def known_ticks(run: RunData) -> KnownTicks:
 
 
 def rows_after_gaps(run: RunData, times_s: Vector) -> Rows:
-    """The rows that are no neighbours of those before them, as ticks in between are missing.
+    """Return the rows that follow a gap, as ticks before them are missing.
 
     Args:
         run: the run.
@@ -88,17 +88,17 @@ def rows_after_gaps(run: RunData, times_s: Vector) -> Rows:
     gaps = np.rint(np.reshape(gaps_s, (-1, 2)) * 1e9 / period_ns)
     ticks = np.rint(times_s * 1e9 / period_ns)
     pairs = np.sort(np.stack([np.concatenate(([-1.0], ticks))[:-1], ticks]), axis=0)
-    # Of other topics than the truth more or less may be missing at the ends of a gap.
+    # Topics other than the truth may lack more or fewer messages at the ends of a gap.
     within = np.searchsorted(gaps[:, 0], pairs[1]) - np.searchsorted(gaps[:, 1], pairs[0], "right")
     return np.flatnonzero((within > 0) & (pairs[1] - pairs[0] > 1.0))
 
 
 def longest_run(flags: NDArray[np.bool_], after_gaps: Rows = NO_ROWS) -> int:
-    """The largest number of flags in a row that are set.
+    """Return the largest number of consecutive flags that are set.
 
     Args:
-        flags: one a tick.
-        after_gaps: those before which some are missing, of which nobody knows whether they were.
+        flags: one per tick.
+        after_gaps: flags that follow a gap, in which the flags are unknown.
     """
     flags = np.insert(flags, after_gaps, False)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))

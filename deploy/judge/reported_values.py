@@ -1,7 +1,7 @@
-"""What processes tell of their run at its end, as far as it can be what they would say.
+"""Reports of processes at the end of their run, checked for plausible types.
 
-Anybody may say it, and recordings may come from anywhere: what is of another kind is left out and
-noted, so that it spoils nothing else.
+Any sender may forge them, and recordings are untrusted: values of another type are left out and
+noted, so that they affect nothing else.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _EXPECTED: Mapping[str, Mapping[str, Any]] = {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,
     },
 }  # fmt: skip
-"""What is used of these events: a type, or a mapping of more of them."""
+"""Expected contents of these events: a type, or a mapping of them."""
 
 ReportedValues = dict[tuple[str, str], dict[str, Any]]
 
 
 def reported_values(events: Iterable[RunEvent]) -> tuple[ReportedValues, list[str]]:
-    """The last usable value of everything that is used, by source and kind; notes on the others."""
+    """Return the last usable value of each expected item, by source and kind, and notes."""
     told: ReportedValues = {}
     notes: dict[str, None] = {}
     for event in events:
@@ -67,7 +67,7 @@ def _take(
     where: str,
     notes: dict[str, None],
 ) -> None:
-    """Take over into `values` what is of the kind expected; what is not is noted."""
+    """Copy values of the expected type into `values`, and note the others."""
     for name, kind in expected.items():
         if name not in given:
             continue

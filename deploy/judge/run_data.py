@@ -23,7 +23,7 @@ from deploy.judge.reported_values import ReportedValues, reported_values
 from deploy.scenario.setup import Setup
 
 FOREIGN = "a foreign controller"
-"""What is given for the law where the controller is nobody's we know."""
+"""Shown instead of the law for an unknown controller."""
 
 Table = NDArray[np.void]
 """Messages of one topic, one row each; fields by dotted name (``header.stamp.sec``)."""
@@ -34,20 +34,20 @@ class RunData:
     """One run.
 
     Attributes:
-        setup: the scenario it was a run of.
+        setup: its scenario.
         clock: ``realtime``, ``lockstep`` or ``virtual`` (in one process).
         link: kind of link.
         tables: messages by topic name; every fixed-size topic has one, perhaps without rows.
-        events: run events, by their time; those of one instant as they came.
+        events: run events, by their time; those of one instant in order of arrival.
         digest: SHA-256 over the delivered joint states and the commands, in order.
         messages: number of recorded messages.
-        lost: messages that the recorder knows it missed, by topic; None if nobody counted them to
+        lost: messages that the recorder knows it missed, by topic; None if they were not counted to
             the end.
         complete: the recording was finished properly, and is undamaged.
-        damage: what is damaged of it, a sentence each.
-        failures: what ended processes of the run, causes before consequences, a sentence each.
-        lacks_checksums: no checksum covers all of its data, as in those of older versions.
-        rejected: what the recorder did not believe, by reason.
+        damage: what is damaged, one sentence per problem.
+        failures: failures of the run's processes, causes before consequences, a sentence each.
+        lacks_checksums: no checksum covers all of its data, as in recordings of older versions.
+        rejected: number of messages that the recorder rejected, by reason.
     """
 
     setup: Setup
@@ -66,7 +66,7 @@ class RunData:
 
     @property
     def controller(self) -> str:
-        """Whose controller it was: a law's name, or a process's; ours tells of all it does."""
+        """Name of the controller: a law's, or a process's; an unknown one sends only commands."""
         controller = self.setup.scenario.controller
         has_told = len(self.tables[topics.CONTROL_STATUS.name]) or any(
             event.source == Role.CONTROLLER for event in self.events
@@ -76,7 +76,7 @@ class RunData:
         return controller.name if is_ours or controller.process is not None else FOREIGN
 
     def times_s(self, topic: Topic) -> Vector:
-        """Stamps of a topic's messages, shape (messages,)."""
+        """Return the stamps of a topic's messages, shape (messages,)."""
         return stamps_s(self.tables[topic.name])
 
     @cached_property
@@ -93,18 +93,18 @@ class RunData:
 
     @property
     def notes(self) -> list[str]:
-        """What was left out of what processes told at their end, a sentence each."""
+        """Notes on ignored values in the processes' final reports, a sentence each."""
         return self._reported[1]
 
     def last_values(self, role: Role, kind: EventKind) -> dict[str, Any]:
-        """What the last events of a kind say that are of one of the processes, as far as it can be.
+        """Return the last usable values of a process's events of one kind.
 
         {} without one; see `reported_values`.
         """
         return self._reported[0].get((role, kind), {})
 
     def faults(self) -> list[str]:
-        """All faults, a sentence each, causes before what followed from them."""
+        """All faults, a sentence each, causes before consequences."""
         return [*self.failures] + [
             f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
             for event in self.events
@@ -113,15 +113,15 @@ class RunData:
 
 
 def stamps_s(table: Table) -> Vector:
-    """Header stamps in seconds."""
+    """Return header stamps in seconds."""
     return table["header.stamp.sec"] + 1e-9 * table["header.stamp.nanosec"]
 
 
 def digest(states: Sequence[bytes], commands: Sequence[bytes]) -> str:
-    """SHA-256 over delivered joint states, then commands, each in order, as wire bytes.
+    """Return SHA-256 over delivered joint states, then commands, each in order, as wire bytes.
 
-    The first state may have been sent again until somebody answered, who may have answered each:
-    how often says nothing of the run, and does not count.
+    The first state may have been sent, and answered, several times; repetitions do not belong to
+    the run and are ignored.
     """
     hasher = hashlib.sha256()
     for payloads in (states, commands):
@@ -138,14 +138,14 @@ def build_run_data(
     link: str,
     **of_recording: Any,
 ) -> RunData:
-    """The data of a run from its messages by topic name; unusable messages are left out.
+    """Return the data of a run from its messages by topic name; unusable messages are left out.
 
     Args:
         setup: the scenario.
         payloads: the messages.
         clock: as `RunData` has it.
         link: likewise.
-        of_recording: likewise, what is known of its recording: ``lost``, ``complete`` and so on.
+        of_recording: its other fields about the recording: ``lost``, ``complete`` and so on.
     """
     names = setup.robot.joint_names
     states, commands = (

@@ -1,4 +1,4 @@
-"""Runs as rows of a table: what experiments over several runs leave as a Parquet file."""
+"""Runs as rows of a table, which experiments over several runs write to a Parquet file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _DIGEST = b"funnel_hil.sha256"
 
 
 def row(summary: dict[str, Any], seed: int) -> Row:
-    """A run as a row; `error` holds its faults, null for none.
+    """Return a run as a row; `error` holds its faults, null for none.
 
     Args:
         summary: the run's ``summary.json``.
@@ -83,12 +83,12 @@ def held(row: Row) -> bool:
 
 
 def left_nothing(row: Row) -> bool:
-    """Whether a run came to nothing that could be judged: it says nothing of its law."""
+    """Whether a run left nothing to judge: it shows nothing about its law."""
     return row["error"] is not None and row["violation_fraction"] is None
 
 
 def failed_row(seed: int, error: str) -> Row:
-    """The row of a run that left nothing to judge."""
+    """Return the row of a run that left nothing to judge."""
     found = {"seed": seed, "completed": False, "error": error, "verdict": decide([error]).value}
     return dict.fromkeys(_COLUMNS) | found
 
@@ -102,10 +102,10 @@ def write_rows(
     """Write rows to a Parquet file; an existing one is replaced as a whole or not at all.
 
     Args:
-        rows: what to write.
+        rows: the rows.
         path: the file.
         more_columns: names and types of columns in front of those that every run has.
-        conditions: under which they came about, for the metadata of the schema.
+        conditions: their conditions, for the metadata of the schema.
     """
     import pyarrow as pa  # heavy, and needed by few commands
     from pyarrow import parquet
@@ -128,7 +128,7 @@ def write_rows(
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a Parquet file.
+    """Return the rows of a Parquet file.
 
     Raises:
         ScenarioError: it is damaged, or of an older version.
@@ -141,7 +141,7 @@ def read_rows(path: Path) -> list[Row]:
         digest = (table.schema.metadata or {}).get(_DIGEST)
         rows: list[Row] = table.to_pylist()
         is_whole = digest == _digest(table)
-    except Exception as error:  # what damage makes pyarrow raise has no common class
+    except Exception as error:  # the exceptions that pyarrow raises on damage have no common class
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise ScenarioError(f"{path}: cannot be read: {reason}") from error
     if digest is None:
@@ -152,7 +152,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def _digest(table: Any) -> bytes:
-    """Checksum of what a table says, however a file stores it."""
+    """Return a checksum of a table's content, independent of the file's format."""
     metadata = {k: v for k, v in (table.schema.metadata or {}).items() if k != _DIGEST}
     said = repr((table.column_names, sorted(metadata.items()), table.to_pylist()))
     return hashlib.sha256(said.encode()).hexdigest().encode()

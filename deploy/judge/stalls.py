@@ -1,4 +1,4 @@
-"""Stalls: for how long a loop in real time was kept from what it had to do."""
+"""Stalls: times for which a loop in real time was kept from its work."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from deploy.judge.recorded_ticks import longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 
 STALL_MS = 20.0
-"""A longer one is named: no loop, garbage collector or ordinary scheduler takes that long."""
+"""Longer stalls are reported: no loop, garbage collector or ordinary scheduler takes that long."""
 
 
 def longest_stall_ms(run: RunData) -> float | None:
-    """The longest stall that the recording shows; None in virtual time, which waits for everybody.
+    """Return the longest stall in the recording; None in virtual time, which has none.
 
-    The largest of: the plant's wake-up lateness; ticks in a row that it slept through; a step of
+    It is the largest of: the plant's wake-up lateness; consecutive ticks that it missed; a step of
     the controller; and the time between two states at the controller beyond that between their
-    stamps, less what the emulated link may have added, for a host or a transport that holds up
-    what the plant had sent. A stall that shows in none of them was no one's loss.
+    stamps, minus the emulated link's part, which shows delays by a host or a transport. A stall
+    that shows in none of them had no effect.
     """
     if run.clock != "realtime":
         return None
@@ -33,14 +33,14 @@ def longest_stall_ms(run: RunData) -> float | None:
 
 
 def _longest_hold_up_ns(run: RunData) -> float:
-    """How much longer than between their stamps it took from one state to the next, at most."""
+    """Return the largest delay between two states beyond the time between their stamps."""
     status = run.tables[topics.CONTROL_STATUS.name]
     ages_ns = run.tables[topics.PLANT_TRUTH.name]["state_age_ns"]
     if len(status) < 2:
         return 0.0
     stamps_ns = 1e9 * stamps_s(status)
     cycles = status["timing.cycle"].astype("int64")
-    follows = cycles[1:] - cycles[:-1] == 1  # else one was not recorded, or another controller came
+    follows = cycles[1:] - cycles[:-1] == 1  # else one is missing, or a new controller joined
     excess_ns = status["timing.period_ns"][1:] - (stamps_ns[1:] - stamps_ns[:-1])
     delivered_ns = ages_ns[ages_ns >= 0]
     emulated_ns = float(delivered_ns.max() - delivered_ns.min()) if len(delivered_ns) else 0.0

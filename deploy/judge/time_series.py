@@ -1,4 +1,4 @@
-"""The numbers of a run over time, as flat columns for tables of other programs."""
+"""Values of a run over time, as flat columns for tables of other programs."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ Columns = dict[str, NDArray[np.generic]]
 """Arrays of shape (rows,) by name."""
 
 TRACKING = "tracking"
-"""The series that is no topic: what the judge goes by, on the plant's ticks."""
+"""The series without a topic: the judged values, on the plant's ticks."""
 _TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in topics.TOPICS
     if topic not in (topics.RUN_EVENTS, topics.JOINT_REFERENCE)  # `tracking` has the reference
 }
 SERIES = (TRACKING, *_TOPICS)
-"""All there are, by name."""
+"""All series, by name."""
 
 
 def series(run: RunData, name: str = TRACKING) -> Columns:
-    """One of `SERIES`: ``time_s``, and a column for each number, ``<field>.<joint>`` per joint.
+    """Return one of `SERIES`: ``time_s``, and columns of values, ``<field>.<joint>`` per joint.
 
-    ``tracking`` has what the verdict rests on, at every tick of the plant: ``position`` and
-    ``velocity`` as they truly were, ``reference``, ``error``, ``upper_bound`` and ``lower_bound``
-    (the ends of the funnel, the lower one negative), in rad and rad/s. The others have the fields
-    of their messages, with the units of ``bus_schema/messages/msg``.
+    ``tracking`` has the values behind the verdict, at every tick of the plant: ``position`` and
+    ``velocity`` (true values), ``reference``, ``error``, ``upper_bound`` and ``lower_bound`` (the
+    ends of the funnel, the lower one negative), in rad and rad/s. The others have the fields of
+    their messages, with the units of ``bus_schema/messages/msg``.
 
     Raises:
         KeyError: there is no such series.
@@ -66,7 +66,7 @@ def _of_topic(run: RunData, topic: Topic) -> Columns:
 
 
 def _columns(field: str, values: NDArray[np.generic], joints: tuple[str, ...]) -> Columns:
-    """A field's columns: one, or one for each joint or element."""
+    """Return a field's columns: one, or one for each joint or element."""
     if values.ndim == 1:
         return {field: values}
     names = joints if values.shape[1] == len(joints) else map(str, range(values.shape[1]))

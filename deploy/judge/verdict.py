@@ -1,4 +1,4 @@
-"""The verdict on a run: the one place that decides whether bounds were kept."""
+"""The verdict on a run: only this module decides whether bounds were kept."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from typing import Any
 
 
 class Verdict(StrEnum):
-    """What became of a run; only `KEPT` counts as kept, wherever runs are shown or counted.
+    """Verdicts on a run; only `KEPT` counts as kept, wherever runs are shown or counted.
 
-    KEPT: every tick is known, none was outside, and the run came to its end without a fault.
-    LOST: the error was outside its bounds at a tick.
-    UNKNOWN: ticks are missing, or the recording is damaged or was not finished.
-    FAULTED: something failed, inside the bounds or not.
-    INTERRUPTED: the run was stopped before its end, inside its bounds until then.
-    NOTHING: no tick was judged.
+    KEPT: every tick is known, none was outside, and the run ended without a fault. LOST: the error
+    was outside its bounds at a tick. UNKNOWN: ticks are missing, or the recording is damaged or
+    unfinished. FAULTED: something failed, inside the bounds or not. INTERRUPTED: the run was
+    stopped before its end, inside its bounds until then. NOTHING: no tick was judged.
     """
 
     KEPT = "kept"
@@ -34,14 +32,14 @@ def decide(
     is_known: bool = True,
     is_ended: bool = True,
 ) -> Verdict:
-    """The verdict on a run.
+    """Return the verdict on a run.
 
     Args:
         faults: what failed.
         is_judged: a tick was judged.
         was_outside: the error was outside its bounds at a known tick.
-        is_known: every tick is known, from an undamaged recording that was finished.
-        is_ended: the run came to its planned end.
+        is_known: every tick is known, from an undamaged and finished recording.
+        is_ended: the run reached its planned end.
     """
     if faults:
         return Verdict.FAULTED
@@ -55,7 +53,7 @@ def decide(
 
 
 def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
-    """The summary with a verdict, and with what follows from it."""
+    """Return the summary with a verdict, and with its consequences."""
     ended = verdict not in (Verdict.FAULTED, Verdict.INTERRUPTED, Verdict.NOTHING)
     bounds = {**summary["bounds"], "kept": verdict is Verdict.KEPT}
     completed = bool(summary["completed"] and ended)
@@ -63,6 +61,6 @@ def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
 
 
 def verdict_of(summary: Mapping[str, Any]) -> Verdict:
-    """The verdict that a summary has; `NOTHING` where it has none that is known."""
+    """Return the verdict in a summary; `NOTHING` for a missing or unknown one."""
     verdict = summary.get("verdict")
     return Verdict(verdict) if verdict in list(Verdict) else Verdict.NOTHING

@@ -1,4 +1,4 @@
-"""What everything else has to know of a kind of link, and how its two sides are opened."""
+"""Interface of a kind of link: its properties, and how to open its two sides."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Arm = TypeVar("Arm", bound=ArmPlant)
 
 @dataclass(frozen=True)
 class LinkRun(PlantTask):
-    """What a link has to know of the run that goes over it: the plant's task, and its own means.
+    """Inputs of a link for one run: the plant's task, and the link's own resources.
 
     Attributes:
-        bus: what both sides share inside one process; None between processes.
+        bus: bus of both sides inside one process; None between processes.
         can_log: file for the frames of a CAN bus; None for no log.
-        drive: gains of the loops that the drives close; None where they take torques alone.
-        agreement: what the processes of the run must agree on; None inside one process.
+        drive: gains of the drives' own loops; None if they follow torques alone.
+        agreement: values that the run's processes must agree on; None inside one process.
     """
 
     bus: InProcessBus | None = None
@@ -41,21 +41,21 @@ class LinkRun(PlantTask):
 
 
 class LinkKind(ABC, Generic[Arm]):
-    """A kind of link. What it does not say otherwise is as it is over a network.
+    """A kind of link. Defaults are those of a network.
 
     Attributes:
         name: its name in a scenario.
-        simulated_as: what the recording of a simulation calls it.
-        arm_type: the arm behind it: with motor drives or without.
+        simulated_as: its name in the recording of a simulation.
+        arm_type: class of the arm: with motor drives or without.
         logs_frames: whether its plant's side can write a log of frames.
-        may_pin_loops: whether each loop may be bound to a CPU of its own.
-        draws_random_numbers: whether the link itself does, in a simulation.
+        may_pin_loops: whether each loop may be bound to its own CPU.
+        draws_random_numbers: whether the link itself draws random numbers in a simulation.
         brings_plant_status: whether the controller gets the plant's status with each state.
-        controller_leads: whether a run ends in order when the controller ends it, as the master of
-            drives does.
+        controller_leads: whether the controller may end a run in order, as the master of drives
+            does.
         simulates_process_faults: whether a controller can be silenced in a simulation.
-        no_link_faults: what is allowed in place of scheduled faults of messages, where there are
-            none that the plant could change; None where there are.
+        no_link_faults: what is allowed instead of scheduled faults of messages, if the plant cannot
+            change this link's messages; None if it can.
     """
 
     name: str
@@ -70,50 +70,50 @@ class LinkKind(ABC, Generic[Arm]):
     no_link_faults: str | None = None
 
     def check(self, run: LinkRun) -> None:
-        """Check that a scenario fits the link, whatever the machine has.
+        """Check that a scenario fits the link, independent of the machine.
 
         Raises:
             ConfigurationError: it does not.
         """
 
     def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:  # noqa: ARG002 (most have none)
-        """A sentence for each thing that is taken, but that may not be what was meant.
+        """Return warnings about accepted but suspicious settings, a sentence each.
 
         Args:
             run: the run.
-            most_nm: the largest torques that the controller may give, N m, shape (joints,).
+            most_nm: the controller's largest torques, N m, shape (joints,).
         """
         return []
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
-        """Check that this machine has what the link needs, before anything starts.
+        """Check that this machine has the link's requirements, before anything starts.
 
         Args:
             link: section ``link`` of the scenario.
             one_process: both sides will be in this process.
 
         Raises:
-            ConfigurationError: it has not.
+            ConfigurationError: it does not.
         """
 
     def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
-        """The link where no other run meets it, as far as the scenario leaves open where it is."""
+        """Return the link at a place without other runs, unless the scenario gives its place."""
         return link
 
     def wire_rounding(
         self,
         run: LinkRun,  # noqa: ARG002 (for links that round)
     ) -> Callable[[Vector], Vector] | None:
-        """What the wire makes of torques, N m, shape (joints,); None if they arrive as sent."""
+        """Return torques as the wire rounds them, N m, shape (joints,); None if it does not."""
         return None
 
     @abstractmethod
     def open_plant(self, run: LinkRun, arm: Arm, clock: Clock) -> PlantLink:
-        """The plant's side.
+        """Open the plant's side.
 
         Args:
             run: the run.
-            arm: the arm, which gets its drives where the link has drives.
+            arm: the arm; it gets drives if the link has them.
             clock: the plant's clock.
 
         Raises:
@@ -122,7 +122,7 @@ class LinkKind(ABC, Generic[Arm]):
 
     @abstractmethod
     def open_controller(self, run: LinkRun) -> ControllerLink:
-        """The controller's side.
+        """Open the controller's side.
 
         Raises:
             BusError: the link cannot be opened.
@@ -151,7 +151,7 @@ class InProcessKind(LinkKind[ArmPlant]):
 
 
 def shared_bus(run: LinkRun) -> InProcessBus:
-    """The bus of a run in one process; without one there is no such run, see `check_machine`."""
+    """Return the bus of a run in one process; see `check_machine` for other runs."""
     assert run.bus is not None
     return run.bus
 
@@ -164,4 +164,4 @@ LINK_KINDS: Registry[LinkKind[Any]] = Registry(
         "can": "deploy.link_kinds.can:CanKind",
     },
 )
-"""Each is imported when a scenario names it: CAN's libraries are slow. A new one is a line here."""
+"""Each is imported when a scenario names it, as CAN's libraries are slow. Add new kinds here."""

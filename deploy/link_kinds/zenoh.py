@@ -1,4 +1,4 @@
-"""A link over Zenoh between processes; within one there is nothing for it to carry."""
+"""A link over Zenoh between processes; it is not used within one process."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from plant_emulator.arm_plant import ArmPlant
 
 
 class ZenohKind(InProcessKind):
-    """``zenoh``: between processes; simulations are those of ``in_process``."""
+    """``zenoh``: between processes; simulations use ``in_process``."""
 
     name = "zenoh"
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
-        """Every machine has what it needs."""
+        """Do nothing: every machine has the requirements."""
 
     def open_plant(self, run: LinkRun, arm: ArmPlant, clock: Clock) -> PlantLink:
         if run.bus is not None:

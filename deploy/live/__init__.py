@@ -1,4 +1,4 @@
-"""The live view: a run that is watched while it happens, or played back, in a browser or Foxglove.
+"""The live view: a run in progress, or a recorded one, in a browser or Foxglove.
 
-A process of its own that only looks: it takes what the recorder passes on.
+It is a separate, passive process, which receives snapshots from the recorder.
 """

@@ -1,7 +1,7 @@
-"""The figures of a live view: those of a report, without data, each trace with what it will show.
+"""Figures of a live view: those of a report, without data; each trace names its values.
 
-A trace's `meta` says which series of a frame (`deploy.live.frames`) it takes, and of which joint;
-its data are added in the browser.
+A trace's `meta` names its series of a frame (`deploy.live.frames`) and its joint; the browser adds
+the data.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _HEADROOM = 1.3
 _POSTURES = 200
 _NOTHING: Any = []
 WINDOW_S = 10.0
-"""How much of a run the figures over time show."""
+"""Time span of a run that the figures show."""
 
 
 def live_figures(setup: Setup) -> dict[str, Any]:
-    """Figures by the id of the element they are drawn in, as Plotly's JSON."""
+    """Return the figures by the id of their HTML element, as Plotly's JSON."""
     draw = {"error": _errors, "torque": _torques, "age": _ages, "arm": _arm}
     with no_template():
         figures = {name: each(setup) for name, each in draw.items()}
@@ -45,7 +45,7 @@ def _torques(setup: Setup) -> go.Figure:
 
 
 def _rows(setup: Setup, unit: str, series: dict[str, go.Scatter]) -> go.Figure:
-    """A row per joint with a trace for each series, the last of which has the joint's colour."""
+    """Return a row per joint with a trace for each series, the last in the joint's colour."""
     figure = style.joint_rows(setup.robot.joint_names, unit)
     for joint in range(setup.robot.joints):
         traces = [
@@ -58,14 +58,14 @@ def _rows(setup: Setup, unit: str, series: dict[str, go.Scatter]) -> go.Figure:
 
 
 def _ages(setup: Setup) -> go.Figure:
-    """Age of the command in force, and from when on it is too old."""
+    """Return the figure of the age of the command in force, with its limit."""
     figure = go.Figure()
     figure.add_trace(_line().update(name="age", meta={"series": "age_ms"}))
     deadline_ms = _deadline_ms(setup)
     figure.add_hline(
         deadline_ms, line={**style.DOTTED, "color": style.ALARM}, annotation_text="deadline"
     )
-    figure.add_hline(_HEADROOM * deadline_ms, opacity=0)  # which the axis makes room for
+    figure.add_hline(_HEADROOM * deadline_ms, opacity=0)  # for which the axis makes room
     style.apply(figure, 220)
     figure.update_xaxes(title_text="time (s)")
     figure.update_yaxes(title_text="ms", rangemode="tozero")
@@ -73,26 +73,26 @@ def _ages(setup: Setup) -> go.Figure:
 
 
 def _deadline_ms(setup: Setup) -> float:
-    """The oldest that a state may be which the command in force answers."""
+    """Return the largest allowed age of the state that the command in force answers."""
     link, seed = setup.scenario.link, setup.scenario.seed
     mean_ns = open_uplink(link, seed).mean_delay_ns + open_downlink(link, seed).mean_delay_ns
     return 1e-6 * link.deadline_ns(setup.grid.period_ns, max(mean_ns, link.playout_ns))
 
 
 def _arm(setup: Setup) -> go.Figure:
-    """The arm in a cube, which grows in the browser where the arm leaves it."""
+    """Return the arm in a cube, which grows in the browser if the arm leaves it."""
     figure = go.Figure([
         _in_space("reference", style.MUTED, 6).update(meta={"lines": "reference_arm"}),
         _in_space("arm", style.palette(0), 9).update(meta={"lines": "arm"}),
         _in_space("path of the tip", style.palette(1), 3).update(meta={"path": "arm"}),
     ])  # fmt: skip
     show_in_space(figure, _cube(setup), uirevision="arm")
-    figure.update_layout(showlegend=True, margin={"t": 10})  # as high as the page has it
+    figure.update_layout(showlegend=True, margin={"t": 10})  # as high as its place on the page
     return figure
 
 
 def _cube(setup: Setup) -> Matrix:
-    """Two opposite corners of the cube around all that the arm is to do, shape (2, 3), m."""
+    """Return two opposite corners of the cube around all planned motion, shape (2, 3), m."""
     times_s = np.linspace(0.0, setup.scenario.duration_s, _POSTURES)
     wanted = sample_positions(setup.reference, times_s, setup.robot.joints)
     postures = np.vstack([setup.start_position_rad, wanted])

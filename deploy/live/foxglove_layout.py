@@ -14,7 +14,7 @@ _BOUND = "#9ab8cc"
 
 
 def foxglove_layout(setup: Setup) -> dict[str, Any]:
-    """The layout, as Foxglove imports it from a JSON file."""
+    """Return the layout, as Foxglove imports it from a JSON file."""
     names = setup.robot.joint_names
     errors = {f"Plot!error{joint}": _error(joint, name) for joint, name in enumerate(names)}
     panels = {
@@ -61,7 +61,7 @@ def _arm() -> dict[str, Any]:
 
 
 def _error(joint: int, name: str) -> dict[str, Any]:
-    """An error between its bounds, as the controller tells of them."""
+    """Return a plot of an error between its bounds, from the controller's status."""
     status = f"/{topics.CONTROL_STATUS.name}"
     return _plot(f"error of {name} (rad)", [
         _line(f"{status}.upper_bound[{joint}]", "upper bound", _BOUND),
@@ -89,7 +89,7 @@ def _line(path: str, label: str, colour: str, time: str = "headerStamp") -> dict
 
 
 def _split(direction: str, panels: list[Any], share: float | None = None) -> Any:
-    """Panels one behind the other along a direction; the first has its share, or all the same."""
+    """Return panels side by side in a direction; the first has its share, or all the same."""
     first, *others = panels
     if not others:
         return first

@@ -1,7 +1,7 @@
-"""The run for Foxglove: its WebSocket server with the bytes of the bus. The one import of foxglove.
+"""Foxglove's WebSocket server for a run, with the bytes of the bus. The only import of foxglove.
 
 All channels are advertised, with their schemas, before the first message, or clients would miss
-some. Clients can send nothing. There is no token: Foxglove has no place for one.
+some. Clients can send nothing. There is no token, as Foxglove does not support one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from deploy.run.live.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 USUAL_PORT = 8765
-"""Where Foxglove looks by itself."""
+"""Default port of Foxglove."""
 URDF_ASSET = "package://robot.urdf"
 _BACKLOG = 256
 _COUNTS = "deadlines"
@@ -31,15 +31,15 @@ _COUNTS_SCHEMA = {
 
 
 class FoxgloveServer:
-    """Serves a run at 127.0.0.1; a client that does not keep up loses messages.
+    """Server of a run at 127.0.0.1; a slow client loses messages.
 
     Args:
         setup: the scenario.
-        port: where to listen; None for the usual port, or any if that is taken.
+        port: where to listen; None for the default port, or any if that is taken.
 
     Attributes:
-        url: where it is.
-        is_watched: somebody has asked for a channel.
+        url: its address.
+        is_watched: a client has subscribed to a channel.
 
     Raises:
         OSError: the port is taken.
@@ -60,7 +60,7 @@ class FoxgloveServer:
         self.url = f"ws://{HOST}:{self._server.port}"
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Send what came, and where the links are by it."""
+        """Send new messages, and the poses of the links that follow from them."""
         for topic, stamp_ns, payload in snapshot.messages:
             self._channels[topic.name].log(payload, log_time=stamp_ns)
             if topic is topics.JOINT_STATES:
@@ -72,14 +72,14 @@ class FoxgloveServer:
                 self._counts.log(counts, log_time=stamp_ns)
 
     def on_subscribe(self, _client: Any, channel: Any) -> None:
-        """What is sent once, everybody gets who asks for it."""
+        """Send the messages that are sent only once to each new subscriber."""
         self.is_watched = True
         payload = self._first.get(channel.topic.removeprefix("/"))
         if payload is not None:
             self._channels[channel.topic.removeprefix("/")].log(payload, log_time=0)
 
     def on_unsubscribe(self, _client: Any, _channel: Any) -> None:
-        """Nothing follows from it."""
+        """Do nothing."""
 
     def close(self) -> None:
         """Stop serving."""

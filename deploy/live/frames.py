@@ -1,4 +1,4 @@
-"""What a page shows of a run at one time, and the last minute of it for whoever comes late."""
+"""Frames: the values that a page shows of a run at one time, with the last minute of them."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _TOLD = (EventKind.MODE, EventKind.FAULT, EventKind.INJECTED, EventKind.LIMIT, E
 _MRAD, _MS = 1e3, 1e-6
 
 Frame = dict[str, Any]
-"""One look at a run, as JSON has it."""
+"""One frame of a run, ready for JSON."""
 
 
 class RunState:
-    """The newest of a run, from snapshots of it; messages that cannot be read are ignored.
+    """The newest values of a run, from snapshots; unreadable messages are ignored.
 
     Args:
         setup: the scenario.
@@ -51,7 +51,7 @@ class RunState:
         self._ticks = self._missed = 0
 
     def take(self, snapshot: Snapshot) -> None:
-        """Something came."""
+        """Take a message."""
         self._ticks, self._missed = snapshot.ticks, snapshot.deadlines_missed
         for topic, _, payload in snapshot.messages:
             try:
@@ -65,7 +65,7 @@ class RunState:
                 continue
 
     def frame(self) -> Frame | None:
-        """The newest look; None before any state of the joints came."""
+        """Return the newest frame; None before any joint state."""
         truth = self._newest.get(topics.PLANT_TRUTH.name)
         motion = truth or self._newest.get(topics.JOINT_STATES.name)
         if motion is None:
@@ -89,7 +89,7 @@ class RunState:
         }
 
     def _skeleton(self, position: Vector) -> dict[str, list[float | None]] | None:
-        """Coordinates of its broken line, m; None where a position is not finite."""
+        """Return the coordinates of the arm's line, m; None if a position is not finite."""
         if not np.isfinite(position).all():
             return None
         points = skeletons(self._model, position[np.newaxis])[0, :-1].round(5)
@@ -119,7 +119,7 @@ class RunState:
 
 
 class Frames:
-    """The last frames, which any number of readers wait for; a slow reader misses some."""
+    """The last frames, for any number of waiting readers; a slow reader misses some."""
 
     def __init__(self) -> None:
         self._kept: deque[Frame] = deque(maxlen=_KEPT)
@@ -128,7 +128,7 @@ class Frames:
         self.is_over = False
 
     def add(self, frame: Frame) -> None:
-        """A new one; where the run's clock went back, another run has begun."""
+        """Add a frame; if the run's clock went back, another run has begun."""
         with self._changed:
             if self._kept and frame["time_s"] < self._kept[-1]["time_s"]:
                 self._kept.clear()
@@ -137,13 +137,13 @@ class Frames:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """There will be no more."""
+        """Mark the end: no more frames follow."""
         with self._changed:
             self.is_over = True
             self._changed.notify_all()
 
     def after(self, number: int, timeout_s: float) -> tuple[int, list[Frame]]:
-        """Frames that came after the `number`-th, as far as they are kept, and the new number."""
+        """Return the frames after the `number`-th, as far as they are kept, and the new number."""
         with self._changed:
             self._changed.wait_for(lambda: self._number > number or self.is_over, timeout_s)
             fresh = min(self._number - number, len(self._kept))
@@ -151,5 +151,5 @@ class Frames:
 
 
 def _numbers(values: Vector) -> list[float | None]:
-    """JSON has no NaN."""
+    """Replace NaN, which JSON does not have."""
     return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -1,8 +1,8 @@
-"""The live view's page, for browsers on this machine: read-only, and for who has its token.
+"""Server of the live view's page, for browsers on this machine: read-only, with a token.
 
-It listens at 127.0.0.1. A page of somebody else's in the same browser gets nothing: it does not
-know the token, may not read answers (no CORS), and cannot have its own name point here (the header
-Host is checked).
+It listens at 127.0.0.1. A foreign page in the same browser gets nothing: it does not know the
+token, may not read answers (no CORS), and cannot use its own host name (the header Host is
+checked).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deploy.live.frames import Frames
 
 HOST = "127.0.0.1"
 _LONGEST_WAIT_S = 10.0
-"""For a request, or for a browser to take what it is sent."""
+"""Limit for a request, and for a browser to receive data."""
 _KEEP_ALIVE_S = 2.0
 _MOST_CONNECTIONS = 24
 _HEADERS = {
@@ -47,15 +47,15 @@ _PLOTLY, _EVENTS = "/plotly.js", "/events"
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page and what it shows.
+    """Server of the page and its data.
 
     Args:
-        frames: what it shows.
-        documents: JSON that it asks for, by path, such as ``/figures.json``.
+        frames: the frames to show.
+        documents: JSON documents by path, such as ``/figures.json``.
         port: where to listen; 0 for any.
 
     Attributes:
-        url: where the page is, with the token.
+        url: address of the page, with the token.
 
     Raises:
         OSError: the port is taken.
@@ -76,11 +76,11 @@ class PageServer(ThreadingHTTPServer):
         self._free = threading.BoundedSemaphore(_MOST_CONNECTIONS)
 
     def start(self) -> None:
-        """Serve from a thread."""
+        """Start serving in a thread."""
         threading.Thread(target=partial(self.serve_forever, 0.1), daemon=True).start()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection, unless there are too many already."""
+        """Accept a connection, unless there are too many already."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -94,11 +94,11 @@ class PageServer(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Whatever a client does to its connection is its own affair."""
+        """Ignore errors that a client causes on its connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One request. Methods other than GET get nothing."""
+    """Handler of one request. Methods other than GET are refused."""
 
     server: PageServer
     timeout = _LONGEST_WAIT_S
@@ -130,7 +130,7 @@ class _Handler(BaseHTTPRequestHandler):
     do_HEAD = do_POST = do_PUT = do_DELETE = do_OPTIONS = do_PATCH = _refuse_method  # noqa: N815
 
     def _refusal(self, query: dict[str, list[str]]) -> HTTPStatus | None:
-        """Why nothing is served; None if it is."""
+        """Return why a request is refused; None if it is served."""
         if self.headers.get_all("Host", []) not in [[host] for host in self.server.hosts]:
             return HTTPStatus.MISDIRECTED_REQUEST
         given = query.get("token", [""])[-1]
@@ -151,13 +151,13 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
 
     def _stream(self) -> None:
-        """Server-sent events: all frames that are kept, then each new one, then the end."""
+        """Send server-sent events: all kept frames, then each new one, then the end."""
         self._begin(HTTPStatus.OK, "text/event-stream")
         self.end_headers()
         self.server.is_watched.set()
         number, is_over = 0, False
         while not is_over:
-            is_over = self.server.frames.is_over  # before they are asked for: none is left then
+            is_over = self.server.frames.is_over  # first, so that no frame is missed
             number, fresh = self.server.frames.after(number, _KEEP_ALIVE_S)
             self._write_event("frames", json.dumps(fresh, allow_nan=False))
         self._write_event("over", "true")
@@ -166,7 +166,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(f"event: {name}\ndata: {data}\n\n".encode())
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 (http.server's name)
-        """Say nothing: requests hold the token."""
+        """Log nothing: requests contain the token."""
 
 
 @cache

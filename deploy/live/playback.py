@@ -1,4 +1,4 @@
-"""A recorded run as a source of snapshots, at the pace at which it happened or another one."""
+"""A recorded run as a source of snapshots, at its original speed or another one."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from bus_schema.messages.header import stamp_of
 from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
 _LOOK_S = 0.02
-"""Between two snapshots, as a recorder has it."""
+"""Time between two snapshots, as for a recorder."""
 
 
 class Playback:
-    """Plays the messages of a recording once somebody watches.
+    """Plays the messages of a recording once a viewer is open.
 
     Args:
         payloads: messages by topic, in order.
-        joint_names: of the robot.
-        speed: how many times faster than it happened.
-        is_watched: whether anybody watches; until then it does not begin.
+        joint_names: the robot's joints.
+        speed: speed relative to the original.
+        is_watched: whether a viewer is open; the playback waits for one.
 
     Attributes:
         is_over: everything was shown.
@@ -46,7 +46,7 @@ class Playback:
         return self._next is None
 
     def receive(self, timeout_s: float) -> Snapshot | None:
-        """The next snapshot, when its time has come; None if nothing is to be shown yet."""
+        """Return the next snapshot when its time has come; None if there is nothing to show yet."""
         if self._next is None or not (self._began_s is not None or self._is_watched()):
             time.sleep(timeout_s)
             return None
@@ -61,11 +61,11 @@ class Playback:
         return self._sampler.snapshot()
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
 
 def in_order(payloads: Mapping[str, Sequence[bytes]]) -> Iterator[Message]:
-    """All messages of a recording by their stamps; those without one come first."""
+    """Return all messages of a recording by their stamps; those without a stamp come first."""
 
     def of(topic: topics.Topic) -> Iterator[Message]:
         last_ns = 0

@@ -19,28 +19,28 @@ from deploy.scenario.setup import Setup
 _FRAME_S = 0.05
 _WAIT_S = 0.1
 _NICENESS = 10
-_LAST_WORDS_S = 0.3
-"""For browsers to hear that the run is over."""
+_END_NOTICE_S = 0.3
+"""Time for browsers to receive the end of the run."""
 
 
 class Source(Protocol):
-    """Where snapshots of a run come from."""
+    """Source of a run's snapshots."""
 
     def receive(self, timeout_s: float) -> Snapshot | None:
-        """The next one; None if none comes in time."""
+        """Return the next snapshot; None if none arrives in time."""
 
     def close(self) -> None:
-        """Let go of what is open."""
+        """Close all that is open."""
 
 
 class Viewer:
-    """Serves a run.
+    """Server of a run.
 
     Args:
         setup: the scenario.
-        source_name: where the run comes from, as the page says it.
-        port: of the page; 0 for any.
-        foxglove_port: of Foxglove's server; None for its usual one, or any if that is taken.
+        source_name: name of the source, for the page.
+        port: port of the page; 0 for any.
+        foxglove_port: port of Foxglove's server; None for its default, or any if that is taken.
 
     Raises:
         OSError: a port is taken.
@@ -70,18 +70,18 @@ class Viewer:
 
     @property
     def is_watched(self) -> bool:
-        """Whether anybody has looked."""
+        """Whether a viewer has been opened."""
         foxglove = self._foxglove is not None and self._foxglove.is_watched
         return self._page.is_watched.is_set() or foxglove
 
     def places(self) -> str:
-        """Where to look, a line each."""
+        """Return the addresses of the views, a line each."""
         if self._foxglove is None:
             return f"live view: {self._page.url}\nFoxglove:  needs pip install -e '.[live]'"
         return f"live view: {self._page.url}\nFoxglove:  {self._foxglove.url}"
 
     def run(self, source: Source, is_over: Callable[[], bool]) -> None:
-        """Serve what comes, until it is over."""
+        """Serve snapshots until the run is over."""
         while not is_over():
             snapshot = source.receive(_WAIT_S)
             if snapshot is not None:
@@ -90,7 +90,7 @@ class Viewer:
                 self._show()
         self._show()
         self._frames.end()
-        time.sleep(_LAST_WORDS_S)
+        time.sleep(_END_NOTICE_S)
 
     def close(self) -> None:
         """Stop serving."""
@@ -106,7 +106,7 @@ class Viewer:
             self._foxglove.publish(snapshot)
 
     def _show(self) -> None:
-        """Add a frame, if anything has come since the last one."""
+        """Add a frame, if there is anything new."""
         if not self._has_news:
             return
         self._has_news, self._frame_due_s = False, time.monotonic() + _FRAME_S
@@ -116,13 +116,13 @@ class Viewer:
 
 
 def stand_back() -> None:
-    """Let everything else go first: a viewer that is late shows less, and that is all."""
+    """Lower this process's priority: a late viewer only shows less."""
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
 
 
 def _foxglove(setup: Setup, port: int | None) -> Any:
-    """Foxglove's server; None where the extra that it needs is not installed."""
+    """Return Foxglove's server; None if its extra is not installed."""
     if find_spec("foxglove") is None:
         return None
     from deploy.live.foxglove_server import FoxgloveServer

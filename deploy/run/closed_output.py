@@ -1,6 +1,6 @@
-"""Standard streams that nobody may read any longer, as after ``funnel-hil … | head -1``.
+"""Standard streams that are closed early, as by ``funnel-hil … | head -1``.
 
-Or that nothing more can be written to, such as a file on a full disk.
+The same applies to streams that fail, such as a file on a full disk.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import TextIO
 
 _GONE = (errno.EPIPE,)
 _LOST = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""Of which somebody who looks for the output has to be told."""
+"""Errors that mean lost output, which the user must learn of."""
 
 
-class _UntilClosed(io.FileIO):
-    """A file descriptor that leads nowhere from the moment at which nothing more gets through."""
+class _DiscardsAfterError(io.FileIO):
+    """A file descriptor that discards everything once a write fails."""
 
     def write(self, data: object) -> int:
         view = memoryview(data)  # type: ignore[arg-type]
@@ -30,37 +30,37 @@ class _UntilClosed(io.FileIO):
             if error.errno in _LOST and self.fileno() == 1:
                 with contextlib.suppress(OSError):
                     os.write(2, f"standard output is lost: {error.strerror}\n".encode())
-            _lead_nowhere(self.fileno())
+            _discard(self.fileno())
             return view.nbytes
         return written or 0
 
 
 def outlive_readers() -> None:
-    """Let the process go on to its end, and to its exit code, when its output is closed."""
-    sys.stdout = _outliving(sys.stdout, 1)
-    sys.stderr = _outliving(sys.stderr, 2)
+    """Let the process continue to its end and its exit code when its output is closed."""
+    sys.stdout = _tolerant(sys.stdout, 1)
+    sys.stderr = _tolerant(sys.stderr, 2)
 
 
-def _outliving(stream: TextIO | None, number: int) -> TextIO:
-    if stream is None:  # closed from the beginning
-        _lead_nowhere(number)
+def _tolerant(stream: TextIO | None, number: int) -> TextIO:
+    if stream is None:  # closed at the start
+        _discard(number)
         return open(number, "w", errors="replace", closefd=False)
     try:
         is_standard = stream.fileno() == number
     except (OSError, ValueError):
         is_standard = False
-    if not is_standard:  # somebody else has put it there, and reads it
+    if not is_standard:  # other code replaced it, and reads it
         return stream
     stream.flush()
-    raw = _UntilClosed(number, "w", closefd=False)
+    raw = _DiscardsAfterError(number, "w", closefd=False)
     return io.TextIOWrapper(
         io.BufferedWriter(raw), encoding=stream.encoding,
-        errors="replace" if stream.errors == "strict" else stream.errors,  # what is not in it
+        errors="replace" if stream.errors == "strict" else stream.errors,  # unencodable
         line_buffering=number == 2 or stream.isatty(),
     )  # fmt: skip
 
 
-def _lead_nowhere(number: int) -> None:
+def _discard(number: int) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     if nowhere != number:
         os.dup2(nowhere, number)

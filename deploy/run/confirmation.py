@@ -1,7 +1,7 @@
-"""Whether a result holds on other physics: the same run on the other engine, and by Runge-Kutta.
+"""Confirmation of a result on other physics: the same run on the other engine, and by Runge-Kutta.
 
-Controller, channel and hardware stay as they are; what differs is the rigid-body dynamics and how
-motion is integrated over a substep.
+Controller, channel and hardware are unchanged; only the rigid-body dynamics and the integration
+over a substep differ.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from plant_emulator.physics.engines import ENGINES, engine_name, physics_text
 CONFIRMATION = "confirmation"
 """Key of `confirmations` in ``summary.json``."""
 NEAR_ZERO = 0.03
-"""Verdicts that differ are too near to call where either smallest margin is as near to zero as this
-share of the bound: either physics may be right."""
+"""Different verdicts are too close to call if either smallest margin is within this share of the
+bound: either physics may be right."""
 
 CONFIRMATION_COLUMNS = {
     "confirmed_on": "list<string>",
@@ -39,15 +39,15 @@ CONFIRMATION_COLUMNS = {
     "confirmed_margin_min": "list<double>",
     "confirmed_error_difference_rad": "list<double>",
 }
-"""Names and Parquet types of what a row has of the same run on other physics, an entry each."""
+"""Names and Parquet types of a row's columns about the same run on other physics."""
 
 
 def check_confirmable(setup: Setup) -> None:
     """Check that a scenario can be simulated on other physics.
 
     Raises:
-        ScenarioError: its controller is a process of its own, or there is no other physics, or
-            another one cannot load the arm.
+        ScenarioError: its controller is a separate process, there is no other physics, or the other
+            physics cannot load the arm.
     """
     process = setup.scenario.controller.process
     if process is not None:
@@ -70,10 +70,10 @@ def check_confirmable(setup: Setup) -> None:
 
 
 def check_repeatable(setup: Setup) -> None:
-    """Check that a run in processes is the same in one process.
+    """Check that a simulation of a scenario must equal its run in processes.
 
     Raises:
-        ScenarioError: it is not in lockstep, or processes are of its own, or are struck.
+        ScenarioError: it is not in lockstep, has a user's process, or has faults of processes.
     """
     scenario, source = setup.scenario, setup.origin
     if scenario.clock != "lockstep":
@@ -89,19 +89,19 @@ def check_repeatable(setup: Setup) -> None:
 
 
 def simulated_otherwise(setup: Setup, path: Path) -> list[str]:
-    """A sentence where a simulation has another digest or verdict than the run in this folder."""
+    """Return a sentence if a simulation's digest or verdict differs from this folder's run."""
     try:
         found = [summarise(load_run(path)[0]), execute(setup).summary]
     except RunFolderError:
-        return []  # the command says so itself
+        return []  # the command reports it itself
     recorded, simulated = (f"{one['verdict']}, digest {one['digest'][:16]}" for one in found)
     if recorded == simulated:
         return []
-    return [f"simulated again in one process, the run is another one: {simulated}; not {recorded}"]
+    return [f"a simulation in one process differs from the run: {simulated}, not {recorded}"]
 
 
 def other_physics(setup: Setup) -> dict[str, Setup]:
-    """The scenario on every other physics that is installed, by what to call that."""
+    """Return the scenario on every other installed physics, by the name of that physics."""
     own, found = physics_text(setup.scenario.plant), {}
     needs_rotors = setup.scenario.plant.actuator.has_rotors
     for name, engine in ENGINES.items():
@@ -117,12 +117,12 @@ def other_physics(setup: Setup) -> dict[str, Setup]:
 
 
 def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Row:
-    """The row of a run, with what came of the same run on other physics.
+    """Return the row of a run, with the results of the same run on other physics.
 
     Args:
         setup: the scenario, which is simulated again.
         data: the run.
-        summary: what `summarise` says of it.
+        summary: its summary by `summarise`.
     """
     values = run_row(dict(summary), setup.scenario.seed)
     values |= {name: [] for name in CONFIRMATION_COLUMNS}
@@ -138,14 +138,14 @@ def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Ro
 
 
 def confirmation_of(data: RunData) -> list[dict[str, Any]]:
-    """`confirmations` of one run."""
+    """Return the `confirmations` of one run."""
     return confirmations([confirmed_row(data.setup, data, summarise(data))])
 
 
 def confirmations(rows: Iterable[Row]) -> list[dict[str, Any]]:
-    """What rows say together, by scenario, law and other physics, ready for JSON.
+    """Summarise the rows by scenario, law and other physics, ready for JSON.
 
-    Rows without `CONFIRMATION_COLUMNS`, as of failed runs, are left out.
+    Rows without `CONFIRMATION_COLUMNS`, such as failed runs, are left out.
     """
     found: dict[tuple[str, ...], dict[str, Any]] = {}
     for row in rows:
@@ -175,7 +175,7 @@ def _agreement(kept: bool, margin: float | None, other: bool, its_margin: float 
 
 
 def _error_difference_rad(run: RunData, other: RunData) -> float | None:
-    """Largest difference of the true errors, while both runs lasted, rad."""
+    """Return the largest difference of the true errors while both runs lasted, rad."""
     ticks = min(len(run.true_errors_rad), len(other.true_errors_rad))
     if not ticks:
         return None

@@ -1,7 +1,7 @@
-"""The one way to run: a scenario is executed in one process or in several, recorded and judged.
+"""The one way to run: execute a scenario in one process or in several, record and judge it.
 
-As a program, ``python -m deploy.run.execute FOLDER PARENT_PID`` starts the processes of a run, as
-a worker of a study must not: they belong to a process of their own, which ends with its parent.
+The program ``python -m deploy.run.execute FOLDER PARENT_PID`` starts the processes of a run for a
+worker of a study: they belong to this separate process, which ends with its parent.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 OnStart = Callable[[Callable[[], None]], None]
-"""Is called with a function by which a run can be stopped."""
+"""Called with a function that stops the run."""
 
 
 class JudgedRun:
-    """A run, which is read and judged when its data or summary is first asked for.
+    """A run whose data is read, and whose summary is computed, when first requested.
 
     Args:
-        law: its name, or what else tells the run from those beside it.
-        data: all that was recorded, or what reads it.
-        summary: what ``summary.json`` says; it is judged if None.
-        path: its folder or MCAP file; None where it was not written.
+        law: its name, or another label that distinguishes the run from others beside it.
+        data: the recorded data, or a function that reads it.
+        summary: content of ``summary.json``; if None, it is computed.
+        path: its folder or MCAP file; None if it was not written.
         outcome: how its processes ended.
     """
 
@@ -68,18 +68,18 @@ class JudgedRun:
 
     @cached_property
     def data(self) -> RunData:
-        """All that was recorded.
+        """The recorded data.
 
         Raises:
-            RunFolderError: nothing was.
+            RunFolderError: nothing was recorded.
         """
         if callable(self._data):
-            self._data = self._data()  # what it was made of is not kept
+            self._data = self._data()  # release the source of the data
         return self._data
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What ``summary.json`` says; errors as `data`."""
+        """Content of ``summary.json``; raises the errors of `data`."""
         return summarise(self.data) if self._summary is None else self._summary
 
     @property
@@ -88,7 +88,7 @@ class JudgedRun:
 
     @property
     def verdict(self) -> Verdict:
-        """What became of it."""
+        """The verdict on the run."""
         return verdict_of(self.summary)
 
     @property
@@ -111,13 +111,13 @@ class How(Protocol):
 
 @dataclass(frozen=True)
 class InProcess:
-    """In this process and in virtual time; without a folder nothing is recorded.
+    """Runs in this process and in virtual time; without a folder nothing is recorded.
 
-    Whatever a law raises is a fault of the run.
+    An exception of a law is a fault of the run.
 
     Attributes:
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
-        on_end: called once the law has been called for the last time, before anything is written.
+        on_end: called after the law's last call, before anything is written.
     """
 
     on_start: Callable[[PlantLoop], None] | None = None
@@ -129,7 +129,7 @@ class InProcess:
             simulation = simulate(setup, self.on_start, can_log)
         except ScenarioError:
             raise
-        except Exception as error:  # noqa: BLE001 - a law of the user's own may raise anything
+        except Exception as error:  # noqa: BLE001 - a user's law may raise any exception
             simulation = failed_simulation(setup, f"{type(error).__name__}: {error}")
         finally:
             self.on_end()
@@ -139,14 +139,14 @@ class InProcess:
 
 @dataclass(frozen=True)
 class InProcesses:
-    """Controller, plant and recorder as processes, by the scenario's clock; needs a folder.
+    """Runs controller, plant and recorder as processes, by the scenario's clock; needs a folder.
 
     Attributes:
         delay: a real delay between controller and plant; None for none.
         awaits_controller: start no controller, as one will come from elsewhere.
         viewer: what a live view does, given the run's folder; None for no live view.
         on_start: called before they start.
-        on_message: called with what they report.
+        on_message: called with their status messages.
     """
 
     delay: RealDelay | None = None
@@ -171,10 +171,10 @@ class InProcesses:
 
 @dataclass(frozen=True)
 class Lockstep:
-    """Processes in lockstep, with ports of their own, below a process that starts them.
+    """Runs processes in lockstep, on separate ports, below a process that starts them.
 
-    So a worker of a study, or a command with other runs behind it, runs a program of the user's
-    own as controller. A run that leaves no recording is one with a fault.
+    With this, a worker of a study, or a command with several runs, can use a user's program as
+    controller. A run without a recording counts as a fault.
 
     Attributes:
         on_start: called once they run.
@@ -214,12 +214,12 @@ def execute(setup: Setup, how: How | None = None, folder: RunFolder | None = Non
 
     Args:
         setup: the scenario.
-        how: in one process by default, or in lockstep where the controller is a process of its own.
-        folder: where to record it; without one, processes take one for the time of the run.
+        how: by default in one process, or in lockstep if the controller is a separate process.
+        folder: where to record it; without one, processes use a temporary folder.
 
     Raises:
-        ScenarioError: it cannot be run that way.
-        OSError: the disk does not take the recording.
+        ScenarioError: it cannot be run in this way.
+        OSError: the recording cannot be written.
     """
     if how is None:
         how = InProcess() if setup.scenario.controller.process is None else Lockstep()
@@ -229,23 +229,23 @@ def execute(setup: Setup, how: How | None = None, folder: RunFolder | None = Non
         folder = RunFolder(Path(place))
         write_scenario(setup, folder.scenario)
         run = how.run(setup, folder)
-        _ = run.data  # is read before its folder goes
+        _ = run.data  # read it before its folder is removed
         run.path = None
         return run
 
 
 def recorded(folder: RunFolder, outcome: RunOutcome) -> JudgedRun:
-    """The run that processes have recorded to a folder."""
+    """Return the run that processes have recorded to a folder."""
 
     def read() -> RunData:
         data, _ = load_run(folder.path)
-        return replace(data, failures=data.failures or outcome.failures)  # of a disk that is full
+        return replace(data, failures=data.failures or outcome.failures)  # the disk is full
 
     return JudgedRun(folder.path.name, read, path=folder.path, outcome=outcome)
 
 
 def lockstep_setup(setup: Setup) -> Setup:
-    """The scenario in virtual time, with free ports: runs at a time must not share any."""
+    """Return the scenario in virtual time, with free ports: parallel runs must not share any."""
     link = setup.scenario.link
     protocol = "tls" if link.security.enabled else "tcp"
     keys = ("plant_endpoint", "controller_endpoint")
@@ -262,7 +262,7 @@ def _name(setup: Setup) -> str:
 
 
 def _main(path: Path, parent_pid: int) -> None:
-    """Be the process that starts the others; writes their failures to standard output."""
+    """Start the processes of a run; write their failures to standard output."""
     folder = RunFolder(path)
     setup = load_setup(str(folder.scenario))
     launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)

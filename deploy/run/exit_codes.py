@@ -1,4 +1,4 @@
-"""What commands and processes end with."""
+"""Exit codes of commands and processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FINISHED, FAULT, BAD_INPUT, BOUNDS_NOT_KEPT, INTERRUPTED = 0, 1, 2, 3, 130
 
 @contextmanager
 def with_exit_codes() -> Iterator[None]:
-    """End this process with one message, and its code, at bad input and at requests to stop."""
+    """End this process with one message and an exit code at bad input and at stop requests."""
     try:
         yield
     except InputError as error:
@@ -22,6 +22,6 @@ def with_exit_codes() -> Iterator[None]:
     except Stopped:
         print("stopped", file=sys.stderr)
         sys.exit(INTERRUPTED)
-    except OSError as error:  # a disk that is full or gone
+    except OSError as error:  # the disk is full or was removed
         print(f"error: {error}", file=sys.stderr)
         sys.exit(FAULT)

@@ -1,4 +1,4 @@
-"""What went before a fault: the last joint states and commands, for the search for its cause."""
+"""Record of a fault: the last joint states and commands before it, to find its cause."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bus_schema.messages.topics import Topic
 from deploy.judge.run_data import RunData
 
 KEPT = 100
-"""States and commands in a record."""
+"""Number of states and commands in a record."""
 
 _FIELDS = {
     topics.JOINT_STATES: ("position", "velocity", "effort"),
@@ -22,9 +22,9 @@ _FIELDS = {
 
 
 def fault_record(run: RunData) -> dict[str, Any] | None:
-    """The record of a run's first fault, ready for JSON; None for a run without one.
+    """Return the record of a run's first fault, ready for JSON; None without a fault.
 
-    Only what the recorder had received can be in it.
+    It contains only messages that the recorder received.
     """
     faults = [event for event in run.events if event.kind == EventKind.FAULT]
     if not faults:
@@ -46,7 +46,7 @@ def fault_record(run: RunData) -> dict[str, Any] | None:
 
 
 def _last(run: RunData, topic: Topic, until_ns: int) -> list[dict[str, Any]]:
-    """The last messages that were stamped until then, in the order in which they were sent."""
+    """Return the last messages with stamps up to an instant, in the order of sending."""
     table = run.tables[topic.name]
     sent_ns = stamps_ns(table)
     rows = np.flatnonzero(sent_ns <= until_ns)[-KEPT:]

@@ -1,4 +1,4 @@
-"""Folders for results: new ones, no two commands in one at a time, and missing recordings."""
+"""Folders for results: new ones, locks between commands, and hints for missing recordings."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _RESULTS = (
     "run.mcap", "run.partial.mcap", "summary.json", "manifest.json", "report.html", "fault.json",
     "study.yaml", "comparison.parquet", "sweep.parquet", "margin.parquet", "robustness.parquet",
 )  # fmt: skip
-"""By any of these a folder holds results."""
+"""A folder with any of these holds results."""
 _MORE = re.compile(
     r"(controller|plant|recorder|relay|viewer)_output\.log"
     r"|run-\d+(\.partial)?\.mcap|can(-\d+)?\.log|table\.md|scenario\.yaml|tags\.json"
     r"|\w+\.partial\.(json|html|parquet|md|yaml)|plotly\.min(\.partial)?\.js"
 )
-"""What else commands write there."""
+"""Other files that commands write there."""
 _FOLDERS = ("rows", "scenarios", "base", "export")
-"""Of a study, and what `export` writes."""
+"""Folders of a study, and of `export`."""
 _SHOWN = 5
 _KINDS = {"margin": "study of margins", "robustness": "study of robustness"}
 
@@ -41,7 +41,7 @@ class FolderLock:
         path: the folder.
 
     Raises:
-        ScenarioError: another command has it.
+        ScenarioError: another command holds the lock.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,16 +71,16 @@ class FolderLock:
 
 
 def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
-    """A folder for new results, by default ``runs/<name>-<time>``.
+    """Create and return a folder for new results, by default ``runs/<name>-<time>``.
 
     Args:
-        name: of what is run.
-        out: the folder asked for.
-        overwrite: remove results that are there, and nothing else.
+        name: name of the scenario or study.
+        out: the requested folder.
+        overwrite: remove existing results, and nothing else.
 
     Raises:
         ScenarioError: it cannot be created or written to, another command writes there, or it holds
-            results that are not to be overwritten.
+            results and `overwrite` is false.
     """
     if overwrite and out is None:
         raise ScenarioError("--overwrite: must come with --out; another folder is always a new one")
@@ -103,10 +103,10 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
 
 
 def resolved_out(path: Path) -> Path:
-    """The absolute path of a folder for results, which may not be there yet.
+    """Return the absolute path of a folder for results, which need not exist.
 
     Raises:
-        ScenarioError: its symbolic links lead nowhere.
+        ScenarioError: its symbolic links are circular.
     """
     try:
         return path.resolve()
@@ -115,12 +115,12 @@ def resolved_out(path: Path) -> Path:
 
 
 def holds_results(path: Path) -> bool:
-    """Whether there is a folder with results of ours."""
+    """Whether a folder holds results of ours."""
     return any((path / name).exists() for name in _RESULTS)
 
 
 def remove_results(path: Path) -> None:
-    """Remove what commands left in a folder, and the folder where nothing else is in it.
+    """Remove the results in a folder, and the folder itself if it is then empty.
 
     Raises:
         ScenarioError: another command is writing there.
@@ -143,21 +143,21 @@ def _remove_files(path: Path) -> None:
 
 
 def _unused(name: str) -> Path:
-    """A path of that name, with a number behind it where there is one already."""
+    """Return a path of that name, with a number appended if it exists already."""
     candidates = chain([name], (f"{name}-{number}" for number in count(2)))
     return next(path for path in map(Path, candidates) if not path.exists())
 
 
 def missing_recording(path: Path, kind: str) -> str:
-    """What to tell somebody who gave a path for that of a run.
+    """Explain that a path holds no run, and suggest paths that do.
 
     Args:
-        path: a folder without ``run.mcap``, or nothing at all.
-        kind: of the results in that folder, as its summary has it; empty where there is none.
+        path: a folder without ``run.mcap``, or a path that does not exist.
+        kind: kind of the results in that folder, from its summary; empty without one.
     """
     if not path.exists():
         return f"{path}: holds no run.mcap: no such folder or file{_others(path)}"
-    if not kind and (path / "study.yaml").is_file():  # it has come to no end
+    if not kind and (path / "study.yaml").is_file():  # it was not finished
         kind = "study"
     if kind in {"", "run"}:
         return f"{path}: holds no run.mcap"
@@ -170,7 +170,7 @@ def missing_recording(path: Path, kind: str) -> str:
 
 
 def _others(path: Path) -> str:
-    """What `funnel-hil runs list` shows beside a path, and which of it may have been meant."""
+    """Suggest runs near a path, as `funnel-hil runs list` shows them."""
     found = _folders(path.parent, holds_results)
     if not found:
         return "; funnel-hil runs list shows what lies in runs"
@@ -181,7 +181,7 @@ def _others(path: Path) -> str:
 def _folders(folder: Path, are_asked_for: Callable[[Path], bool]) -> list[Path]:
     try:
         return sorted(inner for inner in folder.iterdir() if are_asked_for(inner))
-    except OSError:  # it is not there, or nobody may look into it
+    except OSError:  # it does not exist, or cannot be read
         return []
 
 

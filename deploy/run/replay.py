@@ -1,4 +1,4 @@
-"""Replay: a recorded run's delivered states fed to the law again, torques compared bit for bit."""
+"""Replay: feed a recorded run's states to the law again, and compare torques bit for bit."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ _STAMP = slice(4, 12)
 
 @dataclass(frozen=True)
 class Replay:
-    """How a replay compares with its recording.
+    """Comparison of a replay with its recording.
 
     Attributes:
         recorded: commands in the recording.
-        replayed: commands that the law gave now.
+        replayed: commands of the replay.
         first_difference: index of the first command that differs; None if none does.
         digest: digest of the replay.
         recorded_digest: digest of the recording.
-        failure: what ended the replay before all recorded states were answered; empty if nothing.
+        failure: what ended the replay before all recorded states were answered; empty if nothing
+            did.
     """
 
     recorded: int
@@ -46,12 +47,12 @@ class Replay:
 
 
 def replay(setup: Setup, contents: LogContents) -> Replay:
-    """Feed the recorded joint states to a fresh law.
+    """Feed the recorded joint states to a new law.
 
     Args:
         setup: the recorded scenario.
-        contents: the recording; a partial one, or one of a run whose controller was struck, is
-            compared as far as it goes.
+        contents: the recording; if it is partial, or a fault hit the controller, it is compared as
+            far as it goes.
     """
     states = contents.payloads[topics.JOINT_STATES.name]
     recorded = contents.payloads[topics.JOINT_COMMANDS.name]
@@ -81,10 +82,10 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
 
 
 def _statuses_beside(contents: LogContents) -> list[bytes | None]:
-    """The plant status that went with each joint state; None where there was none.
+    """Return the plant status that was sent with each joint state; None where there was none.
 
-    Both have the same stamp, at the same place, and the same number: so one that a stranger sends
-    again is told from the plant's. A plant that numbers them otherwise sends one for each stamp.
+    Both have the same stamp and the same number, which distinguishes the plant's from a repetition
+    by another sender. A plant with other numbers sends one status for each stamp.
     """
     name = topics.PLANT_STATUS.name
     of_number: dict[tuple[int, bytes], bytes] = {}
@@ -102,11 +103,11 @@ def _statuses_beside(contents: LogContents) -> list[bytes | None]:
 def _cycle_through(
     loop: ControlLoop, states: Sequence[bytes], statuses: Sequence[bytes | None]
 ) -> str:
-    """Answer all states; what ended that early, as a law that failed in the recording will."""
+    """Answer all states; return what ended that early, for instance a law that failed again."""
     for state, status in zip(states, statuses, strict=True):
         try:
             loop.cycle(state, status)
-        except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
+        except Exception as error:  # noqa: BLE001 (a user's law may raise any exception)
             return str(error)
     return ""
 
@@ -114,7 +115,7 @@ def _cycle_through(
 def _as_delivered(
     setup: Setup, commands: list[bytes], rounding: Callable[[Vector], Vector]
 ) -> list[bytes]:
-    """Commands as they arrive over a link that rounds torques."""
+    """Round commands as a link does that rounds torques."""
     layout = topics.layout(topics.JOINT_COMMANDS, setup.robot.joint_names)
     command, delivered = Record(layout), []
     for payload in commands:

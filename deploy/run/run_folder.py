@@ -1,6 +1,6 @@
-"""What runs leave behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``.
+"""Files of runs: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``.
 
-And, where something went wrong, ``fault.json``.
+After a fault also ``fault.json``.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ _LIBRARIES = (
 
 
 class RunFolderError(InputError):
-    """A folder holds nothing of ours that can be read."""
+    """A folder holds no readable results of ours."""
 
 
 class ResultFolder:
-    """What every command with results leaves in their folder: numbers, provenance and a report.
+    """Folder of a command's results: numbers, provenance and a report.
 
     Args:
         path: the folder.
@@ -65,10 +65,10 @@ class ResultFolder:
         self._lock: FolderLock | None = None
 
     def lock(self) -> Self:
-        """Keep other commands from writing here until this object is left as a context, or ends.
+        """Keep other commands from writing here while the context lasts.
 
         Raises:
-            ScenarioError: another one is at it.
+            ScenarioError: another command is writing.
         """
         self._lock = FolderLock(self.path)
         return self
@@ -94,10 +94,10 @@ class RunFolder(ResultFolder):
 
     @staticmethod
     def begin(setup: Setup, out: Path | None, *, overwrite: bool = False) -> RunFolder:
-        """The folder of a new run, locked, with the scenario in force and a manifest.
+        """Create and lock the folder of a new run, with the scenario in force and a manifest.
 
         Raises:
-            ScenarioError: as `new_folder`.
+            ScenarioError: as for `new_folder`.
         """
         folder = RunFolder(new_folder(setup.scenario.name, out, overwrite=overwrite))
         folder.lock()
@@ -106,16 +106,16 @@ class RunFolder(ResultFolder):
         return folder
 
     def write_scenario(self, setup: Setup) -> None:
-        """Write the scenario in force; after a run, without the places that only this run had.
+        """Write the scenario in force; after a run, without the endpoints that only this run had.
 
-        So it can be run again, also beside others.
+        So it can be run again, also at the same time as others.
         """
         write_scenario(setup, self.scenario)
 
     def write_manifest(
         self, setup: Setup, grants: Mapping[str, Any], real_delay: Mapping[str, Any] | None = None
     ) -> None:
-        """Write what was run, with what, and where.
+        """Write the manifest: what was run, with what, and where.
 
         Args:
             setup: the scenario.
@@ -127,12 +127,12 @@ class RunFolder(ResultFolder):
 
 
 def read_summary(path: Path) -> dict[str, Any]:
-    """What ``summary.json`` of a folder says; empty where there is none."""
+    """Return the content of a folder's ``summary.json``; empty if there is none."""
     return read_json(path / "summary.json")
 
 
 def _failures(path: Path, contents: LogContents) -> list[str]:
-    """What ended processes of a run: in recordings of older versions, only its folder has it."""
+    """Return what ended processes of a run; for older recordings only the folder contains it."""
     if FAILURES_METADATA in contents.metadata:
         return list(contents.metadata[FAILURES_METADATA].values())
     told = read_summary(path).get("unrecorded_faults")
@@ -140,12 +140,12 @@ def _failures(path: Path, contents: LogContents) -> list[str]:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """What ``manifest.json`` of a folder says; empty where there is none."""
+    """Return the content of a folder's ``manifest.json``; empty if there is none."""
     return read_json(path / "manifest.json")
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """What a JSON file says; empty where it is missing, or holds no mapping."""
+    """Return the content of a JSON file; empty if it is missing or holds no mapping."""
     try:
         values = json.loads(read_text(file))
     except (OSError, ValueError, RecursionError):
@@ -154,10 +154,10 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def load_run(path: Path) -> tuple[RunData, LogContents]:
-    """Read a run folder or an MCAP file back; where that is all there is, a partial recording.
+    """Read a run folder or an MCAP file; a partial recording only if there is no other.
 
-    The recording may be anybody's: a law that its scenario names and that is not shipped is not
-    imported, and does nothing in the setup.
+    The recording is untrusted: a law in its scenario that is not shipped is not imported, and does
+    nothing in the setup.
 
     Raises:
         RunFolderError: there is no recording of ours.
@@ -205,13 +205,13 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
 
 
 def _forgeries(rejected: Mapping[str, int]) -> list[str]:
-    """What leaves open which messages are the plant's, in a sentence."""
+    """Explain in a sentence why it is uncertain which messages are the plant's."""
     found = ", ".join(f"{name}: {rejected[name]}" for name in DAMAGING if name in rejected)
     return [f"somebody else sent in the plant's name ({found})"] if found else []
 
 
 def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:
-    """Counts from a table of metadata; None where there is none, or something else."""
+    """Read counts from a table of metadata; None if they are missing or invalid."""
     if told is None or not all(count.isdecimal() and len(count) < 19 for count in told.values()):
         return None
     return {name: int(count) for name, count in told.items()}
@@ -220,10 +220,10 @@ def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:
 def manifest_of(
     setups: Sequence[Setup], grants: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """What is run, with what, and where.
+    """Return the manifest: what is run, with what, and where.
 
     Args:
-        setups: the scenario, under each law that it is run under.
+        setups: the scenario, with each of its laws.
         grants: real-time setup, by role.
     """
     return {
@@ -237,7 +237,7 @@ def manifest_of(
 
 
 def provenance() -> dict[str, Any]:
-    """What was called, when, where and with which versions, for a manifest."""
+    """Return command, time, machine and versions, for a manifest."""
     return {
         "command": sys.argv,
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -256,11 +256,11 @@ def provenance() -> dict[str, Any]:
 
 
 def grown_from(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
-    """The manifest of results to which more was added: what it was before goes with it.
+    """Return the manifest of extended results, which includes the manifest before.
 
     Args:
-        before: the manifest of what was there.
-        now: that of what is added.
+        before: the manifest of the existing results.
+        now: the manifest of the added ones.
     """
     earlier = {key: value for key, value in before.items() if key != "grown_from"}
     return {**now, "grown_from": [*before.get("grown_from", []), earlier]}

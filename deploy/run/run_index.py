@@ -1,4 +1,4 @@
-"""Folders of results side by side: what each holds, and what it is tagged with."""
+"""Index of folders of results: content and tags of each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deploy.run.run_folder import read_json, read_manifest, read_summary
 from deploy.scenario.yaml_files import ScenarioError
 
 INTERRUPTED, INCOMPLETE = "interrupted", "incomplete"
-"""Results of what came to no end, unless by a fault; of what left nothing to judge."""
+"""Results that ended early without a fault, and results with nothing to judge."""
 _OLDER = "older version"
 _RESULTS = {
     Verdict.KEPT: "bounds kept",
@@ -35,11 +35,11 @@ class IndexedResults:
     """A folder of results.
 
     Attributes:
-        path: where.
+        path: the folder.
         kind: ``run``, ``comparison``, ``sweep``, ``margin`` or ``robustness``.
         what: name of the scenario or study, and the law of a run.
-        started: when it was begun; None where nothing says so.
-        result: the verdict on a run; of several, ``complete`` or the worst verdict but lost.
+        started: start time; None if unknown.
+        result: the verdict on a run; of several, ``complete`` or the worst verdict except lost.
         tags: in alphabetical order.
     """
 
@@ -56,7 +56,7 @@ class IndexedResults:
 
 
 def results_in(folder: Path) -> list[IndexedResults]:
-    """What lies in a folder of results, the oldest first.
+    """Return the results in a folder, the oldest first.
 
     Raises:
         ScenarioError: there is no such folder.
@@ -68,10 +68,10 @@ def results_in(folder: Path) -> list[IndexedResults]:
 
 
 def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
-    """Change the tags of a folder of results; those it has then.
+    """Change the tags of a folder of results; return its new tags.
 
     Raises:
-        ScenarioError: it holds no results, or a tag is none.
+        ScenarioError: it holds no results, or a tag is invalid.
     """
     if not holds_results(path):
         raise ScenarioError(f"{path}: holds no results")
@@ -85,7 +85,7 @@ def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
 
 
 def tags_of(path: Path) -> list[str]:
-    """Tags of a folder of results."""
+    """Return the tags of a folder of results."""
     told = read_json(path / _TAGS).get("tags")
     return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
 
@@ -113,7 +113,7 @@ def _looked_at(path: Path) -> IndexedResults:
 
 
 def _result(kind: str, summary: dict[str, Any]) -> str:
-    """The verdict on a run; of several runs, whether they came to their end, or to a fault."""
+    """Return the verdict on a run; of several runs, whether they were complete or had a fault."""
     laws = summary.get("laws")
     if kind == "comparison" and isinstance(laws, dict):
         found = {_verdict(law) for law in laws.values() if isinstance(law, dict)}
@@ -125,7 +125,7 @@ def _result(kind: str, summary: dict[str, Any]) -> str:
 
 
 def _verdict(summary: dict[str, Any]) -> str:
-    """The verdict in a summary; older versions did not decide it there."""
+    """Return the verdict in a summary; older versions did not decide it there."""
     is_older = "ticks" in summary and "verdict" not in summary
     return _OLDER if is_older else _RESULTS[verdict_of(summary)]
 

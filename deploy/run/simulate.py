@@ -1,4 +1,4 @@
-"""A run in one process and in virtual time: the same loops, on links that share the process."""
+"""A run in one process and in virtual time: the same loops, on links within the process."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class Simulation:
     failure: Exception | None
 
     def data(self, messages: int | None = None) -> RunData:
-        """The data of the run.
+        """Return the data of the run.
 
         Args:
-            messages: how many its recording holds, where it has one.
+            messages: number of messages in its recording, if any.
         """
         by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
@@ -57,10 +57,10 @@ class Simulation:
         return data if messages is None else replace(data, messages=messages)
 
     def write_log(self, path: Path) -> int:
-        """Write the recording that a recorder would have made; how many messages it holds.
+        """Write the recording that a recorder would have written; return its number of messages.
 
         Raises:
-            OSError: the disk does not take it.
+            OSError: it cannot be written.
         """
         log = open_log(self.setup, path, clock=CLOCK, link=self.setup.link_kind.simulated_as)
         sequences: Counter[str] = Counter()
@@ -88,10 +88,10 @@ def simulate(
         can_log: file for the frames of a CAN bus.
 
     Raises:
-        ScenarioError: a fault is of a process that is not there.
+        ScenarioError: a fault concerns a process that does not exist.
     """
     require_simulable(setup)
-    # A law shares this process, and can write into all arrays there are: bytes it cannot.
+    # A law in this process could write into any array, but not into bytes.
     judged_by = pickle.dumps((setup.funnel, setup.reference))
     clock = VirtualClock()
     bus = InProcessBus(clock)
@@ -102,7 +102,7 @@ def simulate(
     controller = ControlLoop(setup.control_task(), controller_link)
 
     def silence(action: ProcessAction) -> None:
-        """Silence the controller for good: the plant gives up on it at the first missed reply."""
+        """Silence the controller for good: the plant gives up at the first missed reply."""
         if action.verb not in ("resume", "start"):
             how = "frozen" if action.verb == "freeze" else "killed"
             bus.controller_loss = f"the controller was {how}"
@@ -128,10 +128,10 @@ def simulate(
 
 
 def _warm_up(controller: ControlLoop) -> Exception | None:
-    """Make the controller ready; what stopped it for good, if anything did."""
+    """Warm the controller up; return the reason if that stopped it for good."""
     try:
         controller.warm_up()
-    except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
+    except Exception as error:  # noqa: BLE001 (a user's law may raise any exception)
         controller.stop(reason_of(error))
         controller.end()
         return error
@@ -145,7 +145,7 @@ def _run(
     controller_link: ControllerLink,
     timeout_s: float,
 ) -> Exception | None:
-    """Run the plant on this thread, the controller on another; what stopped it, if anything did."""
+    """Run the plant on this thread, the controller on another; return why that stopped."""
     stop = threading.Event()
     with ThreadPoolExecutor(max_workers=1) as executor:
         failure = executor.submit(_control, controller, controller_link, stop.is_set)
@@ -163,12 +163,12 @@ def _run(
 def _control(
     controller: ControlLoop, link: ControllerLink, is_stop_requested: Callable[[], bool]
 ) -> Exception | None:
-    """Be the controller to the end of the run; what stopped it, if anything did."""
+    """Run the controller to the end of the run; return what stopped it, if anything."""
     failure = None
     try:
         link.activate()
         link.spin(is_stop_requested)
-    except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
+    except Exception as error:  # noqa: BLE001 (for any error of a law, the end is in order)
         controller.stop(reason_of(error))
         failure = error
     controller.end()
@@ -180,7 +180,7 @@ def require_simulable(setup: Setup) -> None:
     """Refuse a scenario with faults of processes that a simulation does not have.
 
     Raises:
-        ScenarioError: names the fault.
+        ScenarioError: the message names the fault.
     """
     source = setup.origin.of("faults")
     for fault in process_faults(setup.scenario.faults):
@@ -197,6 +197,6 @@ def require_simulable(setup: Setup) -> None:
 
 
 def failed_simulation(setup: Setup, detail: str) -> Simulation:
-    """A run that came to nothing but a fault of its controller."""
+    """Return a run that consists only of a fault of its controller."""
     event = RunEvent(0, Role.CONTROLLER, EventKind.FAULT, detail)
     return Simulation(setup, [RUN_EVENTS], [event.encode()], None)

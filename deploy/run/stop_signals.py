@@ -1,6 +1,6 @@
-"""The signals by which a user or the system asks a command to stop: Ctrl-C, SIGTERM, SIGHUP.
+"""Signals that ask a command to stop: Ctrl-C, SIGTERM, SIGHUP.
 
-All mean the same, to every command: stop in order, and end with exit code 130.
+All have the same meaning for every command: stop in order, and end with exit code 130.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from deploy.run.exit_codes import INTERRUPTED
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 WITHIN_S = 5.0
-"""In which what was asked to stop has to do so, where it may be code of the user's own."""
+"""Time to stop on request, where user code may not return."""
 _deadlines: list[threading.Timer] = []
 _lifelines: list[int] = []
 """At most one: the file descriptor by which a watcher learns that this process goes on."""
@@ -31,14 +31,14 @@ _has_come = threading.Event()
 def on_stop(
     stop: Callable[[], None], within_s: float | None = None, *, may_hold_lock: bool = False
 ) -> None:
-    """Call `stop` for each of the signals; but not for SIGHUP under `nohup`.
+    """Call `stop` at each of the signals, except SIGHUP under `nohup`.
 
     Args:
         stop: what to call.
-        within_s: so long after the first signal, or at the second, the process ends; unless what
-            comes next has called this function again by then. None for no such limit.
-        may_hold_lock: code of the user's own may never give up Python's lock, without which no
-            handler runs: twice so long after a signal, another process kills this one.
+        within_s: the process ends this long after the first signal, or at the second, unless this
+            function is called again by then. None for no such limit.
+        may_hold_lock: user code may never release Python's lock, so that no handler runs: another
+            process kills this one after twice that time.
     """
     _has_come.clear()
     while _deadlines:
@@ -64,7 +64,7 @@ def on_stop(
 
 
 def _killer(within_s: float) -> int:
-    """Start what kills this process so long after a signal; closing the descriptor ends it."""
+    """Start a process that kills this one after a signal; closing the descriptor ends it."""
     read, write = os.pipe()
     os.set_blocking(write, False)
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)  # Python's C code writes to it
@@ -79,7 +79,7 @@ def _killer(within_s: float) -> int:
 
 
 def _end_now() -> NoReturn:
-    """End the process, whatever it does; files that are written as a whole stay as they were."""
+    """End the process at once; files that are written whole stay as they were."""
     with contextlib.suppress(Exception):
         print("stopped: what was under way did not end by itself", file=sys.stderr, flush=True)
         sys.stdout.flush()
@@ -88,7 +88,7 @@ def _end_now() -> NoReturn:
 
 
 def stop_at_once(within_s: float | None = None, *, may_hold_lock: bool = False) -> None:
-    """Have the signals raise `Stopped`; limits as of `on_stop`."""
+    """Make the signals raise `Stopped`; limits as for `on_stop`."""
 
     def stop() -> None:
         _has_come.set()
@@ -98,7 +98,7 @@ def stop_at_once(within_s: float | None = None, *, may_hold_lock: bool = False) 
 
 
 class StopRequest:
-    """Set by a signal to stop; a process looks at it and leaves in order."""
+    """Flag set by a stop signal; the process checks it and leaves in order."""
 
     def __init__(self, then: Callable[[], None] | None = None) -> None:
         self._then = then
@@ -115,20 +115,20 @@ class StopRequest:
 
 
 def stop_between_steps() -> None:
-    """Have the signals noted, for `end_if_asked` to look at."""
+    """Make the signals set a flag, which `end_if_asked` checks."""
     on_stop(_has_come.set, WITHIN_S)
 
 
 def end_if_asked() -> None:
-    """Between two steps of work, raise `Stopped` if a request to stop has come meanwhile.
+    """Raise `Stopped`, between two steps of work, if a stop was requested meanwhile.
 
-    What `stop_at_once` raises is lost where it comes in a destructor or in a callback from C.
+    The exception of `stop_at_once` is lost in a destructor or in a callback from C.
     """
     if _has_come.is_set():
         raise Stopped
 
 
 def ignore_stops() -> None:
-    """From here on a request to stop comes too late, and must not kill what is leaving anyway."""
+    """Ignore stop requests from here on: the process is leaving anyway."""
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)

@@ -1,1 +1,1 @@
-"""Scenario files: read, checked, and completed."""
+"""Scenario files: reading, checks, and completion."""

@@ -1,4 +1,4 @@
-"""Whether a scenario fits the files and the arm that it refers to; warnings where it may not."""
+"""Checks of a scenario against its files and its arm, with warnings for suspicious ones."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
 def _check_gears(
     scenario: ScenarioConfiguration, robot: RobotDescription, positions: Matrix, grid: TickGrid
 ) -> None:
-    """Check that a physics step is short beside the swinging of rotors against links."""
+    """Check that a physics step is short compared with the oscillation of rotors against links."""
     stiffness = scenario.plant.actuator.gear_stiffness_nm_rad
     rotors = scenario.plant.actuator.rotor_inertia(robot.joints)
     if stiffness is None or not rotors.all():
@@ -107,7 +107,7 @@ def _check_gears(
 def _in_numbers(
     scenario: ScenarioConfiguration, robot: RobotDescription, start: Vector, grid: TickGrid
 ) -> ScenarioConfiguration:
-    """The scenario with payload and gears in numbers, where it has them in the arm's own size."""
+    """Return the scenario with payload and gears as numbers where they are relative to the arm."""
     plant = scenario.plant
     rated = plant.actuator.saturation_nm
     rated = robot.effort_limits_nm if rated is None else rated
@@ -127,10 +127,10 @@ def _in_numbers(
 def _gear_stiffness(
     robot: RobotDescription, rated: Vector, start: Vector, first_hz: float, grid: TickGrid
 ) -> Vector:
-    """Stiffness with which the arm has a first resonance; less where a physics step is too long.
+    """Return the stiffness for the first resonance, reduced if a physics step is too long for it.
 
     Raises:
-        ConfigurationError: the largest torques, to which it is proportional, are not known.
+        ConfigurationError: the largest torques, to which it is proportional, are unknown.
     """
     if not np.isfinite(rated).all():
         allowed = "must be left out where neither URDF nor saturation_nm has the largest torques"
@@ -144,7 +144,7 @@ def _gear_stiffness(
 
 
 def _check_sides(setup: Setup) -> None:
-    """Check that controller, link and plant can be made of a scenario."""
+    """Check that controller, link and plant can be created from a scenario."""
     scenario = setup.scenario
     if scenario.controller.process is None:
         setup.control_task()
@@ -152,7 +152,7 @@ def _check_sides(setup: Setup) -> None:
         allowed = "must be zenoh, which controller.process speaks"
         raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
     setup.link_kind.check(setup.link_run(lockstep=scenario.clock == "lockstep"))
-    if not are_left_out():  # what is only looked at needs no physics engine
+    if not are_left_out():  # a scenario that is only viewed needs no physics engine
         ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
     if scenario.uncertainty:
         check_uncertainty(scenario.uncertainty, plain(scenario), setup.robot.joints)
@@ -169,7 +169,7 @@ def _grid(scenario: ScenarioConfiguration) -> TickGrid:
 def _start(
     reference: Reference, robot: RobotDescription, offset_rad: Vector
 ) -> tuple[Vector, Vector]:
-    """How far off the reference the joints start, and where that is, each of shape (joints,)."""
+    """Return the joints' offset from the reference at the start, and their position, (joints,)."""
     key = "robot.initial_offset_rad"
     offset = expand(offset_rad, robot.joints, key)
     start = sample_positions(reference, np.zeros(1), robot.joints)[0] + offset
@@ -183,7 +183,7 @@ def _start(
 def _reachable_motion(
     reference: Reference, robot: RobotDescription, scenario: ScenarioConfiguration
 ) -> Matrix:
-    """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
+    """Return reference positions over the run, shape (samples, joints); all must be in reach."""
     first_s, last_s = reference.known_s
     if first_s > 0.0 or last_s < scenario.duration_s - 0.5 / scenario.rate_hz:
         allowed = (

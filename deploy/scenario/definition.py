@@ -1,4 +1,4 @@
-"""What a scenario file may say."""
+"""The schema of a scenario file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.kinds import ScheduledFault
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
-"""What folders of results are called after."""
+"""Part of the names of folders with results."""
 
 
 class RobotConfiguration(StrictModel):
@@ -28,10 +28,10 @@ class RobotConfiguration(StrictModel):
         urdf: a path (relative to the scenario file), the name of a shipped robot, or
             ``pybullet_data:`` with a path inside that package.
         joints: names of the joints to drive, all others are held; None for all that turn or slide,
-            but the fingers of grippers.
-        repair: mend inertias that no body has, however far off they are.
-        drive_data: where the numbers of plant.actuator and plant.friction come from, for reports;
-            what is marked ESTIMATED is warned of.
+            except the fingers of grippers.
+        repair: replace all impossible inertias, even those far off.
+        drive_data: source of the numbers of plant.actuator and plant.friction, for reports; the
+            mark ESTIMATED causes a warning.
         initial_offset_rad: joint positions at the start, relative to the reference.
     """
 
@@ -43,10 +43,10 @@ class RobotConfiguration(StrictModel):
 
 
 class MetricsConfiguration(StrictModel):
-    """The judge.
+    """Settings of the judge.
 
     Attributes:
-        from_s: RMS and largest errors count from here on; in a shorter run, over its second half.
+        from_s: start of the RMS and largest errors; a shorter run uses its second half.
     """
 
     from_s: NonNegative = 2.0
@@ -55,7 +55,7 @@ class MetricsConfiguration(StrictModel):
 class ScenarioConfiguration(StrictModel):
     """A whole experiment.
 
-    What is uncertain about it changes nothing in a run: studies draw plants from it.
+    Its uncertainty does not affect a run: studies draw plants from it.
     """
 
     name: Name

@@ -1,4 +1,4 @@
-"""The effective scenario: all values in force, written to run again, and agreed on by processes."""
+"""The effective scenario: all values in force, for new runs and for agreement between processes."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ _OF_EACH_HOST = (
     "link.security.folder", "link.connect_timeout_s", "link.reply_timeout_s",
     "link.can.interface", "link.can.channel", "link.can.port", "plant.gui",
 )  # fmt: skip
-"""Keys that may differ: where things are, and how long each waits for them."""
+"""Keys that may differ: locations, and waiting times."""
 
 
 def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType({})) -> str:
-    """`effective_values` as YAML.
+    """Return `effective_values` as YAML.
 
     Args:
         setup: the scenario.
-        files: paths to write, by dotted key, in place of absolute ones.
+        files: paths to write instead of absolute ones, by dotted key.
     """
     values = effective_values(setup)
     for key, path in files.items():
@@ -47,10 +47,10 @@ def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType
 
 
 def effective_values(setup: Setup) -> dict[str, Any]:
-    """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
+    """Return the scenario in force: defaults, overrides and derived values; paths absolute.
 
-    But for endpoints, CAN buses and a time to judge from that nobody chose: who runs it again may
-    choose others, or another duration.
+    Default endpoints, CAN buses and start of judging are left out: a new run may choose others, or
+    another duration.
     """
     given = setup.scenario
     values: dict[str, Any] = plain(
@@ -73,16 +73,16 @@ def effective_values(setup: Setup) -> dict[str, Any]:
 
 
 def write_scenario(setup: Setup, path: Path) -> None:
-    """Write the scenario in force, and beside it copies of its URDF and its other files.
+    """Write the scenario in force, with copies of its URDF and its other files beside it.
 
-    Copies are named by their contents too, so that scenarios in one folder share equal ones.
+    The names of copies include a digest, so that scenarios in one folder share equal ones.
 
     Args:
         setup: the scenario.
-        path: the YAML file; it names the copies by relative paths.
+        path: the YAML file; it refers to the copies by relative paths.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: a file cannot be written.
     """
     texts = _texts(setup)
     for name, text in texts.values():
@@ -92,15 +92,15 @@ def write_scenario(setup: Setup, path: Path) -> None:
 
 
 def portable_scenario(setup: Setup) -> str:
-    """The scenario in force as `write_scenario` writes it, and as recordings hold it."""
+    """Return the scenario in force as `write_scenario` writes it, and as recordings contain it."""
     return effective_scenario(setup, {key: name for key, (name, _) in _texts(setup).items()})
 
 
 def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
-    """Name and text of a copy of each file that a scenario refers to, by its key."""
+    """Return name and text of a copy of each file that a scenario refers to, by its key."""
     robot = setup.robot
     arm = robot.path
-    if arm.suffix in (".xacro", ".xml"):  # the copy is what it stands for
+    if arm.suffix in (".xacro", ".xml"):  # the copy replaces it
         arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
     found = {"robot.urdf": (arm, robot.portable_urdf())}
     for key, file in data_files(setup.scenario).items():
@@ -109,7 +109,7 @@ def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
 
 
 def is_copy(file: Path) -> bool:
-    """Whether a file is such a copy, as its name and contents say."""
+    """Whether a file is such a copy, by its name and contents."""
     digest = file.stem[-_DIGITS - 1 :]
     if not re.fullmatch(rf"-[0-9a-f]{{{_DIGITS}}}", digest) or not file.is_file():
         return False
@@ -118,7 +118,7 @@ def is_copy(file: Path) -> bool:
 
 def _name(original: Path, text: str) -> str:
     digest = hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
-    stem = original.stem.removesuffix(f"-{digest}")  # it may itself be such a copy
+    stem = original.stem.removesuffix(f"-{digest}")  # it may be a copy itself
     return f"{stem}-{digest}{original.suffix}"
 
 
@@ -137,7 +137,7 @@ def _with_limits(setup: Setup) -> LimitsConfiguration:
     known = {
         name: limit
         for name in ("torque_nm", "velocity_rad_s", "torque_rate_nm_s")
-        if np.isfinite(limit := getattr(in_force, name)).all()  # no file says that there is none
+        if np.isfinite(limit := getattr(in_force, name)).all()  # without a key, the same as null
     }
     return limits.model_copy(update=known)
 
@@ -153,20 +153,20 @@ def _plant_in_force(setup: Setup) -> PlantConfiguration:
 
 
 def agreement_of(setup: Setup) -> Agreement:
-    """What processes of a run agree on: `values_in_common`, on whatever engine the plant has."""
+    """Return the values that the processes of a run agree on, for any engine of the plant."""
     values = values_in_common(setup)
-    del values["plant.physics.engine"]  # by default it is the one that is installed there
+    del values["plant.physics.engine"]  # the default depends on the engines installed there
     return Agreement(values)
 
 
 def values_in_common(
     setup: Setup, recorded: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, str]:
-    """Every value in force but for those of the host, as JSON; files count by what they hold.
+    """Return every value in force except the host's, as JSON; files are compared by content.
 
     Args:
         setup: the scenario.
-        recorded: texts of files that only a recording holds, by dotted key; others are read.
+        recorded: texts of files that only a recording contains, by dotted key; others are read.
     """
     values = dict(_leaves(effective_values(setup)))
     for key in _OF_EACH_HOST:
@@ -186,7 +186,7 @@ def _leaves(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str
 
 
 def _arm(urdf: str) -> str:
-    """A URDF without what is up to a host or an editor: comments, white space, folders."""
+    """Return a URDF without parts that depend on host or editor: comments, white space, folders."""
     root = ET.fromstring(urdf)
     for mesh in root.iter("mesh"):
         mesh.set("filename", PurePath(mesh.get("filename", "")).name)

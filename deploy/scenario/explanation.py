@@ -1,4 +1,4 @@
-"""What is wrong with values that a schema refuses, told so that whoever gave them can mend it."""
+"""Explanations of values that a schema rejects, so that users can correct them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from bus_schema.errors import did_you_mean
 
 _MOST_PROBLEMS = 20
 _SHOULD = re.compile(r"\w+ should ((?:be|have) .*)", re.DOTALL)
-"""How pydantic says what is allowed."""
+"""Pydantic's form of what is allowed."""
 _QUOTED = re.compile("'([^']+)'")
-"""And each of some texts."""
+"""Each of some texts."""
 _ITEMS: dict[Any, str] = {str: "strings", int: "whole numbers", float: "numbers"}
 _LONGEST_ALLOWED = 1000
 _LIKELY = 0.75
-"""How much alike names have to be that do not even stand in the same section."""
+"""Similarity required of names that are not in the same section."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where values come from.
+    """Origin of values.
 
     Attributes:
-        file: the file that has them.
-        overrides: those that were set beside it, as ``dotted.key=value``.
-        given_by: what they were set with.
+        file: the file that contains them.
+        overrides: values set in addition, as ``dotted.key=value``.
+        given_by: the option that set them.
     """
 
     file: Path
@@ -40,9 +40,9 @@ class Origin:
     given_by: str = "--set"
 
     def of(self, key: str, beside: Sequence[str] = ()) -> str:
-        """Where the value of a dotted key comes from: the last that set it, or a part of it.
+        """Describe the origin of a dotted key's value: the last that set it, or a part of it.
 
-        Where that is the file, what set the keys `beside` it is told too.
+        If that is the file, the origin of the keys `beside` it is added.
         """
         own = self._set(key)
         if own is not None:
@@ -59,7 +59,7 @@ class Origin:
 
 
 def explain(error: ValidationError, model: type[BaseModel], origin: Origin) -> str:
-    """What is wrong with values: where they come from, key, value, what is allowed; a line each."""
+    """Explain invalid values: origin, key, value, and what is allowed; a line each."""
     problems = error.errors(include_url=False)
     lines = [_sentence(problem, model, origin) for problem in problems[:_MOST_PROBLEMS]]
     more = len(problems) - len(lines)
@@ -79,7 +79,7 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
     if problem["type"] in ("model_type", "dataclass_type", "dict_type"):
         return f"{source}: {key} = {shown(problem['input'])}: must be a mapping of keys to values"
     if problem["type"] in ("tuple_type", "list_type"):
-        held = next(filter(None, (_held(_keys(s).get(str(place[-1]))) for s in sections)), "values")
+        held = next(filter(None, (_item(_keys(s).get(str(place[-1]))) for s in sections)), "values")
         return f"{source}: {key} = {shown(problem['input'])}: must be a list of {held}"
     if problem["type"] == "union_tag_invalid":
         return f"{source}: {key}.{_unknown_kind(**problem['ctx'])}"
@@ -95,7 +95,7 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
 
 
 def _unknown_kind(discriminator: str, tag: str, expected_tags: str) -> str:
-    """What is wrong with the value of a key by which pydantic tells kinds of sections apart."""
+    """Explain the wrong value of a key by which pydantic distinguishes kinds of sections."""
     hint = did_you_mean(tag, _QUOTED.findall(expected_tags))
     return (
         f"{_QUOTED.findall(discriminator)[0]} = {shown(tag)}: must be one of {expected_tags}{hint}"
@@ -103,7 +103,7 @@ def _unknown_kind(discriminator: str, tag: str, expected_tags: str) -> str:
 
 
 def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]) -> str:
-    """A key that may have been meant: one beside it, or else the like-named one elsewhere."""
+    """Return a similar key: one in the same section, or else one of that name elsewhere."""
     unknown = shortened(unknown)
     beside = {name: name for section in sections for name in _keys(section)}
     elsewhere: dict[str, str] = {}
@@ -116,9 +116,9 @@ def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]
 
 
 def _descend(model: type[BaseModel], place: Sequence[Any]) -> tuple[list[str], Sequence[type]]:
-    """The dotted key of a place, without what pydantic adds to it, and the sections that are there.
+    """Return the dotted key of a place, without pydantic's additions, and the sections on the way.
 
-    What it adds is the kind of a section, where there are several.
+    Pydantic adds the kind of a section where there are several.
     """
     sections: Sequence[type] = [model]
     path = []
@@ -132,7 +132,7 @@ def _descend(model: type[BaseModel], place: Sequence[Any]) -> tuple[list[str], S
 
 
 def _all_keys(section: type, prefix: str = "") -> Iterator[str]:
-    """All dotted keys of a section, those of lists without a number."""
+    """Return all dotted keys of a section, those of lists without an index."""
     for name, annotation in _keys(section).items():
         yield prefix + name
         for inner in _sections(annotation):
@@ -140,7 +140,7 @@ def _all_keys(section: type, prefix: str = "") -> Iterator[str]:
 
 
 def _keys(section: type) -> dict[str, Any]:
-    """What the keys of a section take, by name."""
+    """Return the annotations of a section's keys, by name."""
     if issubclass(section, BaseModel):
         fields = section.model_fields.items()
         return {f.alias or name: (f.annotation, *f.metadata) for name, f in fields}
@@ -148,7 +148,7 @@ def _keys(section: type) -> dict[str, Any]:
 
 
 def _sections(annotation: Any) -> Iterator[type]:
-    """The sections that an annotation is made of."""
+    """Return the sections in an annotation."""
     if isinstance(annotation, Sections):
         yield from annotation.find()
     elif isinstance(annotation, type) and (
@@ -161,15 +161,15 @@ def _sections(annotation: Any) -> Iterator[type]:
             yield from _sections(part)
 
 
-def _held(annotation: Any) -> str | None:
-    """What the lists hold that an annotation allows; None where it allows none."""
+def _item(annotation: Any) -> str | None:
+    """Return the element type of an annotation's lists; None if it allows no list."""
     if get_origin(annotation) in (tuple, list):
         item = get_args(annotation)[0]
         while get_origin(item) is Annotated:
             item = get_args(item)[0]
         return _ITEMS.get(item, "mappings of keys to values")
     parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
-    return next(filter(None, map(_held, parts)), None)
+    return next(filter(None, map(_item, parts)), None)
 
 
 def _is_within(key: str, section: str) -> bool:

@@ -1,4 +1,4 @@
-"""Says whose code a command runs, before any of it is run."""
+"""Names the user's code that a command runs, before it runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _said: ContextVar[set[str] | None] = ContextVar("lines that were said", default=
 
 @contextmanager
 def code_is_named() -> Iterator[None]:
-    """Meanwhile `name_code` says on standard error what it finds, each line once."""
+    """Let `name_code` write to standard error while the context lasts, each line once."""
     before = _said.set(set())
     try:
         yield
@@ -27,7 +27,7 @@ def code_is_named() -> Iterator[None]:
 
 
 def name_code(scenario: ScenarioConfiguration, origin: Origin) -> None:
-    """Name the law or program of the user's own that a scenario is about to run."""
+    """Name the user's law or program that a scenario is about to run."""
     from controller.laws.custom import EXTERNAL, are_left_out, is_custom
 
     said, controller = _said.get(), scenario.controller

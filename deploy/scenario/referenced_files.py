@@ -22,7 +22,7 @@ _PYBULLET_DATA = "pybullet_data:"
 
 
 def find_urdf(name: str, base: Path) -> Path:
-    """The URDF file that a scenario names.
+    """Return the URDF file that a scenario names.
 
     Args:
         name: a path relative to `base`, the name of a shipped robot, or ``pybullet_data:`` with a
@@ -51,14 +51,14 @@ def find_urdf(name: str, base: Path) -> Path:
 
 
 def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
-    """The link with absolute paths to its files of delays, which are known to be usable.
+    """Return the link with absolute paths to its files of delays, after checking them.
 
     Args:
         link: the section.
         base: folder of the scenario.
 
     Raises:
-        ConfigurationError: a file is not there or holds something else.
+        ConfigurationError: a file does not exist or is invalid.
     """
     for direction in DIRECTIONS:
         channel = getattr(link, direction)
@@ -67,7 +67,7 @@ def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
         try:
             path = (base / channel.distribution_file).resolve()
             read_delays_ms(path)
-        except (ValueError, OSError, RuntimeError) as error:  # the last for links in a circle
+        except (ValueError, OSError, RuntimeError) as error:  # the last for circular links
             key = f"link.{direction}.distribution_file"
             raise ConfigurationError(key, channel.distribution_file, str(error)) from error
         found = channel.model_copy(update={"distribution_file": str(path)})
@@ -76,7 +76,7 @@ def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
 
 
 def find_reference_file(reference: ReferenceConfiguration, base: Path) -> ReferenceConfiguration:
-    """The reference with an absolute path to its file, if it has one.
+    """Return the reference with an absolute path to its file, if it has one.
 
     Args:
         reference: the section.
@@ -95,7 +95,7 @@ def find_reference_file(reference: ReferenceConfiguration, base: Path) -> Refere
 
 
 def data_files(scenario: ScenarioConfiguration) -> dict[str, Path]:
-    """The files of a checked scenario but for its arm, by dotted key."""
+    """Return the files of a checked scenario except its arm's, by dotted key."""
     named = {key: getattr(scenario.link, key.split(".")[1]).distribution_file for key in DELAY_KEYS}
     if isinstance(scenario.reference, CsvConfiguration):
         named[REFERENCE_KEY] = scenario.reference.file

@@ -1,7 +1,7 @@
-"""Scenarios: the one description that controller, plant, recorder and judge all read.
+"""Scenarios: one description for controller, plant, recorder and judge.
 
-A scenario is a YAML file. Everything that can be wrong with it is found here, before any process
-starts, and told with file, key, value and what is allowed.
+A scenario is a YAML file. All its errors are found here, before any process starts, and reported
+with file, key, value and what is allowed.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
 
 
 def file_values(path: Path) -> dict[str, Any]:
-    """The values of a scenario file, or of the starter scenario of an arm's file.
+    """Return the values of a scenario file, or of the starter scenario of an arm's file.
 
     Raises:
         ScenarioError: it cannot be read.
@@ -71,8 +71,8 @@ def build_setup(
     """Override and check the values of a scenario.
 
     Args:
-        values: as its YAML file has them, or would.
-        source: that file, or what to call it; relative paths start beside it.
+        values: values in the form of its YAML file.
+        source: that file, or a name for it; relative paths start beside it.
         overrides: ``dotted.key=value``; values are YAML.
         given_by: what they were set with, for messages.
 
@@ -83,17 +83,15 @@ def build_setup(
     scenario = validated(given_values(values, source, overrides), ScenarioConfiguration, origin)
     name_code(scenario, origin)
     with naming(origin):
-        scenario = _judged_over_some_time(scenario, origin)
+        scenario = _with_judged_period(scenario, origin)
     return check(scenario, origin)
 
 
-def _judged_over_some_time(
-    scenario: ScenarioConfiguration, origin: Origin
-) -> ScenarioConfiguration:
-    """The scenario with errors summed up over some time.
+def _with_judged_period(scenario: ScenarioConfiguration, origin: Origin) -> ScenarioConfiguration:
+    """Return the scenario with a period over which errors are judged.
 
-    The default may lie beyond the end of a short run, of which the second half counts then: that
-    follows from its duration, and is not written into files, as what is chosen is.
+    The default may begin after the end of a short run, whose second half is then judged. This
+    follows from its duration, and is not written into files, unlike a chosen value.
     """
     judge, end_s = scenario.metrics, scenario.duration_s
     is_chosen = judge.from_s != type(judge).model_fields["from_s"].default
@@ -110,7 +108,7 @@ def _judged_over_some_time(
 def given_values(
     values: Mapping[str, Any], source: Path, overrides: Sequence[str]
 ) -> dict[str, Any]:
-    """All that a scenario says, of what it extends too, and what is set beside it; unchecked."""
+    """Return all given values of a scenario, with those it extends and overrides; unchecked."""
     given = _extended(values, source)
     for text in overrides:
         _override(given, text)
@@ -118,7 +116,7 @@ def given_values(
 
 
 def _override(values: dict[str, Any], text: str) -> None:
-    """Set a value; a law takes the place of a process that was given before it."""
+    """Set a value; a law replaces a process that was given before it."""
     key, value = parse_override(text)
     set_value(values, key, value)
     if key == "controller.law" and value != PROCESS and "process" in values["controller"]:
@@ -126,7 +124,7 @@ def _override(values: dict[str, Any], text: str) -> None:
 
 
 def _extended(given: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """The values of a scenario; one that ``extends`` another says only what is different."""
+    """Return the values of a scenario; one that ``extends`` another contains only differences."""
     values = copy.deepcopy(dict(given))
     base = values.pop("extends", None)
     if base is None:
@@ -154,5 +152,5 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_of_another_kind(section: Mapping[str, Any], than: Mapping[str, Any]) -> bool:
-    """Whether the keys of a section cannot go with those of another, as they differ in kind."""
+    """Whether the keys of a section belong to another kind than those of the other section."""
     return "kind" in section and section["kind"] != than.get("kind")

@@ -1,4 +1,4 @@
-"""A scenario with all that it refers to, from which the parts of a run are made."""
+"""A scenario with all that it refers to, from which the parts of a run are created."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _SECOND_NS = 1_000_000_000
 
 
 class FunnelCounter:
-    """Counts the ticks at which the arm was outside its funnel.
+    """Counter of the ticks at which the arm was outside its funnel.
 
     Args:
-        reference: what the arm is to follow.
+        reference: the arm's reference.
         funnel: the bounds.
-        position: true joint positions, rad, shape (joints,), as they are at each look.
+        position: true joint positions, rad, shape (joints,), read at each `look`.
     """
 
     def __init__(self, reference: Reference, funnel: Funnel, position: Vector) -> None:
@@ -45,14 +45,14 @@ class FunnelCounter:
         self._compare = funnel.counting(position, wanted, self._counts)
 
     def look(self, stamp_ns: int) -> None:
-        """Count a tick, by its instant."""
+        """Count the tick at this instant."""
         seconds, rest_ns = divmod(stamp_ns, _SECOND_NS)
-        time_s = seconds + 1e-9 * rest_ns  # as readers of stamps work it out, to the bit
+        time_s = seconds + 1e-9 * rest_ns  # computed as readers of stamps do, to the bit
         self._follow(time_s)
         self._compare(time_s)
 
     def counts(self) -> dict[str, Any]:
-        """``ticks`` looked at, those ``outside`` the funnel, and the smallest margin of all."""
+        """Return the number of ``ticks``, those ``outside`` the funnel, and the smallest margin."""
         ticks, outside, largest = self._counts.tolist()
         margin = 1.0 - largest if math.isfinite(largest) else None
         return {"ticks": int(ticks), "outside": int(outside), "margin_min": margin}
@@ -60,7 +60,7 @@ class FunnelCounter:
 
 @dataclass(frozen=True)
 class Setup:
-    """A scenario with everything its values refer to, checked against each other.
+    """A scenario with everything its values refer to, checked for consistency.
 
     Attributes:
         source: the scenario file.
@@ -68,8 +68,8 @@ class Setup:
         gains: gains in use, expanded to the robot's joints.
         start_position_rad: joint positions at the start, shape (joints,).
         governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
-        overrides: what was set beside the file, as ``dotted.key=value``.
-        given_by: what they were set with.
+        overrides: values set in addition to the file, as ``dotted.key=value``.
+        given_by: the option that set them.
     """
 
     scenario: ScenarioConfiguration
@@ -86,7 +86,7 @@ class Setup:
 
     @property
     def origin(self) -> Origin:
-        """Where the scenario's values come from, for messages."""
+        """Origin of the scenario's values, for messages."""
         return Origin(self.source, self.overrides, self.given_by)
 
     @property
@@ -94,7 +94,7 @@ class Setup:
         return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
 
     def control_task(self) -> ControlTask:
-        """A fresh task for a controller."""
+        """Return a new task for a controller."""
         controller = self.scenario.controller
         joints = self.robot.joints
         rotors = self.scenario.plant.actuator.rotor_inertia(joints)
@@ -102,7 +102,7 @@ class Setup:
         limits = self.scenario.limits.of_controller(self.robot, own_rates)
         return ControlTask(
             robot=self.robot,
-            reference=self.reference.copied(),  # a law can write into what it is given
+            reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
             law=controller.build_law(self.gains, self.robot, rotors),
             law_name=controller.law,
@@ -119,7 +119,7 @@ class Setup:
 
     @property
     def drive(self) -> DriveGains:
-        """What the drives add to torques of their own."""
+        """Gains of the drives' own loops."""
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)
@@ -127,18 +127,18 @@ class Setup:
 
     @property
     def tuned_drive(self) -> DriveGains:
-        """What drives with loops of their own are tuned to, whether they take targets or not."""
+        """Gains to which drives with their own loops are tuned, even if they take no targets."""
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         return plant.gains(critically_damped(self.governing_inertia_kg_m2, wanted.bandwidth_rad_s))
 
     def plant_task(
         self, *, lockstep: bool, process_actions: tuple[ScheduledAction, ...] = ()
     ) -> PlantTask:
-        """The task of a plant.
+        """Return the task of a plant.
 
         Args:
             lockstep: wait for the reply to every state that is delivered.
-            process_actions: what the plant asks for to be done to processes, on its clock.
+            process_actions: actions on processes that the plant requests, on its clock.
         """
         return PlantTask(
             robot=self.robot,
@@ -156,19 +156,19 @@ class Setup:
 
     @property
     def link_kind(self) -> LinkKind[Any]:
-        """What there is to know of the scenario's kind of link."""
+        """The scenario's kind of link."""
         return LINK_KINDS.build(self.scenario.link.kind)
 
     def link_run(
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
     ) -> LinkRun:
-        """What the link has to know of the run; the arguments are those of `LinkRun`."""
+        """Return the link's inputs for the run; the arguments are those of `LinkRun`."""
         task = self.plant_task(lockstep=lockstep)
         drive = self.drive if self.drive.is_active else None
         return LinkRun(**vars(task), bus=bus, can_log=can_log, drive=drive)
 
     def arm(self) -> ArmPlant:
-        """A fresh arm at its start, of the type that the link needs."""
+        """Return a new arm at its start, of the type that the link needs."""
         arm: ArmPlant = self.link_kind.arm_type(
             self.scenario.plant,
             self.robot,

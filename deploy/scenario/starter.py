@@ -1,8 +1,8 @@
-"""A first scenario for an arm of which nothing is known but its URDF or MJCF file.
+"""A first scenario for an arm, from its URDF or MJCF file alone.
 
-What the file does not say is estimated: the inertia of rotors and friction from the joints' largest
-torques, and these, where they are missing too, from the arm's own weight. The estimates are ours;
-motors of the same torque differ by a factor of 3 and more. ``robot.drive_data`` names them.
+Missing values are estimated: inertia of rotors and friction from the joints' largest torques, and
+these, if they are missing too, from the arm's own weight. The estimates are ours; motors of the
+same torque differ by a factor of 3 and more. ``robot.drive_data`` names them.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ ARM_FILES = (".urdf", ".xacro", ".xml", ".mjcf")
 FRICTION_SHARE = 0.03
 """Dry friction of a geared joint, as a share of its rated torque."""
 _FRICTION_SHARE_BELIEVED = 0.2
-"""What a file may say of it."""
+"""Largest plausible friction in a file."""
 ESTIMATED = "ESTIMATED"
-"""Marks numbers that nobody measured, where a scenario says where its numbers come from."""
+"""Mark of estimated numbers where a scenario names the source of its numbers."""
 _SPEED_SHARE = 0.3
 _TORQUE_SHARE, _HELD_SHARE = 0.7, 0.5
-"""Of rated torque, along a move and for gravity alone."""
+"""Shares of rated torque, along a move and for gravity alone."""
 _REACH_SHARE = 0.2
-"""Of a joint's range, to either side of the middle of the reference."""
+"""Share of a joint's range, to either side of the middle of the reference."""
 _LARGEST_MOVE = 0.5
 _OFFSET_SHARE = 0.1
 _SHED_PER_S, _SHED_S = 9.0, 0.05
 _UNKNOWN_SPEED = 1.0
 _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
-"""Of a minimum-jerk move of length 1 in time 1."""
+"""Peak speed of a minimum-jerk move of length 1 in time 1."""
 _TRIES = 12
 
 
 class Drives(NamedTuple):
-    """What moves an arm, and what resists.
+    """Motors and friction of an arm.
 
     Attributes:
         rated: largest torques, shape (joints,), N m.
         rotors: inertia of the rotors, shape (joints,), kg m².
         friction: section ``plant.friction``.
-        data: where all that comes from; `ESTIMATED` marks what nobody measured.
+        data: source of these values; `ESTIMATED` marks estimates.
     """
 
     rated: Vector
@@ -63,12 +63,12 @@ class Drives(NamedTuple):
 def starter_scenario(
     robot: RobotDescription, *, joints: bool = False, repair: bool = False
 ) -> dict[str, Any]:
-    """The values of a scenario that moves an arm to and fro, at rest at both ends.
+    """Return the values of a scenario that moves an arm to and fro, at rest at both ends.
 
     Args:
         robot: the arm.
-        joints: whether its driven joints were chosen by hand, and have to be named.
-        repair: whether its inertias have to be mended.
+        joints: whether its driven joints were chosen by the user, and have to be named.
+        repair: whether its inertias have to be replaced.
     """
     rated, rotors, friction, data = drives_of(robot)
     model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
@@ -104,7 +104,7 @@ def starter_scenario(
 
 
 def drives_of(robot: RobotDescription) -> Drives:
-    """What is known of an arm's drives, by the shipped scenario for its motors, or by its file."""
+    """Return an arm's drives, from the shipped scenario for its motors or from its file."""
     motors = ROBOTS.with_name("scenarios") / f"{robot.path.stem}_motors.yaml"
     if robot.path.parent == ROBOTS and motors.is_file():
         published = read_yaml(motors)
@@ -113,7 +113,7 @@ def drives_of(robot: RobotDescription) -> Drives:
         rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
         return Drives(rated, rotors, plant["friction"], data)
     rated = torque_limits(robot)
-    own = _believed(robot, rated)
+    own = _drives_in_file(robot, rated)
     rotors = own.rotor_inertia_kg_m2
     rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
     given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
@@ -132,10 +132,11 @@ def drives_of(robot: RobotDescription) -> Drives:
     return Drives(rated, rotors, friction, ", ".join(data))
 
 
-def _believed(robot: RobotDescription, rated: Vector) -> DriveValues:
-    """What an arm's file says of its drives, without friction that would take a motor's torque up.
+def _drives_in_file(robot: RobotDescription, rated: Vector) -> DriveValues:
+    """Return the drives in an arm's file, without friction that would exceed a motor's torque.
 
-    Many files have 1 N m for every joint, from a template, and dampings that steady a simulation.
+    Many files have 1 N m for every joint, from a template, and damping that stabilises a
+    simulation.
     """
     own = robot.drives
     dry, viscous = own.friction_nm, own.damping_nm_s * _slow_speeds(robot)
@@ -146,13 +147,13 @@ def _believed(robot: RobotDescription, rated: Vector) -> DriveValues:
 
 
 def _slow_speeds(robot: RobotDescription) -> Vector:
-    """The speeds that the reference stays below, shape (joints,), rad/s."""
+    """Return upper limits of the reference's speeds, shape (joints,), rad/s."""
     limits = robot.velocity_limits_rad_s
     return _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
 
 
 def _source(name: str, known: Vector, estimate: str) -> str:
-    """Where a number comes from that is zero for joints of which the file says nothing."""
+    """Describe the source of a number that is zero for joints without a value in the file."""
     parts = ["from the arm's file"] if known.any() else []
     if not known.all():
         parts.append(f"{ESTIMATED} as {estimate} of the largest torque")
@@ -175,10 +176,10 @@ def torque_limits(robot: RobotDescription) -> Vector:
 def _motion(
     robot: RobotDescription, model: ManipulatorModel, rated: Vector
 ) -> tuple[Vector, Vector]:
-    """Middle of the motion, and how far it goes to either side; shape (joints,).
+    """Return the middle of the motion, and its amplitude to either side; shape (joints,).
 
-    The middle is zero where the joints' ranges have it; in an arm that hardly holds itself up
-    there, the posture among many in which it does so most easily.
+    The middle is zero if the joints' ranges contain it; for an arm that hardly holds itself up
+    there, it is the one of many postures with the least load.
     """
     lower, upper = _range(robot)
     zero = np.where((lower < 0.0) & (upper > 0.0), 0.0, 0.5 * (lower + upper))
@@ -196,9 +197,10 @@ def _motion(
 
 
 def _offsets(model: ManipulatorModel, rated: Vector, start: Vector, move: Vector) -> Vector:
-    """How far off the reference the joints start, shape (joints,): no more than motors can shed.
+    """Return the joints' offset from the reference at the start, within motors' limits, (joints,).
 
-    All joints together set off towards it at `_SHED_PER_S` times the offset, within `_SHED_S`.
+    All joints together start towards the reference at `_SHED_PER_S` times the offset, within
+    `_SHED_S`.
     """
     offsets = _OFFSET_SHARE * move * np.where(np.arange(move.size) % 2, -1.0, 1.0)
     needed = np.abs(product(model.mass_matrix(start), _SHED_PER_S / _SHED_S * offsets))
@@ -207,16 +209,16 @@ def _offsets(model: ManipulatorModel, rated: Vector, start: Vector, move: Vector
 
 
 def _range(robot: RobotDescription) -> tuple[Vector, Vector]:
-    """Ends of the joints' ranges, of which those that turn for ever have half a turn each way."""
+    """Return the ends of the joints' ranges; continuous joints have half a turn each way."""
     return np.maximum(robot.lower_rad, -np.pi), np.minimum(robot.upper_rad, np.pi)
 
 
 def _move_time(
     robot: RobotDescription, model: ManipulatorModel, rated: Vector, middle: Vector, move: Vector
 ) -> float:
-    """Time of a move from one end to the other within limits of speed and torque, s."""
+    """Return the time of a move from one end to the other within limits of speed and torque, s."""
     move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / _slow_speeds(robot)).max()))
-    # An arm that hardly holds itself up is not helped by standing nearly still.
+    # Moving very slowly does not help an arm that hardly holds itself up.
     allowed = np.maximum(_TORQUE_SHARE * rated, 1.1 * _peak_torque(model, middle, move))
     for _ in range(_TRIES):
         if (_peak_torque(model, middle, move, move_s) <= allowed).all():
@@ -228,7 +230,7 @@ def _move_time(
 def _peak_torque(
     model: ManipulatorModel, middle: Vector, move: Vector, move_s: float = np.inf
 ) -> Vector:
-    """Largest torque of each joint along a minimum-jerk move, shape (joints,), N m."""
+    """Return the largest torque of each joint along a minimum-jerk move, shape (joints,), N m."""
     peaks: list[Vector] = []
     for s in np.linspace(0.0, 1.0, 11 if np.isinf(move_s) else 41):
         path = -1.0 + 2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5)
@@ -241,5 +243,5 @@ def _peak_torque(
 
 
 def _rounded(values: Vector | Matrix) -> list[float]:
-    """Values with four digits, as a person would write them."""
+    """Round values to four digits, as a person would write them."""
     return [float(f"{value:.4g}") for value in values]

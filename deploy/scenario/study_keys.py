@@ -1,8 +1,7 @@
-"""The one rule of all studies: what is set takes effect in their runs, or is refused.
+"""Check of all studies: a value that is set takes effect in their runs, or is refused.
 
-A study sets some keys by itself, over whatever was set before; and its runs are simulations, in
-which nothing connects and time is virtual. Seeds have an effect where a
-scenario draws random numbers.
+A study overrides some keys by itself; and its runs are simulations, without connections and in
+virtual time. Seeds have an effect only if a scenario draws random numbers.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ _CAN = "can"
 _PROCESS = "controller.process"
 _OF_A_BUS = ("link.domain", "link.security", "link.router_endpoint", "link.connect_timeout_s")
 _IDLE = ("clock", "link.plant_endpoint", "link.controller_endpoint")
-"""What changes nothing in a simulation; nor in a run of a process, as what is of a bus does."""
+"""Keys without effect in a simulation; nor in a run of a process, like those of a bus."""
 _AS_IT_IS = {("clock", "lockstep")}
-"""What says of a simulation what it is."""
+"""Values that are always true of a simulation."""
 
 
 def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
-    """Refuse values that a study sets over, and those that mean nothing to its runs.
+    """Refuse values that a study overrides, and those without effect in its runs.
 
     Args:
         given: values by dotted key, as under ``set``, of ``--set`` or of a grid.
-        own: keys that the study sets by itself, each with what to use in its place.
+        own: keys that the study sets by itself, each with the alternative to use.
 
     Raises:
         ConfigurationError: one of the values would have no effect.
@@ -54,7 +53,7 @@ def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
 
 
 def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> None:
-    """Refuse what is set of a link that no run of a study goes over.
+    """Refuse values for a link that no run of a study uses.
 
     Args:
         given: values by dotted key.
@@ -78,19 +77,19 @@ def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> No
 
 
 def _changed(setups: Iterable[Setup]) -> bool:
-    """Whether a file says CAN, which something else was set in place of."""
+    """Whether a file names CAN, and another link was set instead."""
     files = {setup.source for setup in setups}
     links = [given_values(file_values(file), file, ()).get("link") for file in files]
     return any(isinstance(link, dict) and link.get("kind") == _CAN for link in links)
 
 
 def laws_beside(own: str) -> list[str]:
-    """All shipped laws, and the scenario's own one where it is another."""
+    """Return all shipped laws, and the scenario's own one if it is another."""
     return list(dict.fromkeys([*LAWS, own]))
 
 
 def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """What a value sets, which may be a section with keys in it."""
+    """Return the keys that a value sets, which may be a section."""
     if not isinstance(value, dict):
         yield key, value
         return
@@ -99,19 +98,19 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Whether keys are the same, or one is of a section that the other is in."""
+    """Whether keys are equal, or one is a section that contains the other."""
     return one == other or one.startswith(f"{other}.") or other.startswith(f"{one}.")
 
 
 def seeds_that_differ(setup: Setup, seeds: Sequence[int]) -> list[int]:
-    """Of these seeds, those that give runs of their own: all, or the first."""
+    """Return those of these seeds that give different runs: all, or the first."""
     return list(seeds) if is_random(setup) else list(seeds[:1])
 
 
 def is_random(setup: Setup) -> bool:
-    """Whether a scenario draws random numbers; where that is not certain, it counts as if.
+    """Whether a scenario draws random numbers; if uncertain, it counts as random.
 
-    A law of one's own is given no seed.
+    A custom law gets no seed.
     """
     scenario, link = setup.scenario, setup.scenario.link
     return (

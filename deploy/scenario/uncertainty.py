@@ -1,9 +1,9 @@
-"""Uncertain plants: what is not known of an arm, and arms drawn from that.
+"""Uncertain plants: the uncertainty of an arm, and arms drawn from it.
 
-A scenario, or a study, says under ``uncertainty`` from which distribution each number is drawn. A
-drawn plant is nothing but values of scenario keys, so whatever runs scenarios runs it. Every
-quantity has a random stream of its own, seeded by the seed, the plant's number and its keys: more
-plants, or more quantities, leave those that were there before as they were.
+The section ``uncertainty`` of a scenario or a study gives the distribution of each number. A drawn
+plant consists only of values of scenario keys, so it runs like any scenario. Every quantity has a
+separate random stream, seeded by the seed, the plant's number and its keys: more plants, or more
+quantities, do not change the existing ones.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from bus_schema.errors import did_you_mean
 from deploy.scenario.yaml_files import override
 
 _NOT_DRAWN = ("seed", "uncertainty")
-"""Keys with numbers that describe no plant."""
+"""Keys with numbers that do not describe the plant."""
 
 
 class Draw(StrictModel):
-    """How one number, or one for each joint, is drawn.
+    """Distribution of one number, or of one for each joint.
 
     Attributes:
         distribution: ``uniform`` or ``log_uniform`` between `least` and `most`, a ``choice`` of
-            `values`, all as likely, or a ``sign``, −1 or 1.
+            `values`, equally likely, or a ``sign``, −1 or 1.
         least: (in YAML ``from``) the smallest value.
         most: (in YAML ``to``) the largest value.
         values: values of a ``choice``.
@@ -67,7 +67,7 @@ class Draw(StrictModel):
         return self
 
     def sample(self, random: np.random.Generator, joints: int) -> float | Vector:
-        """What is drawn from a stream: a number, or with ``per: joint`` shape (joints,)."""
+        """Draw from a stream: a number, or with ``per: joint`` shape (joints,)."""
         count = joints if self.per == "joint" else 1
         if self.distribution == "choice":
             drawn = random.choice(np.array(self.values), count)
@@ -80,7 +80,7 @@ class Draw(StrictModel):
         return drawn if self.per == "joint" else float(drawn[0])
 
     def _from_range(self, random: np.random.Generator, count: int) -> Vector:
-        least, most = self.least or 0.0, self.most or 0.0  # `_check` has seen that both are given
+        least, most = self.least or 0.0, self.most or 0.0  # `_check` ensures that both are given
         if self.distribution == "log_uniform":
             return elementwise(math.exp, random.uniform(math.log(least), math.log(most), count))
         return random.uniform(least, most, count)
@@ -92,12 +92,12 @@ Uncertainty = dict[str, Draw]
 
 @dataclass(frozen=True)
 class DrawnPlant:
-    """An arm that may be the real one.
+    """One possible plant.
 
     Attributes:
         values: what is drawn, by dotted key of the scenario.
-        draws: the random numbers themselves, factors where a draw is relative, by the keys that
-            take them as `key_text` has them.
+        draws: the random numbers themselves, factors for relative draws, by their keys in the form
+            of `key_text`.
     """
 
     values: dict[str, float | list[float]]
@@ -105,30 +105,30 @@ class DrawnPlant:
 
     @property
     def overrides(self) -> tuple[str, ...]:
-        """The values as ``dotted.key=value``."""
+        """Values as ``dotted.key=value``."""
         return tuple(override(key, value) for key, value in self.values.items())
 
 
 def split_keys(text: str) -> tuple[str, ...]:
-    """Dotted keys that are separated by commas."""
+    """Split dotted keys that are separated by commas."""
     return tuple(key.strip() for key in text.split(","))
 
 
 def key_text(text: str) -> str:
-    """Dotted keys that are separated by commas, in one way of writing."""
+    """Return dotted keys that are separated by commas in a uniform notation."""
     return ", ".join(split_keys(text))
 
 
 def check_uncertainty(uncertainty: Uncertainty, scenario: Mapping[str, Any], joints: int) -> None:
-    """Check draws against the scenario that they are drawn for.
+    """Check draws against their scenario.
 
     Args:
         uncertainty: the draws.
         scenario: the scenario's values, plain and nested.
-        joints: how many the arm has.
+        joints: number of the arm's joints.
 
     Raises:
-        ConfigurationError: there is no such key, or it takes no such number.
+        ConfigurationError: a key does not exist, or does not accept such a number.
     """
     keys = [key for text in uncertainty for key in split_keys(text)]
     for text in uncertainty:
@@ -141,17 +141,17 @@ def check_uncertainty(uncertainty: Uncertainty, scenario: Mapping[str, Any], joi
 def draw_plant(
     uncertainty: Uncertainty, scenario: Mapping[str, Any], joints: int, *, seed: int, number: int
 ) -> DrawnPlant:
-    """One plant of a seed.
+    """Draw one plant of a seed.
 
     Args:
         uncertainty: the draws.
         scenario: the scenario's values, plain and nested.
-        joints: how many the arm has.
-        seed: of all plants that belong together.
-        number: of the plant.
+        joints: number of the arm's joints.
+        seed: seed of all plants that belong together.
+        number: number of the plant.
 
     Raises:
-        ConfigurationError: see `check_uncertainty`.
+        ConfigurationError: as for `check_uncertainty`.
     """
     drawing = _Drawing(uncertainty, scenario, joints, (seed, number))
     values = {key: drawing.value(key) for key in drawing.keys}
@@ -163,7 +163,7 @@ def draw_plant(
 
 
 class _Drawing:
-    """The values of one plant, each from those that it is relative to."""
+    """The values of one plant, each computed from those that it is relative to."""
 
     def __init__(
         self,
@@ -180,7 +180,7 @@ class _Drawing:
         self._open: list[str] = []
 
     def value(self, key: str) -> float | Vector:
-        """The value of a key that is drawn."""
+        """Return the value of a drawn key."""
         text = self.keys[key]
         own, drawn, draw = self._own(key, text), self.draws[text], self._uncertainty[text]
         if isinstance(draw.relative, str):
@@ -193,7 +193,7 @@ class _Drawing:
         return drawn
 
     def _other(self, key: str, text: str) -> float | Vector:
-        """The value of a key that another one is relative to."""
+        """Return the value of a key that another one is relative to."""
         if key not in self.keys:
             return self._own(key, text, "relative")
         if key in self._open:
@@ -205,7 +205,7 @@ class _Drawing:
         return value
 
     def _own(self, key: str, text: str, part: str | None = None) -> float | Vector:
-        """What the scenario has under a key."""
+        """Return the scenario's own value of a key."""
         where = f"uncertainty.{text}" + (f".{part}" if part else "")
         value = number_at(self._scenario, key) if _may_be_drawn(key) else None
         if value is None:
@@ -218,7 +218,7 @@ class _Drawing:
 
 
 def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:
-    """The number, or the numbers per joint, of a dotted key; None where there is neither.
+    """Return the number, or the numbers per joint, of a dotted key; None if there is none.
 
     Args:
         scenario: the scenario's values, plain and nested.
@@ -234,11 +234,11 @@ def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:
 
 
 def number_keys(scenario: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """The dotted keys of all numbers of a scenario, also of those per joint.
+    """Return the dotted keys of all numbers of a scenario, including numbers per joint.
 
     Args:
         scenario: the scenario's values, plain and nested.
-        prefix: what all keys begin with.
+        prefix: the beginning of all keys.
     """
     for name, value in scenario.items():
         if isinstance(value, Mapping):
@@ -256,6 +256,6 @@ def _signs(random: np.random.Generator, count: int) -> Vector:
 
 
 def _stream(seed: int, number: int, text: str) -> np.random.Generator:
-    """The random numbers of a quantity, the same in whatever order its keys are written."""
+    """Return the random stream of a quantity, independent of the order of its keys."""
     name = hashlib.sha256(",".join(sorted(split_keys(text))).encode()).digest()
     return np.random.default_rng([seed, number, int.from_bytes(name[:8], "little")])

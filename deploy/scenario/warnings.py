@@ -1,4 +1,4 @@
-"""Warnings of what a scenario is run with, but may not mean."""
+"""Warnings for accepted but suspicious settings of a scenario."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _TORQUE_SAMPLES = 400
 
 
 def all_warnings(setups: Iterable[Setup]) -> list[str]:
-    """Those of several scenarios, each once."""
+    """Return the warnings of several scenarios, each once."""
     return list(dict.fromkeys(said for setup in setups for said in scenario_warnings(setup)))
 
 
 def scenario_warnings(setup: Setup) -> list[str]:
-    """Warnings of accepted but suspicious settings, a sentence each."""
+    """Return warnings about accepted but suspicious settings, a sentence each."""
     robot, scenario = setup.robot, setup.scenario
     said = [*robot.warnings, *setup.reference.warnings]
     if scenario.limits.torque_nm is None and scenario.plant.actuator.saturation_nm is None:
@@ -55,7 +55,7 @@ def scenario_warnings(setup: Setup) -> list[str]:
 
 
 def _torque_warning(setup: Setup) -> list[str]:
-    """That the reference asks a joint for more than its rated torque, where it does."""
+    """Warn if the reference needs more than a joint's rated torque."""
     robot, plant = setup.robot, setup.scenario.plant
     limits = setup.scenario.limits.of_plant(robot).torque_nm
     if plant.actuator.saturation_nm is not None:
@@ -76,7 +76,7 @@ def _torque_warning(setup: Setup) -> list[str]:
 
 
 def reference_torques(setup: Setup, times_s: Vector) -> Matrix:
-    """Torques that move the arm along its reference, shape (times, joints), N m.
+    """Return torques that move the arm along its reference, shape (times, joints), N m.
 
     Args:
         setup: the scenario.
@@ -103,7 +103,7 @@ def reference_torques(setup: Setup, times_s: Vector) -> Matrix:
 
 
 def _unlimited(names: Sequence[str], limits: Vector) -> str:
-    """Names of the joints without a limit; a URDF's zero is how exporters write unknown."""
+    """Return names of the joints without a limit; exporters write zero for an unknown one."""
     found = [name for name, limit in zip(names, limits, strict=True) if not np.isfinite(limit)]
     shown = ", ".join(found[:4])
     return f"{shown} and {len(found) - 4} more" if len(found) > 4 else shown

@@ -1,4 +1,4 @@
-"""YAML files with values that a schema checks, what to say of wrong ones, and values as YAML."""
+"""YAML files with values that a schema checks, messages about wrong ones, and values as YAML."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from bus_schema.user_files import is_file, read_text
 from deploy.scenario.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
 
-# Several times as fast, where it is there.
+# Several times as fast, where it is available.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 _XML = ("<?xml", "<!--", "<robot")
 FAULTS = "faults"
-"""Folder within that of the shipped scenarios, of those in which something breaks."""
+"""Folder of the shipped scenarios with faults."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -35,10 +35,10 @@ class ScenarioError(InputError):
 
 @contextmanager
 def naming(source: Path | Origin) -> Iterator[None]:
-    """What is wrong with the values of a file is told with the file's name, or what else set them.
+    """Add the file's name, or the option that set the values, to errors about values.
 
     Raises:
-        ScenarioError: for a `ConfigurationError`, or another one that names no file yet.
+        ScenarioError: for a `ConfigurationError`, or another error that names no file yet.
     """
     origin = source if isinstance(source, Origin) else Origin(source)
     try:
@@ -55,13 +55,13 @@ def find_yaml(
     beside: Path = Path(),
     fits: Callable[[Path], bool] | None = None,
 ) -> Path:
-    """A YAML file by its path, or one of those that are shipped in a folder by its name.
+    """Return a YAML file by its path, or a shipped one by its name.
 
     Args:
-        name_or_path: what the user says.
-        shipped: the folder; its name is what the files are called in messages.
-        beside: folder from which a path may also start.
-        fits: which of the shipped ones a message offers; all by default.
+        name_or_path: the user's input.
+        shipped: the folder of shipped files; messages use its name for the files.
+        beside: another folder from which a path may start.
+        fits: selects the shipped files that a message suggests; all by default.
 
     Raises:
         ScenarioError: there is none.
@@ -86,10 +86,10 @@ def find_yaml(
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file that holds a mapping.
+    """Read a YAML file that contains a mapping.
 
     Raises:
-        ScenarioError: it cannot be read, or holds something else.
+        ScenarioError: it cannot be read, or is no mapping.
     """
     try:
         text = read_text(path)
@@ -110,10 +110,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def parse_override(override: str) -> tuple[str, Any]:
-    """Dotted key and YAML value of ``dotted.key=value``.
+    """Return dotted key and YAML value of ``dotted.key=value``.
 
     Raises:
-        ScenarioError: it is not of that form.
+        ScenarioError: it does not have that form.
     """
     key, separator, text = override.partition("=")
     if not separator or not key:
@@ -122,21 +122,21 @@ def parse_override(override: str) -> tuple[str, Any]:
 
 
 def option_value(option: str, text: str) -> Any:
-    """The YAML value that an option has.
+    """Return the YAML value of an option.
 
     Raises:
-        ScenarioError: it is none; `option` is named.
+        ScenarioError: it is no YAML; the message names `option`.
     """
     try:
         return values_of(text)
     except ConfigurationError as error:
         raise ScenarioError(f"{option}: {shown(error.value)} {error.allowed}") from error
-    except (yaml.YAMLError, UnicodeEncodeError) as error:  # what is typed may be no UTF-8
+    except (yaml.YAMLError, UnicodeEncodeError) as error:  # input may be no UTF-8
         raise ScenarioError(f"{option}: {shown(text)} is no YAML value") from error
 
 
 def override(key: str, value: Any) -> str:
-    """``dotted.key=value`` for a value of any type that YAML has."""
+    """Return ``dotted.key=value`` for a value of any YAML type."""
     return f"{key}={json.dumps(value, default=str)}"
 
 
@@ -152,10 +152,10 @@ def set_value(values: dict[str, Any], key: str, value: Any) -> None:
 
 
 def validated(values: Mapping[str, Any], model: type[Model], source: Path | Origin) -> Model:
-    """What a model makes of values.
+    """Return the model of values.
 
     Raises:
-        ScenarioError: some of them cannot be used; `source` is named.
+        ScenarioError: some of them cannot be used; the message names `source`.
     """
     try:
         return model.model_validate(values)
@@ -165,12 +165,12 @@ def validated(values: Mapping[str, Any], model: type[Model], source: Path | Orig
 
 
 def to_yaml(values: Mapping[str, Any]) -> str:
-    """Plain values as YAML, in their order."""
+    """Return plain values as YAML, in their order."""
     return str(yaml.dump(values, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
 
 
 def plain(value: Any) -> Any:
-    """Models, named tuples and arrays as mappings, lists and numbers; what is None is left out."""
+    """Return models, named tuples and arrays as mappings, lists and numbers, without None."""
     match value:
         case BaseModel():
             fields = type(value).model_fields.items()

@@ -1,8 +1,8 @@
-"""YAML text to plain values, within limits: no text may cost more than it is long.
+"""Conversion of YAML text to plain values, within limits on size and depth.
 
-A YAML parser descends once for every nested list, and an alias stands for all that it points at:
-some hundred bytes can ask for gigabytes. So the events of a text, of which there are never more
-than characters, are counted before anything is built from them.
+A YAML parser recurses for every nested list, and an alias stands for all that it refers to: a
+hundred bytes can expand to gigabytes. So the events of a text, never more than its characters, are
+counted before anything is built from them.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ DEEPEST = 50
 MOST_NODES = 100_000
 MOST_CHARACTERS = 5_000_000
 _MOST_BITS = 1000
-"""Of a whole number: beyond that it is none that could be computed with."""
+"""Limit on whole numbers: larger ones are of no use in computations."""
 
 _WANTED = {"int": "a whole number", "float": "a number", "timestamp": "a date of the calendar"}
-"""What values have to be by their form, or by their tag."""
+"""Required values by their form or by their tag."""
 
 _MERGE = "tag:yaml.org,2002:merge"
 
-# Several times as fast, where it is there.
+# Several times as fast, where it is available.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Level(NamedTuple):
-    """A list or mapping that is still open: where its nodes are counted from, and its anchor."""
+    """An open list or mapping: the count of nodes at its start, and its anchor."""
 
     nodes_before: int
     anchor: str | None
 
 
 def problem_in(error: yaml.YAMLError) -> str:
-    """What a parser did not like, and at which line, as a sentence of its own."""
+    """Describe, as a sentence, a parser's error and its line."""
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem is None:
         return str(error)
     problem = re.sub(
@@ -49,11 +49,11 @@ def problem_in(error: yaml.YAMLError) -> str:
 
 
 def values_of(text: str) -> Any:
-    """The values of a YAML text.
+    """Return the values of a YAML text.
 
     Raises:
-        ConfigurationError: a value is not what its form or its tag says, or goes beyond the limits,
-            or a key is given twice.
+        ConfigurationError: a value contradicts its form or its tag, or exceeds the limits, or a key
+            is given twice.
         yaml.YAMLError: the text is no YAML.
     """
     if len(text) > MOST_CHARACTERS:
@@ -72,7 +72,7 @@ def values_of(text: str) -> Any:
 
 
 def _check_size(text: str) -> None:
-    """Refuse what is nested too deep, or too much once aliases stand for what they point at."""
+    """Refuse text that is nested too deep, or too large once aliases are expanded."""
     levels: list[_Level] = []
     sizes: dict[str, int] = {}
     nodes, key = 0, ""
@@ -103,7 +103,7 @@ def _check_size(text: str) -> None:
 
 
 def _check_values(loader: Any, node: yaml.Node, key: str, seen: set[int]) -> None:
-    """Refuse a value that is not what its form or tag says, and a mapping that has a key twice."""
+    """Refuse values that contradict their form or tag, and mappings with a key twice."""
     if id(node) in seen:
         return
     seen.add(id(node))
@@ -130,7 +130,7 @@ def _check_values(loader: Any, node: yaml.Node, key: str, seen: set[int]) -> Non
 
 
 def _require_readable(loader: Any, node: yaml.ScalarNode, key: str) -> None:
-    """PyYAML lets through anything that Python raises at a value."""
+    """Refuse values that PyYAML cannot build; it passes any exception of Python on."""
     try:
         value = loader.construct_object(node)
     except yaml.YAMLError:
@@ -154,7 +154,7 @@ def _said(node: yaml.Node) -> str:
 
 
 def _line(text: str, event: yaml.Event) -> str:
-    """The line that an event is in, with its number."""
+    """Return an event's line, with its number."""
     number = 0 if event.start_mark is None else event.start_mark.line
     return f"line {number + 1}, {text.splitlines()[number].strip()}"
 

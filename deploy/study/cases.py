@@ -1,4 +1,4 @@
-"""What has a margin: a law on an arm, with or without compensation and feedback at the drives."""
+"""Cases that have a margin: a law on an arm, with or without compensation and drive feedback."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ CASE_COLUMNS = {
     "law": "string", "arm": "string", "compensation": "bool", "drive_feedback": "bool",
     "running": "bool", "quantity": "string", "value": "double",
 }  # fmt: skip
-"""Names and Parquet types of what tells a run of margins from others, but for its start."""
+"""Names and Parquet types of the columns that identify a run of margins, except its start."""
 
 
 class CasesDefinition(StudyDefinition):
-    """What has margins, as a study's YAML file has it.
+    """Cases that have margins, as in a study's YAML file.
 
     Attributes:
         scenarios: scenario files, or names of shipped ones.
         laws: control laws; all shipped ones and each scenario's own if null.
-        compensation: values of ``controller.delay_compensation.enabled`` to try; as each scenario
-            has it if none is given.
+        compensation: values of ``controller.delay_compensation.enabled`` to try; each scenario's
+            own value by default.
         drive_feedback: values of ``controller.drive_feedback.enabled`` to try, likewise.
-        running: false where the quantity is there from the start, true where a loop that already
-            runs meets it gradually, from 1 s to 3 s; null for the first alone, and for both where
-            an arm has motors and the quantity can come gradually.
-        quantity: what grows: ``delay`` (round trip, half each way), ``jitter`` or ``loss`` (each
-            way), or the dotted key of any number of the scenario.
-        direction: of the link, where it is to be one alone; the other is as the scenario has it.
+        running: false if the quantity acts from the start, true if it grows gradually, from 1 s to
+            3 s, in a running loop; null for the first alone, and for both if an arm has motors and
+            the quantity can grow gradually.
+        quantity: the quantity that grows: ``delay`` (round trip, half each way), ``jitter`` or
+            ``loss`` (each way), or the dotted key of any number of the scenario.
+        direction: only this direction of the link is varied; the other stays as in the scenario.
         duration_s: length of each run; the scenario's own if null.
     """
 
@@ -60,13 +60,13 @@ class CasesDefinition(StudyDefinition):
 
 @dataclass(frozen=True)
 class Setting:
-    """Something that has a margin.
+    """A setting that has a margin.
 
     Attributes:
         scenario: file or name.
-        base: the scenario as it is without the quantity.
-        tags: what tells it from the others.
-        overrides: what is set in it but for the quantity.
+        base: the scenario without the quantity.
+        tags: values that distinguish it from the others.
+        overrides: values set in it, except the quantity.
         quantity: what grows.
     """
 
@@ -77,7 +77,7 @@ class Setting:
     quantity: Quantity
 
     def at(self, value: float, more: Sequence[str] = ()) -> tuple[str, ...]:
-        """What to set for a value of the quantity, and what else is set."""
+        """Return the overrides for a value of the quantity, with all others."""
         own = self.quantity.overrides(value, running=self.tags["running"])
         return (*self.overrides, *more, *own)
 
@@ -87,15 +87,15 @@ DRIVE_FEEDBACK = "controller.drive_feedback.enabled"
 
 
 def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Setting]:
-    """All settings of a definition.
+    """Return all settings of a definition.
 
     Args:
         wanted: the definition.
-        own: keys that its kind of study sets by itself, each with what to use in its place.
+        own: keys that its kind of study sets by itself, each with the alternative to use.
 
     Raises:
-        ScenarioError: the scenario refuses one.
-        ConfigurationError: so does what stands in the definition.
+        ScenarioError: a scenario refuses a setting.
+        ConfigurationError: a value of the definition is invalid.
     """
     fixed = _fixed(wanted, own)
     unasked: Sequence[bool | None] = [None]
@@ -124,18 +124,18 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
 
 
 def _loops(wanted: CasesDefinition, base: Setup) -> Iterator[tuple[bool, Quantity]]:
-    """The quantity as it comes to a loop that starts, to one that runs, or both."""
+    """Return the quantity acting on a loop from the start, on a running one, or both."""
     has_motors = base.scenario.plant.actuator.has_rotors
     for running in wanted.running or ([False, True] if has_motors else [False]):
         try:
             yield running, build_quantity(wanted.quantity, wanted.direction, running, base)
         except ConfigurationError:
-            if not running or wanted.running is not None:  # else nobody asked for it
+            if not running or wanted.running is not None:  # not requested
                 raise
 
 
 def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
-    """What is set in all scenarios; errors as `settings`."""
+    """Return the values set in all scenarios; raises as `settings`."""
     own = {**own, study_keys.LAW: "as laws (--laws)", study_keys.SEED: "as seeds (--seeds)"}
     if wanted.compensation is not None:
         own[COMPENSATION] = "as compensation (--compensation)"
@@ -160,13 +160,13 @@ def _laws(wanted: CasesDefinition, scenario: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Case:
-    """A setting, and what is tried with it at every value.
+    """A setting, and the runs at every value of it.
 
     Attributes:
-        setting: what it is.
+        setting: the setting.
         variants: starts or plants.
-        seeds: those of the runs of each variant: one is enough where nothing is random.
-        ceilings_ms: how long the arm of each variant may be held at its start, where known.
+        seeds: seeds of the runs of each variant: one is enough if nothing is random.
+        ceilings_ms: how long each variant's arm may be held at its start, if known.
     """
 
     setting: Setting
@@ -180,17 +180,17 @@ class Case:
 
     @property
     def findings(self) -> dict[str, Any]:
-        """What its summary says of it first."""
+        """Leading values of its summary."""
         ceiling = min(self.ceilings_ms, default=None)
         return {**self.setting.tags, "held_arm_ceiling_ms": ceiling}
 
 
 class StudyOfCases(StudyOfRuns):
-    """A study of a quantity that grows, in all settings of its definition.
+    """A study of a growing quantity, in all settings of its definition.
 
     Attributes:
-        definition_type: what its YAML file may have.
-        cases: what is tried.
+        definition_type: schema of its YAML file.
+        cases: the cases to try.
     """
 
     definition_type: ClassVar[type[CasesDefinition]]
@@ -211,23 +211,23 @@ class StudyOfCases(StudyOfRuns):
 
     @abstractmethod
     def variants_of(self, setting: Setting) -> list[Variant]:
-        """The starts or plants of a setting; errors as `settings`."""
+        """Return the starts or plants of a setting; raises as `settings`."""
 
     @abstractmethod
     def last_value(self, setting: Setting) -> float:
-        """The last value that is tried; errors as `settings`."""
+        """Return the last value to try; raises as `settings`."""
 
     @property
     @abstractmethod
     def own_keys(self) -> Mapping[str, str]:
-        """Keys that it sets by itself, each with what to use in its place."""
+        """Keys that it sets by itself, each with the alternative to use."""
 
     @abstractmethod
     def case_findings(self, rows: list[Row]) -> dict[str, Any]:
-        """What came of the cases, and whether all is `completed`, ready for JSON."""
+        """Return the results of the cases, and whether all is `completed`, ready for JSON."""
 
     def _build_cases(self) -> Iterator[Case]:
-        """All cases; each arm is checked in every variant, each case in the first."""
+        """Return all cases; each arm is checked in every variant, each case in the first."""
         known = dict[str, tuple[list[list[int]], list[float]]]()
         for setting in settings(self.definition, self.own_keys):
             variants = self.variants_of(setting)
@@ -250,14 +250,14 @@ class StudyOfCases(StudyOfRuns):
             raise variant.refused(error) from error
 
     def _ceilings_ms(self, setting: Setting, setups: Iterable[Setup]) -> list[float]:
-        """The held-arm ceilings of a delay that is there from the start, where there are any."""
+        """Return the held-arm ceilings of a delay that acts from the start, if any."""
         if setting.tags["running"] or self.definition.quantity != "delay":
             return []
         found = (held_arm_ceiling_ms(setup, self.definition.direction) for setup in setups)
         return [each for each in found if each is not None]
 
     def _require_own_names(self) -> None:
-        """Rows tell scenarios by their names."""
+        """Require different names of scenarios, which identify them in rows."""
         files: dict[str, str] = {}
         for setting in (case.setting for case in self.cases):
             name = setting.base.scenario.name
@@ -286,7 +286,7 @@ class StudyOfCases(StudyOfRuns):
         }
 
     def runs_at(self, index: int, at: int, value: float) -> Iterator[PlannedRun]:
-        """The runs of a case at a value, the `at`-th: of every variant with every seed."""
+        """Return the runs of a case at its `at`-th value: every variant with every seed."""
         wanted, case = self.definition, self.cases[index]
         tags = {**case.setting.tags, "quantity": wanted.quantity, "value": value}
         for variant, seeds in zip(case.variants, case.seeds, strict=True):
@@ -299,5 +299,5 @@ class StudyOfCases(StudyOfRuns):
 
 
 def point_name(case: int, value: int, variant: Variant) -> str:
-    """Name of a point: case, value and variant, so that names sort as they are asked for."""
+    """Return a point's name: case, value and variant, so that names sort in order of requests."""
     return f"{case:03d}-{value:06d}-{variant.number:04d}"

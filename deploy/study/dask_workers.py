@@ -1,4 +1,4 @@
-"""Dask as the workers of studies: processes of this machine's own, or a cluster that exists."""
+"""Dask as the workers of studies: separate processes on this machine, or an existing cluster."""
 
 from __future__ import annotations
 
@@ -37,30 +37,30 @@ _FIRST_TASK_S = 30.0
 _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
 """Dask's own profiler and its watch over its event loop interrupt a run hundreds of times."""
 _COMPILES = "funnel-hil compiles"
-"""Topic of the events by which workers tell it."""
+"""Topic of the events by which workers report that they compile."""
 Packed = Mapping[str, bytes]
-"""Laws by name, as `cloudpickle` has them."""
+"""Laws by name, in `cloudpickle`'s format."""
 
 
 class ClusterLostError(Exception):
-    """The scheduler has gone away in the middle of a study."""
+    """The scheduler was lost during a study."""
 
 
 class DaskWorkers:
-    """Processes that do runs.
+    """Processes that execute runs.
 
-    A worker that dies costs no row, as its runs are given to others. Runs whose workers die again
-    and again are tried once more, alone, as any of those that a worker has at a time may be the
-    cause; one that takes its workers with it even then becomes a row with an error.
+    A worker that dies costs no row, as others take over its runs. Runs whose workers die repeatedly
+    are tried once more, alone, as any run of a worker may be the cause; if its workers die even
+    then, the run becomes a row with an error.
 
     Args:
-        workers: processes to start on this machine; as many as it has cores by default.
+        workers: number of processes to start on this machine; by default its number of cores.
         scheduler: address of a scheduler to use instead.
-        laws: names of laws; those of the user's own go with every run, so that no worker needs
-            their files.
+        laws: names of laws; custom ones are sent with every run, so that no worker needs their
+            files.
 
     Raises:
-        ScenarioError: the scheduler does not answer, or its workers cannot do runs.
+        ScenarioError: the scheduler does not answer, or its workers cannot execute runs.
     """
 
     def __init__(
@@ -93,21 +93,21 @@ class DaskWorkers:
 
     @property
     def count(self) -> int:
-        """How many runs they do at a time, as far as is known."""
+        """Number of runs that they execute at a time, as far as known."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         return sum(worker["nthreads"] for worker in workers)
 
     def submit(self, run: PlannedRun) -> None:
-        """Have a run done."""
+        """Submit a run."""
         self._in_flight += 1
         future = self._client.submit(row_with, run, self._laws, pure=False)
         future.add_done_callback(lambda done: self._finished.put((run, done)))
 
     def finished(self, timeout_s: float) -> tuple[PlannedRun, Row] | None:
-        """A run that is done, in any order; None if none was done in time.
+        """Return a finished run, in any order; None if none was finished in time.
 
         Raises:
-            ClusterLostError: none will ever be.
+            ClusterLostError: no run will ever finish.
         """
         if not self._in_flight and self._suspects:
             self._alone = self._suspects.popleft()
@@ -134,23 +134,23 @@ class DaskWorkers:
 
 
 def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
-    """Worker processes on this machine, and a folder for Dask's files, which it leaves behind."""
+    """Start worker processes on this machine, in a folder for files that Dask leaves behind."""
     with dask.config.set(_UNWATCHED | {"temporary-directory": scratch}):
         return LocalCluster(
             n_workers=workers or len(os.sched_getaffinity(0)),
             threads_per_worker=1,
             processes=True,
-            security=Security.temporary(),  # else any user of this machine may give it code to run
+            security=Security.temporary(),  # else any user of this machine may run code on it
             memory_limit=0,
             dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any free port
             silence_logs=logging.CRITICAL,
             preload=[__name__],  # see `dask_setup`; and no first run waits for imports
         )
 
 
 class _ForwardingHandler(logging.Handler):
-    """Has the command say what a worker logs: their terminal may have half a line written."""
+    """Logs a worker's messages through the command, whose terminal line may be half written."""
 
     def __init__(self, worker: Worker) -> None:
         super().__init__()
@@ -165,9 +165,9 @@ def _say_that_they_compile(_event: object) -> None:
 
 
 def dask_setup(worker: Worker) -> None:
-    """Called by Dask in every worker process of our own: Ctrl-C is for the command that began.
+    """Set up each of our own worker processes (called by Dask): Ctrl-C is for the command alone.
 
-    What goes wrong in a run stands in its row, cause first; here nobody would know whose it is.
+    The errors of a run are in its row, cause first; a log here would not show whose they are.
     """
     compiled.logger.addHandler(_ForwardingHandler(worker))
     compiled.logger.propagate = False
@@ -177,7 +177,7 @@ def dask_setup(worker: Worker) -> None:
 
 
 def _connect(scheduler: str) -> Client:
-    """A client of a scheduler whose workers can do runs."""
+    """Return a client of a scheduler whose workers can execute runs."""
     try:
         asyncio.run(asyncio.wait_for(_identity(scheduler), _ANSWER_S))
         client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False, security=Security())
@@ -189,7 +189,7 @@ def _connect(scheduler: str) -> Client:
         ) from error
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
-        client.submit(_can_run, pure=False).result(timeout=_FIRST_TASK_S)
+        client.submit(_check_import, pure=False).result(timeout=_FIRST_TASK_S)
     except Exception as error:
         client.close()
         raise ScenarioError(
@@ -199,38 +199,38 @@ def _connect(scheduler: str) -> Client:
 
 
 async def _identity(scheduler: str) -> None:
-    """Ask who is there; cheaper to give up than a client."""
+    """Ask the scheduler for its identity; cheaper to give up than a client."""
     arguments = Security().get_connection_args("client")  # certificates as Dask is configured
     async with rpc(scheduler, connection_args=arguments) as peer:
         await peer.identity()
 
 
-def _can_run() -> str:
-    """Where a worker has the code from."""
+def _check_import() -> str:
+    """Check that a worker can import the code; return the module's name."""
     return row_of.__module__
 
 
 def packed(laws: Iterable[str]) -> Packed:
-    """Those of the laws that are the user's own, packed.
+    """Return the custom ones of these laws, packed.
 
-    One that cannot be packed is left out: workers import it, where they have its file.
+    A law that cannot be packed is left out: workers import it if they have its file.
     """
     found = {name: _packed(find_law(name)) for name in laws if is_custom(name) and name != EXTERNAL}
     return {name: code for name, code in found.items() if code is not None}
 
 
 def row_with(run: PlannedRun, laws: Packed) -> Row:
-    """`row_of`, with laws that came along."""
+    """Return `row_of` a run, with the laws that were sent with it."""
     try:
         makers = {name: _unpacked(code) for name, code in laws.items()}
-    except Exception as error:  # noqa: BLE001 - what a law imports may not be there
+    except Exception as error:  # noqa: BLE001 - imports of a law may be missing
         return failed(run, f"{type(error).__name__}: {error}")
     with laws_given(makers):
         return row_of(run)
 
 
 def _packed(make: Maker) -> bytes | None:
-    """A law with its whole module, unless that is a package that workers have as well."""
+    """Pack a law with its whole module, unless that is a package that workers have as well."""
     module = sys.modules.get(make.__module__)
     by_value = module is not None and _is_of_the_user(module)
     if by_value:
@@ -256,16 +256,16 @@ def _reduced(code: CodeType) -> tuple[Any, ...]:
 
 
 class _Packer(cloudpickle.Pickler):  # type: ignore[misc]  # it has no types
-    """Packs functions with the names of their files, which `cloudpickle` leaves out.
+    """Pickler of functions with the names of their files, which `cloudpickle` leaves out.
 
-    So an error of a law reports its place in the user's own file.
+    So an error of a law reports its place in the user's file.
     """
 
     dispatch_table = cloudpickle.Pickler.dispatch_table.new_child({CodeType: _reduced})
 
 
 def _is_of_the_user(module: ModuleType) -> bool:
-    """Whether a module is a file of the user's own, and not installed."""
+    """Whether a module is a user's file, not installed."""
     file = getattr(module, "__file__", None)
     if module.__name__ == "__main__" or file is None:
         return False

@@ -1,10 +1,10 @@
-"""What a study leaves, goes on from and grows from: definition, rows, the scenario of every point.
+"""Folder of a study, from which it can continue or grow: definition, rows, scenarios of points.
 
-The table of rows is written again soon after runs are done, the more seldom the longer that takes.
-It appears as a whole or not at all, so whenever a study is killed, what lies there can be used.
+The table of rows is rewritten soon after runs are done, less often if that takes long. It is
+written whole or not at all, so the folder of a killed study can always be used.
 
-Rows are known by what was varied and the seed: points are named by their place in a study,
-and so take other names once it has grown.
+Rows are identified by the varied values and the seed: points are named by their position in a
+study, and so are renamed when it grows.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _SHOWN_HINDRANCES = 3
 
 
 class StudyFolder(run_folder.ResultFolder):
-    """The files of a study; the table of its rows.
+    """The files of a study, and the table of its rows.
 
     Args:
         path: an existing folder.
@@ -71,9 +71,10 @@ class StudyFolder(run_folder.ResultFolder):
         return [self._rows[key] for key in sorted(self._rows)]
 
     def become(self) -> None:
-        """Have the folder hold this study, where it held one that this one has grown from.
+        """Make the folder hold this study, which has grown from the one in it.
 
-        The lock has to be held. Scenarios go, as their names have changed; rows can be found.
+        The lock has to be held. Scenarios are removed, as their names have changed; rows are still
+        found.
         """
         wanted, file = _identity(self._study), self.path / STUDY_FILE
         if read_yaml(file) == wanted:
@@ -84,7 +85,7 @@ class StudyFolder(run_folder.ResultFolder):
         write_whole(file, to_yaml(wanted))
 
     def find(self, run: PlannedRun) -> Row | None:
-        """The row of a run, if it was done before."""
+        """Return the row of a run that was done before; None without one."""
         if run.key not in self._rows:
             known = self._earlier.get(self._identity({**run.columns, "seed": run.seed}), [])
             if not known:
@@ -95,9 +96,9 @@ class StudyFolder(run_folder.ResultFolder):
         return self._rows[run.key]
 
     def find_done(self, run: PlannedRun) -> Row | None:
-        """The row of a run that need not be done again.
+        """Return the row of a run that need not be repeated; None without one.
 
-        A recording is of use if it is whole, and of a shipped law: others may have changed since.
+        A recording is reused if it is whole, and of a shipped law: others may have changed since.
         """
         row = self.find(run)
         if row is None or left_nothing(row):
@@ -108,12 +109,12 @@ class StudyFolder(run_folder.ResultFolder):
         return row if row["completed"] and row["law"] in LAWS and log.exists() else None
 
     def placed(self, run: PlannedRun) -> PlannedRun:
-        """The run with the whole path of its recording."""
+        """Return the run with the full path of its recording."""
         recording = None if run.recording is None else self.path / run.recording
         return replace(run, recording=recording)
 
     def _identity(self, values: Row) -> tuple[Any, ...]:
-        """What tells a run or its row from all others of the study."""
+        """Return the values that identify a run or its row within the study."""
         told = (values.get(name) for name in (*self._study.columns, "seed"))
         return tuple(tuple(each) if isinstance(each, list) else each for each in told)
 
@@ -128,9 +129,9 @@ class StudyFolder(run_folder.ResultFolder):
         """Write one table of all rows, in order.
 
         Args:
-            conditions: what the rows are to be quoted with.
-            completed: whether rows that were not asked for so far will never be: those of a search
-                that has grown and took another way.
+            conditions: the conditions of the rows.
+            completed: whether unrequested rows can be dropped: those of a search that has grown and
+                took another path.
         """
         began_s = time.monotonic()
         left = [] if completed else [row for rows in self._earlier.values() for row in rows]
@@ -139,11 +140,11 @@ class StudyFolder(run_folder.ResultFolder):
         self._due_s = began_s + max(_WRITE_EVERY_S, took_s / _SHARE_OF_WRITING)
 
     def rerun_command(self, point: str) -> str:
-        """The command that runs a point again."""
+        """Return the command that repeats a point."""
         return f"funnel-hil simulate {self.scenarios / point}.yaml"
 
     def keep_scenario(self, run: PlannedRun) -> None:
-        """Write the scenario of a run's point, unless it is there."""
+        """Write the scenario of a run's point, unless it exists."""
         file = self.scenarios / f"{run.point}.yaml"
         if run.recording is not None or file.exists():
             return
@@ -153,15 +154,14 @@ class StudyFolder(run_folder.ResultFolder):
 
 
 def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
-    """The folder in which a study is to go on, or to grow; None if it has to begin.
+    """Return the folder in which a study continues or grows; None if it has to begin.
 
     Args:
         study: the study.
-        out: the folder asked for; by default the newest in ``runs`` in which this study came to no
-            end.
+        out: the requested folder; by default the newest one in ``runs`` with this study unfinished.
 
     Raises:
-        ScenarioError: the folder asked for holds another study, and not one that this adds to.
+        ScenarioError: the requested folder holds another study, which this one does not extend.
     """
     wanted = _identity(study)
     if out is None:
@@ -181,10 +181,10 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
 
 
 def create_folder(study: StudyOfRuns, out: Path | None, *, overwrite: bool = False) -> Path:
-    """A folder for a new study, by default ``runs/<kind>-<name>-<time>``.
+    """Create a folder for a new study, by default ``runs/<kind>-<name>-<time>``.
 
     Raises:
-        ScenarioError: as `new_folder`.
+        ScenarioError: as for `new_folder`.
     """
     path, identity = new_folder(_folder_name(study), out, overwrite=overwrite), _identity(study)
     write_json(path / "manifest.json", _manifest(study))
@@ -193,15 +193,15 @@ def create_folder(study: StudyOfRuns, out: Path | None, *, overwrite: bool = Fal
 
 
 def changes_since(study: StudyOfRuns, path: Path) -> list[str]:
-    """Which scenarios and files of a folder's study have changed, a sentence each."""
+    """Return which scenarios and files of a folder's study have changed, a sentence each."""
     return changes(read_yaml(path / STUDY_FILE), _identity(study), _digests(study))
 
 
 def read_study(path: Path) -> StudyOfRuns:
-    """The study that a folder holds.
+    """Return the study in a folder.
 
     Raises:
-        RunFolderError: it holds none of ours.
+        RunFolderError: it holds no study.
         ScenarioError: the study cannot be used.
     """
     file = path / STUDY_FILE
@@ -219,7 +219,7 @@ def _folder_name(study: StudyOfRuns) -> str:
 
 
 def _identity(study: StudyOfRuns) -> dict[str, Any]:
-    """What a study is, as ``study.yaml`` gives it back: equal ones ask for equal rows."""
+    """Return a study's identity, in the form of ``study.yaml``: equal ones request equal rows."""
     told = {
         "kind": study.kind,
         "definition": study.definition.model_dump(by_alias=True),
@@ -235,7 +235,7 @@ def _manifest(study: StudyOfRuns) -> dict[str, Any]:
 
 
 def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
-    """Whether a folder holds a study that came to no end."""
+    """Whether a folder holds an unfinished study."""
     try:
         found = read_yaml(path / STUDY_FILE)
     except ScenarioError:
@@ -244,7 +244,7 @@ def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
 
 
 def _digests(study: StudyOfRuns) -> set[tuple[str, str]]:
-    """Names and digests of the scenarios in every setting that is tried."""
+    """Return names and digests of the scenarios in every setting."""
     return {(setup.scenario.name, _digest(setup)) for setup in study.variants}
 
 

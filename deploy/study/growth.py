@@ -1,4 +1,4 @@
-"""Whether a study is an earlier one with more: seeds, points, laws or anything else it tries."""
+"""Growth of studies: whether one extends an earlier one by seeds, points, laws or other values."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _TYPES = {
     "double": "numbers",
     "string": "neither numbers nor truth values",
 }
-"""What values of a grid are, by the Parquet type of their column."""
+"""Kind of a grid's values, by the Parquet type of their column."""
 
 
 def hindrances(
     found: Mapping[str, Any], wanted: Mapping[str, Any], digests: Collection[tuple[str, str]]
 ) -> list[str]:
-    """Why a study cannot be made of another by adding to it, a sentence for each key; [] if it can.
+    """Explain, a sentence per key, why a study does not extend another; [] if it does.
 
     Args:
-        found: what the other is, as ``study.yaml`` has it.
-        wanted: the same of the study.
-        digests: name and digest of each scenario of the study, in every setting that it tries.
+        found: the other study, in the form of ``study.yaml``.
+        wanted: the study, in the same form.
+        digests: name and digest of each scenario of the study, in every setting.
     """
     if found.get("kind") != wanted["kind"]:
         return list(_of_key("kind", found.get("kind"), wanted["kind"]))
@@ -43,7 +43,7 @@ def hindrances(
 def changes(
     found: Mapping[str, Any], wanted: Mapping[str, Any], digests: Collection[tuple[str, str]]
 ) -> list[str]:
-    """Which scenarios and files are no longer as they were, a sentence each; as `hindrances`."""
+    """Return which scenarios and files have changed, a sentence each; as for `hindrances`."""
     known = {"scenario": digests, "file": wanted.get("file_digests", {}).items()}
     return [
         f"{what} {before[0]}: has changed"

@@ -1,4 +1,4 @@
-"""Margins: how much delay, jitter, loss or anything else a law takes before it loses its bounds."""
+"""Margins: how much delay, jitter, loss or other quantity a law tolerates within its bounds."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _BEYOND = (1.5, 2.0)
 
 
 class MarginDefinition(CasesDefinition):
-    """What to find margins of, as a study's YAML file has it.
+    """Settings of a search for margins, as in a study's YAML file.
 
     Attributes:
         offsets: factors on the scenario's initial offset; a value holds if the bounds are kept from
             every one of these starts, with every seed.
-        resolution: to which the margin is found, in the quantity's unit.
+        resolution: resolution of the margin, in the quantity's unit.
         limit: the last value tried, in the quantity's unit; for a number of the scenario it may lie
-            below the scenario's own, from which the search begins.
+            below the scenario's own value, where the search begins.
     """
 
     seeds: Seeds = Field(default=[1, 2])
@@ -42,16 +42,16 @@ class MarginDefinition(CasesDefinition):
 
 @dataclass
 class MarginSearch:
-    """Which value to probe next, in whole steps of the resolution.
+    """Search that selects the next value to probe, in whole steps of the resolution.
 
-    From nothing on, values are doubled until one fails; what lies between the last that held and
-    the first that failed is halved until they are neighbours. In the end two values further out are
-    probed, to find out whether larger ones hold again: what holds need not be an interval.
+    From zero, values are doubled until one fails; the interval between the last that held and the
+    first that failed is halved until they are neighbours. Finally two larger values are probed, as
+    bounds may be kept again beyond a failure.
 
     Attributes:
         steps: the values that can be probed.
         outcomes: whether each probed value held.
-        rows: what came of its runs, by the probed value in steps.
+        rows: rows of its runs, by the probed value in steps.
     """
 
     steps: Steps
@@ -60,12 +60,12 @@ class MarginSearch:
 
     @property
     def first_failure(self) -> int | None:
-        """The smallest value that failed."""
+        """Smallest value that failed."""
         return min((value for value, held in self.outcomes.items() if not held), default=None)
 
     @property
     def margin(self) -> int | None:
-        """The largest value up to which all that were probed held; None where zero failed."""
+        """Largest value up to which all probes held; None if zero failed."""
         failure = self.first_failure
         holding = (value for value, held in self.outcomes.items() if held)
         return max((v for v in holding if failure is None or v < failure), default=None)
@@ -80,7 +80,7 @@ class MarginSearch:
 
     @property
     def probes_left(self) -> int:
-        """How many values are still to be probed, if the next one of a bracketing fails."""
+        """Number of remaining probes, if the next one of a bracketing fails."""
         margin, failure = self.margin, self.first_failure
         if failure is None:
             step = max(self.steps.first, margin or 0)
@@ -89,7 +89,7 @@ class MarginSearch:
         return left + sum(value not in self.outcomes for value in self._beyond(failure))
 
     def next(self) -> int | None:
-        """The value to probe next; None when the search is over."""
+        """Return the value to probe next; None when the search is over."""
         margin, failure = self.margin, self.first_failure
         if failure is None:
             if margin is None:
@@ -102,7 +102,7 @@ class MarginSearch:
         return next(untried, None)
 
     def _beyond(self, failure: int) -> list[int]:
-        """Values beyond a failure that are worth a look."""
+        """Return the values to probe beyond a failure."""
         further = (round(factor * failure) for factor in _BEYOND)
         return [value for value in further if failure < value <= self.steps.limit]
 
@@ -111,7 +111,7 @@ class Margin(StudyOfCases):
     """The runs of a search for margins.
 
     Attributes:
-        searches: how far the search of each case is.
+        searches: the search of each case.
     """
 
     kind = "margin"
@@ -154,7 +154,7 @@ class Margin(StudyOfCases):
         rows = search.rows.setdefault(steps, [])
         rows.append(values)
         if len(rows) < self.cases[index].runs_per_value or any(map(left_nothing, rows)):
-            return ()  # nobody knows yet, or ever, whether this value holds
+            return ()  # unknown so far, or for good, whether this value holds
         search.outcomes[steps] = all(map(held, rows))
         return self._next_probe(index)
 
@@ -202,12 +202,12 @@ def _search_findings(search: MarginSearch) -> dict[str, Any]:
 
 
 def _in_order(rows: list[Row]) -> list[Row]:
-    """Rows by point and seed, in whatever order the workers did them."""
+    """Return rows by point and seed, in any order of execution."""
     return sorted(rows, key=lambda row: (row["point"], row["seed"]))
 
 
 def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:
-    """Of the values tried, the last one up to which all were kept, by other physics, in steps."""
+    """Return the last tried value up to which all were kept, by other physics, in steps."""
     kept = {steps: list(map(_kept_elsewhere, rows)) for steps, rows in sorted(search.rows.items())}
     found: dict[str, int | None] = {}
     for physics in dict.fromkeys(name for rows in kept.values() for row in rows for name in row):
@@ -220,5 +220,5 @@ def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:
 
 
 def _kept_elsewhere(row: Row) -> dict[str, bool]:
-    """Whether a run kept its bounds, by other physics; of a failed one nothing is known."""
+    """Whether a run kept its bounds, by other physics; nothing is known of a failed run."""
     return dict(zip(row.get("confirmed_on") or (), row.get("confirmed_kept") or (), strict=True))

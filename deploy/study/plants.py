@@ -1,4 +1,4 @@
-"""The plants that a study tries: one and the same arm, or as many as are drawn."""
+"""Plants of a study: always the same arm, or several that are drawn."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _MOST_PLANTS = 1000
 
 
 class UncertainDefinition(StudyDefinition):
-    """What the YAML file of a study of uncertain plants may have.
+    """Settings of uncertain plants in a study's YAML file.
 
     Attributes:
-        plants: how many are drawn; null for the arm as the scenario has it.
-        plant_seed: another one gives other plants. The first of many are the same as of few.
-        uncertainty: what is drawn, and how; a file of ranges, the name of shipped ones, or the
+        plants: number of drawn plants; null for the scenario's own arm.
+        plant_seed: seed of the plants. A larger number of plants begins with the same ones.
+        uncertainty: the ranges to draw from; a file of ranges, the name of a shipped one, or the
             ranges themselves; the scenario's own if null.
     """
 
@@ -48,12 +48,12 @@ class UncertainDefinition(StudyDefinition):
 
 @dataclass(frozen=True)
 class Variant:
-    """An arm of a study: as the scenario has it, from another start, or as it was drawn.
+    """An arm of a study: the scenario's own, from another start, or drawn.
 
     Attributes:
-        number: which it is; drawn ones count from 1 on.
-        overrides: what is set for it.
-        columns: what tells it from the others, by column of the table.
+        number: its number; drawn ones count from 1.
+        overrides: the overrides that define it.
+        columns: values that identify it, by column of the table.
     """
 
     number: int = 0
@@ -61,7 +61,7 @@ class Variant:
     columns: Mapping[str, Any] = field(default_factory=dict)
 
     def refused(self, error: ScenarioError) -> ScenarioError:
-        """What to say where the scenario refuses it."""
+        """Explain that the scenario refuses it."""
         if "plant" not in self.columns:
             return error
         drawn = {key: value for key, value in self.columns.items() if key != "plant"}
@@ -73,10 +73,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class Measured:
-    """One number of each plant, to be held against which of them were lost.
+    """One number of each plant, to compare with which of them were lost.
 
     Attributes:
-        name: what it is.
+        name: its name.
         values: shape (plants,).
     """
 
@@ -85,7 +85,7 @@ class Measured:
 
 
 def with_ranges(values: Mapping[str, Any], source: Path) -> dict[str, Any]:
-    """A definition with the ranges themselves in place of the name of their file.
+    """Return a definition with the ranges themselves instead of the name of their file.
 
     Raises:
         ScenarioError: there is no such file.
@@ -97,10 +97,10 @@ def with_ranges(values: Mapping[str, Any], source: Path) -> dict[str, Any]:
 
 
 def uncertainty_of(wanted: UncertainDefinition, base: Setup) -> Uncertainty:
-    """What is drawn for a scenario.
+    """Return the ranges to draw from for a scenario.
 
     Raises:
-        ScenarioError: nothing is.
+        ScenarioError: there are none.
     """
     if wanted.uncertainty is not None:
         return wanted.uncertainty
@@ -113,10 +113,10 @@ def uncertainty_of(wanted: UncertainDefinition, base: Setup) -> Uncertainty:
 
 
 def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) -> list[Variant]:
-    """The plants for a scenario.
+    """Draw the plants for a scenario.
 
     Args:
-        wanted: how many, and from what.
+        wanted: number of plants, and ranges.
         base: the scenario.
         taken: keys that the study itself sets.
 
@@ -130,7 +130,7 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
     _require_free(uncertainty, wanted.fixed, taken)
     scenario, joints = plain(base.scenario), base.robot.joints
     check_uncertainty(uncertainty, scenario, joints)
-    # A drawn plant is certain: whoever runs it again does not draw once more on top of it.
+    # A drawn plant is certain: a new run of it must not draw again.
     settled = (override("uncertainty", {}),) if base.scenario.uncertainty else ()
     plants = []
     for number in range(1, wanted.plants + 1):
@@ -141,7 +141,7 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
 
 
 def draw_columns(wanted: UncertainDefinition, bases: Iterable[Setup]) -> dict[str, str]:
-    """Names and Parquet types of what is drawn, for all scenarios of a study."""
+    """Return names and Parquet types of drawn values, for all scenarios of a study."""
     if wanted.plants is None:
         return {}
     kinds = {"arm": "double", "joint": "list<double>"}
@@ -154,11 +154,11 @@ def draw_columns(wanted: UncertainDefinition, bases: Iterable[Setup]) -> dict[st
 
 
 def measured(uncertainty: Uncertainty, plants: list[Variant], base: Setup) -> list[Measured]:
-    """Everything that was drawn as one number of each plant, joint by joint.
+    """Return every drawn number of each plant, joint by joint.
 
-    A number that got a random sign counts as two: how large it is, and its sign. One for the whole
-    arm whose range lies on both sides of the scenario's own value also counts by how far it is from
-    the middle, as too little may do the same harm as too much.
+    A number with a random sign counts as two: its size, and its sign. For a number of the whole arm
+    whose range lies on both sides of the scenario's own value, the distance from the middle also
+    counts, as too little may be as harmful as too much.
     """
     found, scenario = [], plain(base.scenario)
     for text, draw in uncertainty.items():
@@ -189,7 +189,7 @@ def _aspects(name: str, draw: Draw, values: Any, own: Any) -> list[Measured]:
 
 
 def _require_free(uncertainty: Uncertainty, fixed: Mapping[str, Any], taken: Iterable[str]) -> None:
-    """Refuse draws of what the study sets by itself; factors on what is fixed are all right."""
+    """Refuse draws of keys that the study sets by itself; factors on fixed keys are allowed."""
     set_by_study = set(taken)
     for text, draw in uncertainty.items():
         for key in split_keys(text):

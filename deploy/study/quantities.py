@@ -1,4 +1,4 @@
-"""What grows until a law loses its bounds: something of the link, or any number of a scenario."""
+"""Quantities that grow until a law loses its bounds: of the link, or any number of a scenario."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from deploy.scenario.uncertainty import number_at, number_keys
 from deploy.scenario.yaml_files import override, plain
 
 RAMP_FROM_S, RAMP_FOR_S = 1.0, 2.0
-"""When a loop that already runs meets what it is tried with: from then on, and in that time."""
+"""Start and duration of the gradual change in a running loop."""
 
 _UNITS = {
     "_rad_s": "rad/s", "_m_s": "m/s", "_nm_s": "", "_per_s": "1/s", "_ms": "ms", "_kg": "kg",
     "_rad": "rad", "_nm": "N m", "_hz": "Hz", "_s": "s", "_m": "m",
 }  # fmt: skip
-"""Units by the ends of keys, the longer ones first."""
+"""Units by the ends of keys, longer ones first."""
 
 Direction = Literal["both", "uplink", "downlink"]
 
@@ -35,13 +35,13 @@ _LATEST_CEILING_S = 5.0
 
 @dataclass(frozen=True)
 class Steps:
-    """Values of a search, in whole steps from the first one on.
+    """Values of a search, in whole steps from the first one.
 
     Attributes:
-        origin: where nothing has been done to the loop yet.
+        origin: the value without any change to the loop.
         resolution: size of a step.
-        first: how many steps the first probe after the origin is away.
-        limit: how many steps there are.
+        first: number of steps from the origin to the first probe.
+        limit: number of steps.
         growth: 1 where values grow, −1 where they shrink.
     """
 
@@ -57,19 +57,19 @@ class Steps:
 
 @dataclass(frozen=True)
 class Quantity:
-    """Something that can be too much: by default a number of the scenario.
+    """A quantity to vary: by default a number of the scenario.
 
     Attributes:
-        title: what it is called.
-        unit: of its values, empty for none.
+        title: its name.
+        unit: unit of its values, empty for none.
         keys: scenario keys that it sets.
-        origin: where a search begins: at the scenario's own value, or at nothing on a link.
+        origin: start of a search: the scenario's own value, or zero for a link.
         is_of_link: whether it is delay, jitter or loss of the link.
-        share: of a value, what each key gets.
+        share: each key's share of a value.
         at_first: value that a running loop starts with.
-        resolution: size of a step, unless the study has another one.
-        first: the first value tried after the origin; a part of the way to the limit if None.
-        limit: the last value tried, unless the study has another one.
+        resolution: size of a step, unless the study gives another one.
+        first: the first value tried after the origin; a fraction of the way to the limit if None.
+        limit: the last value tried, unless the study gives another one.
     """
 
     title: str
@@ -84,11 +84,11 @@ class Quantity:
     limit: float | None = None
 
     def overrides(self, value: float, *, running: bool) -> list[str]:
-        """What to set for a value.
+        """Return the overrides for a value.
 
         Args:
-            value: of the quantity.
-            running: whether it comes gradually, to a loop that already runs.
+            value: value of the quantity.
+            running: whether it grows gradually, in a running loop.
         """
         if not running:
             return [override(key, self.share * value) for key in self.keys]
@@ -102,7 +102,7 @@ class Quantity:
         return texts
 
     def steps(self, resolution: float | None, limit: float | None) -> Steps:
-        """The values of a search.
+        """Return the values of a search.
 
         Args:
             resolution: size of a step; the quantity's own if None.
@@ -117,7 +117,7 @@ class Quantity:
             missing = "limit" if end is None else "resolution"
             raise ConfigurationError(missing, None, f"must be given for {self.title}")
         growth = -1 if end < self.origin and not self.is_of_link else 1
-        last = math.floor(growth * (end - self.origin) / size + 1e-9)  # but for rounding
+        last = math.floor(growth * (end - self.origin) / size + 1e-9)  # except for rounding
         if last < 1:
             away = "" if self.is_of_link else f" away from the scenario's own {self.origin:g}"
             allowed = f"must be at least a step, {size:g} {self.unit}".rstrip()
@@ -140,21 +140,21 @@ _LINK = {
         resolution=0.005, first=0.01, limit=0.9,
     ),
 }  # fmt: skip
-"""Quantities of a link in both directions, with the keys of a direction. A delay is a round trip,
+"""Quantities of a link in both directions, with a direction's keys. A delay is a round trip.
 half of it each way."""
 
 
 def build_quantity(name: str, direction: Direction, running: bool, base: Setup) -> Quantity:
-    """A quantity by its name.
+    """Return a quantity by its name.
 
     Args:
         name: ``delay``, ``jitter``, ``loss``, or the dotted key of a number.
-        direction: of the link.
-        running: whether it comes gradually.
+        direction: direction of the link to vary, or ``both``.
+        running: whether it grows gradually.
         base: the scenario without it.
 
     Raises:
-        ConfigurationError: there is none, or not for this scenario.
+        ConfigurationError: there is none of this name, or not for this scenario.
     """
     if name in _LINK:
         return _link_quantity(name, direction, base if running else None)
@@ -174,7 +174,7 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
 
 
 def _link_quantity(name: str, direction: Direction, running: Setup | None) -> Quantity:
-    """Delay, jitter or loss; `running` is the scenario of a loop that meets it gradually."""
+    """Return delay, jitter or loss; `running` is the scenario of a loop in which it grows."""
     quantity, (key,) = _LINK[name], _LINK[name].keys
     if direction == "both":
         channels = ["link.uplink", "link.downlink"]
@@ -194,14 +194,14 @@ def _link_quantity(name: str, direction: Direction, running: Setup | None) -> Qu
 
 
 def held_arm_ceiling_ms(setup: Setup, direction: Direction = "both") -> float | None:
-    """The delay at which the error of an arm that is held at its start leaves the funnel, ms.
+    """Return the delay at which an arm that is held at its start leaves the funnel, ms.
 
-    No law can start under a longer delay: until the first command acts, one round trip after the
-    start, the brakes hold the arm where it is, while reference and funnel move on.
+    No law can start with a longer delay: until the first command acts, one round trip after the
+    start, the brakes hold the arm while reference and funnel move on.
 
     Args:
-        setup: a scenario, of which reference, funnel and start count.
-        direction: in which the delay is; what the other has in the scenario counts as well.
+        setup: a scenario, for its reference, funnel and start.
+        direction: direction of the delay; the scenario's delay of the other is included.
 
     Returns:
         The delay to 0.1 ms; None if it is beyond the end of the run, or 5 s.

@@ -23,13 +23,13 @@ _WORST_POINTS = 3
 
 
 class RobustnessDefinition(cases.CasesDefinition, plants.UncertainDefinition):
-    """What to try on many plants, as a study's YAML file has it.
+    """Trials on many plants, as in a study's YAML file.
 
     Attributes:
-        plants: how many are drawn; all of them meet every value under every law.
-        values: of the quantity.
-        kept_share: share of the plants that have to keep their bounds for a value to count as
-            taken.
+        plants: number of drawn plants; each one is tried at every value with every law.
+        values: values of the quantity.
+        kept_share: share of the plants that must keep their bounds for a value to count as
+            tolerated.
         seeds: a plant keeps its bounds at a value if it does with every seed.
     """
 
@@ -118,7 +118,7 @@ class Robustness(cases.StudyOfCases):
         }
 
     def _kept_up_to(self, found: list[dict[str, Any]]) -> float | None:
-        """The largest value up to which enough plants are kept at every one, all plants judged."""
+        """Return the largest value up to which enough plants were kept, with all plants judged."""
         largest = None
         for one in found:
             enough = one["kept"] >= self.definition.kept_share * self.definition.plants
@@ -129,10 +129,10 @@ class Robustness(cases.StudyOfCases):
 
 
 def margin_study(values: Mapping[str, Any], source: Path) -> StudyOfRuns:
-    """Margins by search, or with ``plants`` the shares of uncertain plants at given values.
+    """Return margins by search, or with ``plants`` the shares of uncertain plants at given values.
 
     Args:
-        values: the definition, as its YAML file has it.
+        values: the definition, in the form of its YAML file.
         source: that file.
 
     Raises:
@@ -149,7 +149,7 @@ def margin_study(values: Mapping[str, Any], source: Path) -> StudyOfRuns:
 
 
 def _value_summary(value: float, case: cases.Case, judged: list[list[Row]]) -> dict[str, Any]:
-    """What became of the plants at one value: a list of rows for each that is judged."""
+    """Summarise the plants at one value, from a list of rows for each judged plant."""
     kept = sum(map(_is_kept, judged))
     worst = sorted(judged, key=lambda rows: max(map(badness, rows)), reverse=True)[:_WORST_POINTS]
     return {

@@ -1,7 +1,7 @@
-"""How a study is carried out by workers, and goes on where it was interrupted.
+"""Execution of a study by workers, also one that was interrupted.
 
-A study says which runs are wanted, the workers do them in any order, and the folder keeps what came
-of them. As the folder is asked before the workers, nothing is done twice.
+A study requests runs, the workers execute them in any order, and the folder keeps their rows. The
+folder is checked before a run is submitted, so nothing is done twice.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ _IN_FLIGHT_PER_WORKER = 4
 
 
 class Workers(Protocol):
-    """Who does the runs."""
+    """Interface of the workers."""
 
     @property
     def count(self) -> int:
-        """How many runs they do at a time."""
+        """Number of runs that they execute at a time."""
 
     def submit(self, run: PlannedRun) -> None:
-        """Have a run done."""
+        """Submit a run."""
 
     def finished(self, timeout_s: float) -> tuple[PlannedRun, Row] | None:
-        """A run that is done, in any order; None if none was done in time."""
+        """Return a finished run, in any order; None if none was finished in time."""
 
 
 Progress = Callable[[Row, int, bool], None]
-"""Is called with the row of each run, with how many runs there will be in all, and whether an
+"""Called with each run's row, the expected number of runs, and whether the row existed before.
 earlier command did this one."""
 
 
@@ -49,14 +49,14 @@ def carry_out(
     stop: threading.Event,
     progress: Progress = lambda _row, _expected, _before: None,
 ) -> bool:
-    """Do all runs that a study wants and that its folder lacks; whether all were done.
+    """Execute all runs of a study that its folder lacks; return whether all were done.
 
     Runs that failed before they could be judged are tried again.
 
     Args:
-        study: which runs are wanted.
-        workers: who does them.
-        folder: what was done before, and where the rows go.
+        study: the study, which requests runs.
+        workers: the workers.
+        folder: the folder of existing and new rows.
         stop: set to end early, with all finished rows kept.
         progress: called with every row.
     """
@@ -89,7 +89,7 @@ def carry_out(
 
 
 def _on_our_engine(run: PlannedRun, study: StudyOfRuns) -> PlannedRun:
-    """The run with the engine that is the default here, so that no worker takes another one."""
+    """Return the run with this machine's default engine, so that no worker uses another one."""
     key = "plant.physics.engine"
     plants = [base.scenario.plant for base in study.bases]
     is_chosen = any(plant.physics.engine for plant in plants)
@@ -101,7 +101,7 @@ def _on_our_engine(run: PlannedRun, study: StudyOfRuns) -> PlannedRun:
 def retrace(
     study: StudyOfRuns, folder: StudyFolder, wanted: Iterable[PlannedRun] | None = None
 ) -> None:
-    """Take a study through those of its runs that its folder has; through `wanted` or all."""
+    """Pass the existing rows of a study's runs to it, for `wanted` or all."""
     left = deque(study.first() if wanted is None else wanted)
     while left:
         run = left.popleft()

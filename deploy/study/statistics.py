@@ -11,7 +11,7 @@ from deploy.judge.run_rows import Row, held
 
 
 def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
-    """What runs that differ in seed or start have in common, and how far they lie apart."""
+    """Return common values and spread of runs that differ in seed or start."""
     return {
         "runs": len(rows),
         "runs_kept": sum(held(row) for row in rows),
@@ -26,34 +26,34 @@ def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def commonest_error(rows: Sequence[Row]) -> str | None:
-    """The first error of most runs, in the words of one; those that differ in numbers are one."""
+    """Return the most frequent first error of runs; differences in numbers are ignored."""
     by_kind: dict[str, list[str]] = {}
     for row in rows:
         if row["error"] is not None:
-            cause = row["error"].partition("; ")[0]  # what follows from it may differ
+            cause = row["error"].partition("; ")[0]  # its consequences may differ
             by_kind.setdefault(re.sub(r"\d+", "0", cause), []).append(cause)
     return max(by_kind.values(), key=len)[0] if by_kind else None
 
 
 def seeds_of(rows: Sequence[Row]) -> list[int]:
-    """The seeds that runs had, in order: where nothing is random, one may stand for all asked."""
+    """Return the seeds of runs, in order: without randomness, one may stand for all requested."""
     return sorted({row["seed"] for row in rows})
 
 
 def badness(row: Row) -> tuple[bool, float]:
-    """What the worst of several runs has most of: failure, then ticks outside its bounds."""
+    """Return a sort key for the worst of several runs: failure, then ticks outside its bounds."""
     return row["error"] is not None, row["violation_fraction"] or 0.0
 
 
 def without_effect(
     rows: Sequence[Row], varied: Iterable[tuple[str, ...]], columns: Iterable[str]
 ) -> list[str]:
-    """What a study varied without changing a result of any run that came to one.
+    """Return varied values that changed no result of any judged run.
 
     Args:
-        rows: of the runs.
+        rows: rows of the runs.
         varied: columns that took each value together.
-        columns: all that say what a run was, but for point and seed.
+        columns: all columns that identify a run, except point and seed.
     """
     inputs = {"point", "seed", *columns}
     sound = [row for row in rows if row["error"] is None]
@@ -74,13 +74,13 @@ def without_effect(
 
 
 def worst(values: Sequence[float | None] | None) -> float | None:
-    """The largest of all joints, unless one of them is unknown."""
+    """Return the largest of all joints, or None if one of them is unknown."""
     known = [value for value in values or () if value is not None]
     return max(known) if values and len(known) == len(values) else None
 
 
 def spread(values: Sequence[float | None]) -> dict[str, float | None]:
-    """Mean and extremes of those that are known and finite; null where there are none."""
+    """Return mean and extremes of the known and finite values; null without any."""
     known = [value for value in values if value is not None and math.isfinite(value)]
     if not known:
         return {"mean": None, "lowest": None, "highest": None}

@@ -1,6 +1,6 @@
-"""Studies: which runs of which scenarios are wanted, and what their rows say together.
+"""Studies: which runs of which scenarios they request, and summaries of their rows.
 
-And what sweeps and margins have in common as definitions: name, overrides, seeds, scenarios.
+Also the common definitions of sweeps and margins: name, overrides, seeds, scenarios.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Value = TypeVar("Value")
 
 
 def require_different(values: list[Any]) -> list[Any]:
-    """For lists of values to try: one or more, of whatever type YAML has, and none twice."""
+    """Require a list of one or more different values, of any YAML type."""
     if not values or len({json.dumps(value, default=str) for value in values}) < len(values):
         raise ValueError("a list of different values")
     return values
@@ -66,12 +66,12 @@ Seeds = Annotated[list[int], BeforeValidator(_to_seeds)]
 
 
 class StudyDefinition(StrictModel):
-    """What every study's YAML file may have.
+    """Common keys of all studies' YAML files.
 
     Attributes:
-        name: of the study.
+        name: name of the study.
         fixed: (in YAML ``set``) scenario values that are the same in all runs, by dotted key.
-        seeds: how many, or which.
+        seeds: number of seeds, or a list.
         confirm: simulate every run on other physics too, see `deploy.run.confirmation`.
     """
 
@@ -86,10 +86,10 @@ class StudyDefinition(StrictModel):
 
 
 def scenario_name(name_or_path: str, folder: Path) -> str:
-    """A scenario as a study names it: shipped ones by name, files by their absolute path.
+    """Return a scenario's name in a study: shipped ones by name, files by their absolute path.
 
     Args:
-        name_or_path: a path relative to `folder`, or what commands take for a scenario.
+        name_or_path: a path relative to `folder`, or any name that commands accept.
         folder: folder of the study's definition.
 
     Raises:
@@ -100,7 +100,7 @@ def scenario_name(name_or_path: str, folder: Path) -> str:
 
 
 def is_sweep(file: Path) -> bool:
-    """Whether a study's file is one for `sweep`; the others are for `margin`."""
+    """Whether a study's file is for `sweep`; the others are for `margin`."""
     return "grid" in read_yaml(file)
 
 
@@ -109,14 +109,13 @@ class PlannedRun:
     """One run of a study.
 
     Attributes:
-        point: name of what was chosen for it, all but the seed; names sort in the order of a study.
+        point: name of its values except the seed; names sort in the order of a study.
         scenario: a scenario file, or the name of a shipped one.
-        overrides: what is set in it, as ``dotted.key=value``, but for the seed.
+        overrides: its overrides, as ``dotted.key=value``, without the seed.
         seed: the scenario's seed.
-        columns: what the study varies, by column of its table; with the seed, it tells a run from
-            all others.
+        columns: varied values, by column of its table; with the seed, they identify a run.
         confirm: simulate it on other physics too.
-        recording: the folder to record it to, below that of the study; None keeps its row alone.
+        recording: the folder to record it to, below the study's; None keeps only its row.
     """
 
     point: str
@@ -129,12 +128,12 @@ class PlannedRun:
 
     @property
     def key(self) -> tuple[str, int]:
-        """What tells it from all other runs of its study."""
+        """Identity of the run within its study."""
         return self.point, self.seed
 
 
 def row_of(run: PlannedRun) -> Row:
-    """Run and judge; whatever goes wrong is the row's `error`."""
+    """Run and judge; any error becomes the row's `error`."""
     try:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
         with _folder(setup, run) as folder:
@@ -151,19 +150,19 @@ def row_of(run: PlannedRun) -> Row:
 
 
 def _folder(setup: Setup, run: PlannedRun) -> AbstractContextManager[RunFolder | None]:
-    """Where a run is recorded, if it is."""
+    """Return the folder where a run is recorded, if it is."""
     if run.recording is None:
         return nullcontext()
     return RunFolder.begin(setup, Path(run.recording), overwrite=True)
 
 
 def failed(run: PlannedRun, error: str) -> Row:
-    """The row of a run that left nothing to judge."""
+    """Return the row of a run that left nothing to judge."""
     return {**failed_row(run.seed, error), **run.columns, "point": run.point}
 
 
 def rows_by(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
-    """Rows that have something in common, such as their point."""
+    """Group rows by a common property, such as their point."""
     found: dict[str, list[Row]] = {}
     for each in rows:
         found.setdefault(key(each), []).append(each)
@@ -171,7 +170,7 @@ def rows_by(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Ro
 
 
 def column_type(values: Iterable[Any]) -> str:
-    """The Parquet type that holds all values of a scenario's key."""
+    """Return the Parquet type for all values of a scenario's key."""
     types = {type(value) for value in values}
     if types == {bool}:
         return "bool"
@@ -179,28 +178,28 @@ def column_type(values: Iterable[Any]) -> str:
 
 
 def digest_of(*contents: bytes) -> str:
-    """By which a changed scenario or file is noticed."""
+    """Return a digest that shows whether a scenario or file has changed."""
     return hashlib.sha256(b"".join(contents)).hexdigest()[:16]
 
 
 class StudyOfRuns(ABC):
-    """A study of a kind.
+    """Base of all kinds of studies.
 
-    It may ask for more runs once it has seen a row, which is how a search works.
+    It may request more runs after each row, as a search does.
 
     Args:
-        values: its definition, as its YAML file has it.
-        source: that file, or what to call it in messages; paths of scenarios start beside it.
+        values: its definition, in the form of its YAML file.
+        source: that file, or a name for messages; paths of scenarios start beside it.
 
     Attributes:
         kind: ``sweep`` or ``margin``.
-        definition: what to do, with scenarios as `scenario_name` has them.
-        columns: names and Parquet types of what it varies.
+        definition: its definition, with scenarios named by `scenario_name`.
+        columns: names and Parquet types of varied values.
         bases: the scenarios that it varies.
-        files: digests by path of files that its runs have beside those of `bases`.
+        files: digests, by path, of files of its runs in addition to those of `bases`.
 
     Raises:
-        ScenarioError: the definition cannot be used, or asks for a scenario that cannot be run.
+        ScenarioError: the definition cannot be used, or names a scenario that cannot be run.
     """
 
     kind: ClassVar[str]
@@ -214,7 +213,7 @@ class StudyOfRuns(ABC):
 
     @property
     def variants(self) -> list[Setup]:
-        """The scenarios in every setting that it tries, of which `bases` has one of each."""
+        """Scenarios in every setting, of which `bases` has one each."""
         return self.bases
 
     @property
@@ -230,22 +229,22 @@ class StudyOfRuns(ABC):
     @property
     @abstractmethod
     def expected(self) -> int:
-        """How many runs there will be, as far as can be told now."""
+        """Number of runs, as far as known now."""
 
     @abstractmethod
     def first(self) -> Iterable[PlannedRun]:
-        """Runs that are wanted from the beginning."""
+        """Return the runs requested at the beginning."""
 
     def follow(self, run: PlannedRun, values: Row) -> Iterable[PlannedRun]:  # noqa: ARG002 (of searches)
-        """Runs that are wanted now that a run's row is known."""
+        """Return the runs requested after a run's row."""
         return ()
 
     @abstractmethod
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        """What came of it, and whether it is `completed`, ready for JSON."""
+        """Return the results, and whether the study is `completed`, ready for JSON."""
 
     def summary(self, rows: list[Row]) -> dict[str, Any]:
-        """What came of it, for ``summary.json``.
+        """Return the results, for ``summary.json``.
 
         Args:
             rows: all rows so far.
@@ -262,14 +261,14 @@ class StudyOfRuns(ABC):
         }
 
     def provenance(self) -> dict[str, Any]:
-        """What was run, with what, and where, for ``manifest.json``."""
+        """Return what was run, with what, and where, for ``manifest.json``."""
         return {**provenance(), "warnings": all_warnings(self.bases)}
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
-        """What its tables, figures and rows are to be quoted with.
+        """Return the conditions of its tables, figures and rows.
 
         Args:
-            summary: what it says of its rows.
+            summary: the summary of its rows.
             manifest: ``manifest.json`` of its folder.
         """
         durations = {base.scenario.name: f"{base.scenario.duration_s:g} s" for base in self.bases}
@@ -287,7 +286,7 @@ class StudyOfRuns(ABC):
 
 
 def _quantity(summary: Mapping[str, Any]) -> str:
-    """What is varied, with its unit, and how finely."""
+    """Describe the varied quantity, with its unit and resolution."""
     if "axes" in summary:
         return "; ".join(
             f"{', '.join(axis['keys'])} = {', '.join(map(_value_text, axis['values']))}"

@@ -48,7 +48,7 @@ _MOST_RUNS = 100_000
 
 
 def _to_values(given: Any) -> Any:
-    """Values of one key: as listed, or from ``{from, to, step}``, both ends included."""
+    """Return the values of one key: as listed, or from ``{from, to, step}``, both ends included."""
     values = _steps(given) if isinstance(given, dict) else given
     if not isinstance(values, list) or not values:
         raise ValueError("a list of values, or numbers {from, to, step} with a step above 0")
@@ -74,7 +74,7 @@ Values = Annotated[list[Any], BeforeValidator(_to_values)]
 
 
 class SweepDefinition(UncertainDefinition):
-    """A sweep, as its YAML file has it.
+    """Definition of a sweep, as in its YAML file.
 
     Attributes:
         scenario: a scenario file, relative to this one, or the name of a shipped one.
@@ -90,8 +90,8 @@ class Sweep(StudyOfRuns):
     """The runs of a sweep.
 
     Attributes:
-        axes: values by the keys that take them together.
-        plants: those that meet every point of the grid.
+        axes: values by the keys that share them.
+        plants: the plants, each tried at every point of the grid.
     """
 
     kind = "sweep"
@@ -125,7 +125,7 @@ class Sweep(StudyOfRuns):
         return points * len(self.plants) * len(self.definition.seeds)
 
     def points(self) -> Iterable[PlannedRun]:
-        """One run for each point of the grid and each plant, with the first seed."""
+        """Return one run for each point of the grid and each plant, with the first seed."""
         wanted = self.definition
         for index, values in enumerate(itertools.product(*self.axes.values())):
             chosen = {
@@ -189,7 +189,7 @@ class Sweep(StudyOfRuns):
                 study_keys.require_link_effect({key: value}, by_kind.values())
 
     def _point_summary(self, run: PlannedRun, rows: list[Row]) -> dict[str, Any]:
-        """What came of a point of the grid; of uncertain plants also how many were kept."""
+        """Summarise a point of the grid; for uncertain plants with the number that were kept."""
         summary = {
             "point": _grid_point(run.point),
             "worst_point": max(rows, key=badness)["point"],
@@ -209,11 +209,11 @@ def load_sweep(
     more: Mapping[str, Any] = MappingProxyType({}),
     fixed: Mapping[str, Any] = MappingProxyType({}),
 ) -> Sweep:
-    """A sweep from a file, or a shipped one.
+    """Return a sweep from a file, or a shipped one.
 
     Args:
-        name_or_path: which.
-        more: what takes precedence over the file.
+        name_or_path: its name or path.
+        more: values that take precedence over the file.
         fixed: scenario values that take precedence over those of its ``set``.
 
     Raises:
@@ -232,7 +232,7 @@ def _point(index: int, plant: Variant) -> str:
 
 
 def _grid_point(point: str) -> str:
-    """The part of a point's name that all of its plants share."""
+    """Return the part of a point's name that all of its plants share."""
     return point.partition("-")[0]
 
 
@@ -251,7 +251,7 @@ def _check_keys(axes: Mapping[tuple[str, ...], list[Any]], given: SweepDefinitio
         own[study_keys.UNCERTAINTY] = "beside plants (--plants)"
         for key in ("plant_seed", study_keys.UNCERTAINTY):
             value = getattr(given, key)
-            if value != type(given).model_fields[key].default:  # which study.yaml has
+            if value != type(given).model_fields[key].default:  # added to study.yaml
                 raise ConfigurationError(key, value, "must be left out without plants")
     elif given.uncertainty is not None:
         own[study_keys.UNCERTAINTY] = "as uncertainty of the sweep (--uncertainty)"
@@ -263,7 +263,7 @@ def _check_keys(axes: Mapping[tuple[str, ...], list[Any]], given: SweepDefinitio
 
 
 def _check_runs(axes: Mapping[tuple[str, ...], Any], given: SweepDefinition) -> None:
-    """Each point is checked before the first is run, and every row is kept: both have an end."""
+    """Limit the runs: each point is checked before the first one, and every row is kept."""
     points, plants = math.prod(map(len, axes.values())), given.plants or 1
     runs = points * plants * len(given.seeds)
     if runs > _MOST_RUNS:
@@ -272,7 +272,7 @@ def _check_runs(axes: Mapping[tuple[str, ...], Any], given: SweepDefinition) -> 
 
 
 def _file_digests(setup: Setup) -> dict[str, str]:
-    """Digests of a scenario's files by path; of an arm, of the URDF that its file stands for."""
+    """Return digests of a scenario's files by path; for an arm, of its file's URDF."""
     digests = {
         str(file): digest_of(file.read_bytes()) for file in data_files(setup.scenario).values()
     }

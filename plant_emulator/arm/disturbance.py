@@ -1,9 +1,9 @@
 """External torques on the joints: a sum of terms, each a function of time alone.
 
-Every kind of term reduces to windowed sinusoids, amplitude × sin(frequency t + phase) from a start
-to an end, so that one small table serves all of them. Band-limited noise is a sum of sinusoids of
-random frequency and phase (Shinozuka and Deodatis, 1991): it needs no state, so it is the same
-whatever instants it is asked for.
+Every kind of term is converted to windowed sinusoids, amplitude × sin(frequency t + phase) from a
+start to an end, in one small table. Band-limited noise is a sum of sinusoids of random frequency
+and phase (Shinozuka and Deodatis, 1991): it has no state, so it does not depend on which instants
+are computed.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ def disturbance_table(
     joint_names: tuple[str, ...],
     random: np.random.Generator,
 ) -> Records:
-    """All terms, scaled, as windowed sinusoids, shape (sinusoids,).
+    """Return all terms, scaled, as windowed sinusoids, shape (sinusoids,).
 
     Raises:
-        ConfigurationError: a term names a joint that the arm has not, or a band upside down.
+        ConfigurationError: a term names an unknown joint, or a band whose limits are reversed.
     """
     waves: list[tuple[float, ...]] = []
     for index, term in enumerate(configuration.terms if configuration.enabled else []):

@@ -1,4 +1,4 @@
-"""The loop that drives close at every physics substep: see `bus_schema.drive_feedback`."""
+"""The loop that drives close at every physics substep, see `bus_schema.drive_feedback`."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from bus_schema.runtime.compiled import compiled
 from plant_emulator.configuration import EncoderConfiguration
 
 _NOISE_ROWS = 16_381
-"""Noise repeats itself after so many substeps, which is seconds, and no multiple of any tick."""
+"""Noise repeats after so many substeps: seconds, and no multiple of any tick."""
 
 
 class DriveLoop(NamedTuple):
-    """What the drives add to the torques, as compiled code takes it.
+    """State of the drives' own loop, for compiled code.
 
     Attributes:
         gains: stiffness and damping.
         target: position as of the stamp, rad, and velocity, rad/s, as rows; shape (2, joints).
         stamp_s: of the state that the target's command answers, shape (1,); NaN without a target.
         resolution_rad: of the drives' own encoders, 0 for exact ones; shape (joints,).
-        noise_rad_s: what they add to velocities, shape (rows, joints).
-        substep: number of the next row of that, shape (1,).
+        noise_rad_s: the encoders' noise of velocities, shape (rows, joints).
+        substep: index of the noise's next row, shape (1,).
     """
 
     gains: DriveGains
@@ -40,7 +40,7 @@ class DriveLoop(NamedTuple):
 def drive_loop(
     gains: DriveGains, encoder: EncoderConfiguration, random: np.random.Generator
 ) -> DriveLoop:
-    """Drives without a target yet."""
+    """Return drives without a target."""
     joints = gains.stiffness_nm_rad.size
     key = "plant.drive_feedback.encoder"
     resolution = expand(encoder.resolution_rad, joints, f"{key}.resolution_rad")
@@ -54,13 +54,13 @@ def drive_loop(
 
 
 def idle(drive: DriveLoop) -> DriveLoop:
-    """The same drives, which add nothing."""
+    """Return the same drives without their loop."""
     return drive._replace(gains=drive.gains._replace(is_active=False))
 
 
 @compiled
 def add_drive_torques(motion: Matrix, time_s: float, drive: DriveLoop, torques: Vector) -> None:
-    """Add what the drives ask for of their own; nothing without a target.
+    """Add the torques of the drives' own loop; nothing without a target.
 
     Args:
         motion: true positions and velocities as rows, shape (2, joints).

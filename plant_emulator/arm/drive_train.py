@@ -1,14 +1,14 @@
-"""Motor and gear of each joint: what turns a torque that is asked for into one at the link.
+"""Motor and gear of each joint: from the requested torque to the torque at the link.
 
-A rotor is felt at the joint with its inertia times the gear ratio squared, in most geared joints
-the larger share of all inertia there. Where the gear is rigid, the physics engine adds it to the
-joint. Where it is elastic, rotor and link are two masses, with the angle θ of the rotor (beyond the
-gear) and q of the link:
+At the joint, a rotor has its inertia times the gear ratio squared, in most geared joints the
+largest share of the inertia. With a rigid gear, the physics engine adds it to the joint. With an
+elastic gear, rotor and link are two masses, with the angle θ of the rotor (beyond the gear) and q
+of the link:
 
     J θ̈ = τ − friction − cogging − τ_g,    τ_g = k (θ − q) + d (θ̇ − q̇),
 
-and τ_g is what moves the link. After Spong, "Modeling and control of elastic joint robots",
-J. Dyn. Syst. Meas. Control 109 (1987).
+and τ_g moves the link. After Spong, "Modeling and control of elastic joint robots", J. Dyn. Syst.
+Meas. Control 109 (1987).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _KEY = "plant.actuator"
 
 
 class DriveTrains(NamedTuple):
-    """Motors and gears as compiled code takes them.
+    """Motors and gears for compiled code.
 
     Attributes:
         joints: of each joint, by name, shape (joints,): saturation_nm, rated_speed_rad_s,
             no_load_speed_rad_s (inf for none), cogging_nm, and of elastic gears stiffness_nm_rad,
             damping_nm_s and rotor_kg_m2.
-        lag_factor: share of the difference to the commanded torque that is left after a substep.
+        lag_factor: share of the difference to the commanded torque that remains after a substep.
         cogging_per_rad: phase of the cogging torque over the joint's angle.
         is_elastic: whether the gears are.
         substep_s: length of a physics step.
@@ -53,7 +53,7 @@ class DriveTrains(NamedTuple):
 def drive_trains(
     configuration: ActuatorConfiguration, robot: RobotDescription, substep_s: float
 ) -> DriveTrains:
-    """The motors and gears of section ``plant.actuator``, with the rotors at 0.
+    """Return the motors and gears of section ``plant.actuator``, with the rotors at 0.
 
     Raises:
         ConfigurationError: a value does not fit the arm.
@@ -92,7 +92,7 @@ def drive_trains(
 
 
 def place_rotors(trains: DriveTrains, position: Vector, load_nm: Vector) -> None:
-    """Turn the rotors to where elastic gears carry a load at rest, N m, shape (joints,)."""
+    """Turn the rotors so that elastic gears carry a load at rest, N m, shape (joints,)."""
     if trains.is_elastic:
         trains.rotors[0] = position + load_nm / trains.joints["stiffness_nm_rad"]
         trains.rotors[1] = 0.0
@@ -100,7 +100,7 @@ def place_rotors(trains: DriveTrains, position: Vector, load_nm: Vector) -> None
 
 @compiled
 def largest_torque(trains: DriveTrains, joint: int, torque: float, velocity: float) -> float:
-    """The largest torque of a motor at a speed, N m: less where it drives a fast motion on."""
+    """Return a motor's largest torque at a speed, N m: less when it accelerates a fast motion."""
     train = trains.joints[joint]
     largest: float = train.saturation_nm
     if torque * velocity > 0.0 and abs(velocity) > train.rated_speed_rad_s:
@@ -111,13 +111,13 @@ def largest_torque(trains: DriveTrains, joint: int, torque: float, velocity: flo
 
 @compiled
 def turn_rotor(trains: DriveTrains, motion: Matrix, joint: int, torque: float) -> float:
-    """Move the rotor of an elastic gear by a substep; the torque of the gear on the link, N m.
+    """Move the rotor of an elastic gear by a substep; return the gear's torque on the link, N m.
 
     Args:
         trains: motors and gears.
         motion: positions and velocities of the links as rows, shape (2, joints).
         joint: its number.
-        torque: on the rotor, but for that of the gear, N m.
+        torque: torque on the rotor except the gear's, N m.
     """
     train, rotors = trains.joints[joint], trains.rotors
     twist, rate = rotors[0, joint] - motion[0, joint], rotors[1, joint] - motion[1, joint]
@@ -128,13 +128,13 @@ def turn_rotor(trains: DriveTrains, motion: Matrix, joint: int, torque: float) -
 
 
 def friction_table(configuration: FrictionConfiguration, rated_nm: Vector) -> Records:
-    """Friction parameters, named as in section ``plant.friction``, shape (joints,).
+    """Return friction parameters, named as in section ``plant.friction``, shape (joints,).
 
     Shares of rated torque are added to the parameters in N m.
 
     Args:
         configuration: the section.
-        rated_nm: rated torques, shape (joints,); inf where they are not known.
+        rated_nm: rated torques, shape (joints,); inf where they are unknown.
 
     Raises:
         ConfigurationError: a value does not fit the arm.
@@ -161,7 +161,7 @@ def friction_table(configuration: FrictionConfiguration, rated_nm: Vector) -> Re
 def friction_torque(
     velocity: float, parameters: Records, joint: int, load_nm: float = 0.0
 ) -> float:
-    """Torque against the motion of one joint whose gear transmits a load, N m."""
+    """Return the friction torque on one joint whose gear transmits a load, N m."""
     p = parameters[joint]
     stribeck = velocity / p.stribeck_velocity_rad_s
     dry = p.coulomb_nm + p.stribeck_nm * math.exp(-stribeck * stribeck)

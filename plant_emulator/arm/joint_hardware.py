@@ -1,4 +1,4 @@
-"""What the joints' encoders show of their motion."""
+"""The joints' encoders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bus_schema.runtime.compiled import bind, compiled, copying
 from plant_emulator.configuration import EncoderConfiguration
 
 _BLOCK = 256
-"""Reads for which noise is drawn at a time: the same numbers, for a tenth of the time."""
+"""Reads for which noise is drawn at once: the same numbers, in a tenth of the time."""
 
 
 class Encoders:
@@ -22,7 +22,7 @@ class Encoders:
         random: source of the noise.
 
     Attributes:
-        shown: what the encoders show, likewise.
+        shown: the encoders' readings, same shape.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Encoders:
         )
 
     def read(self) -> None:
-        """Bring `shown` up to date."""
+        """Update `shown`."""
         if self._is_ideal:
             self._copy()
             return
@@ -59,7 +59,7 @@ class Encoders:
 def _show(
     motion: Matrix, resolution: Vector, noise: Vector, normals: Matrix, shown: Matrix, row: int
 ) -> None:
-    """Write what encoders show of a motion, with a row of random numbers."""
+    """Write the encoders' readings of a motion, with a row of random numbers."""
     for i in range(resolution.size):
         shown[0, i] = motion[0, i]
         if resolution[i] > 0.0:

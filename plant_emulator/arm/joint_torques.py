@@ -30,17 +30,18 @@ ACTUATOR, FRICTION, DISTURBANCE, TOTAL, LIMITED, WANTED, ASKED = range(7)
 
 
 class TorqueTables(NamedTuple):
-    """What the torques of a substep depend on, and where they go, as compiled code takes it.
+    """Inputs and outputs of `joint_torques`, for compiled code.
 
     Attributes:
         joints: of each joint, by name, shape (joints,): `bus_schema.limits.JointLimits.packed`,
-            `friction_table`, and held (whether its brake holds it). Every further array costs each
-            call of compiled code as much again.
+            `friction_table`, and held (whether its brake holds it). Each additional array would
+            cost every call of compiled code as much again.
         trains: motors and gears.
         disturbance: `disturbance_table`.
         drive: the loop that the drives close themselves.
-        torques_nm: rows `ACTUATOR` to `ASKED` (the torques asked of the actuators, `WANTED`: with
-            what the drives add, `LIMITED`: the same within the limits), shape (7, joints).
+        torques_nm: rows `ACTUATOR` to `ASKED`, shape (7, joints): `ASKED` is requested of the
+            actuators, `WANTED` includes the drives' own loop, `LIMITED` is `WANTED` within the
+            limits.
     """
 
     joints: Records
@@ -57,13 +58,13 @@ class JointTorques:
         actuator: torque that the actuators deliver, N m.
         friction: friction, opposing, N m.
         disturbance: disturbance, opposing, N m.
-        asked: what the actuators are asked for, N m.
-        held: joints that their brakes hold: nothing else is felt there. All of shape (joints,).
-        tables: what compiled code needs to work the torques out.
+        asked: torque requested of the actuators, N m.
+        held: joints that their brakes hold, where no other torque acts. All of shape (joints,).
+        tables: inputs and outputs of the compiled code.
         drive: the loop that the drives close themselves.
         acting: actuator, friction and disturbance as rows, shape (3, joints).
-        saturated: whether the last command asked for all that an actuator has, or more.
-        limit_hits: limits that commands or motion ran into since `take_limit_hits`: a sum of
+        saturated: whether the last command requested an actuator's largest torque, or more.
+        limit_hits: limits that commands or motion exceeded since `take_limit_hits`: a sum of
             `bus_schema.limits.Hit`.
     """
 
@@ -105,17 +106,17 @@ class JointTorques:
         self.limit_hits = 0
 
     def note(self, *, saturated: bool, hits: int) -> None:
-        """Take in what `joint_torques` returned."""
+        """Store the values returned by `joint_torques`."""
         self.saturated = saturated
         self.limit_hits |= hits
 
     def take_limit_hits(self) -> int:
-        """The limits that were hit since the last call: a sum of `bus_schema.limits.Hit`."""
+        """Return and clear the limits hit since the last call: a sum of `bus_schema.limits.Hit`."""
         hits, self.limit_hits = self.limit_hits, 0
         return hits
 
     def rest(self) -> None:
-        """The brakes hold the joints: nothing else is felt."""
+        """Clear all torques: the brakes hold the joints."""
         self._torques[:ASKED] = 0.0
         self.tables.trains.rotors[1] = 0.0
         self.saturated = False
@@ -123,12 +124,12 @@ class JointTorques:
 
 @compiled
 def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[bool, int]:
-    """Write the torques of a substep; whether actuators saturate, and the limits that were hit.
+    """Write the torques of a substep; return whether actuators saturate, and the limits hit.
 
     Args:
         motion: positions and velocities as rows, shape (2, joints).
         time_s: start of the substep.
-        tables: what the torques depend on, and where they go.
+        tables: inputs and outputs.
     """
     torques, joints, trains = tables.torques_nm, tables.joints, tables.trains
     motors = trains.rotors if trains.is_elastic else motion
@@ -153,6 +154,6 @@ def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[
         if trains.is_elastic and not joints[i].held:
             total[i] = turn_rotor(trains, motion, i, total[i])
         total[i] -= disturbance[i]
-        if joints[i].held:  # its brake holds it: nothing else is felt there
+        if joints[i].held:  # the brake holds the joint: no other torque acts there
             torques[:ASKED, i] = 0.0
     return saturated, hits

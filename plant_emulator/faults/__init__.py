@@ -1,1 +1,1 @@
-"""Scheduled faults: what breaks, when, for how long, and what it does."""
+"""Scheduled faults: start, duration and effect of each kind."""

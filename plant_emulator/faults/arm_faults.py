@@ -1,4 +1,4 @@
-"""Faults of the arm's hardware: encoders that show, and actuators that give, something else."""
+"""Faults of the arm's hardware: encoders with wrong readings, actuators with wrong torques."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 
 class ArmHardware(Protocol):
-    """What a fault can do to the arm as a whole.
+    """Interface through which faults change the arm as a whole.
 
     Attributes:
         payload_kg: point mass that it carries at its tip.
@@ -25,11 +25,11 @@ class ArmHardware(Protocol):
     payload_kg: float
 
     def carry(self, payload_kg: float) -> None:
-        """Carry this point mass at the tip from now on, in place of what it carried."""
+        """Replace the point mass at the tip from now on."""
 
 
 class EncoderReading(NamedTuple):
-    """What an encoder shows."""
+    """Reading of an encoder."""
 
     position_rad: float
     velocity_rad_s: float
@@ -39,7 +39,7 @@ class ArmFault(Fault):
     """A fault of the arm."""
 
     def begin(self, arm: ArmHardware, _now_ns: int) -> None:
-        """Do what is done once, at the beginning."""
+        """Apply the fault's one-time effect at its beginning."""
 
 
 class JointFault(ArmFault):
@@ -61,11 +61,11 @@ class EncoderFault(JointFault):
     def faulty(
         self, now: EncoderReading, first: EncoderReading, random: np.random.Generator
     ) -> EncoderReading:
-        """What the encoder shows while the fault lasts.
+        """Return the encoder's reading while the fault lasts.
 
         Args:
-            now: what it would show.
-            first: what it would have shown when the fault began.
+            now: the correct reading.
+            first: the correct reading at the beginning of the fault.
             random: source of noise, drawn from the scenario's seed.
         """
 
@@ -75,11 +75,11 @@ class ActuatorFault(JointFault):
 
     @abstractmethod
     def faulty_torque_nm(self, requested_nm: float) -> float:
-        """What the actuator takes for the torque requested while the fault lasts."""
+        """Return the torque delivered for the requested one while the fault lasts."""
 
 
 class EncoderStuck(EncoderFault):
-    """Shows the position it showed first, and no velocity."""
+    """Keeps the first position, and shows no velocity."""
 
     kind: Literal["encoder_stuck"]
 
@@ -88,7 +88,7 @@ class EncoderStuck(EncoderFault):
 
 
 class EncoderBiased(EncoderFault):
-    """Attributes: bias_rad: what is added to the position."""
+    """Attributes: bias_rad: offset of the position."""
 
     kind: Literal["encoder_biased"]
     bias_rad: Number
@@ -114,7 +114,7 @@ class EncoderNoisy(EncoderFault):
 
 
 class TorqueOffset(ActuatorFault):
-    """Attributes: torque_nm: what the actuator adds to the torque requested."""
+    """Attributes: torque_nm: offset of the actuator's torque."""
 
     kind: Literal["torque_offset"]
     torque_nm: Number
@@ -124,7 +124,7 @@ class TorqueOffset(ActuatorFault):
 
 
 class ActuatorWeak(ActuatorFault):
-    """Attributes: share: what the actuator delivers of the torque requested."""
+    """Attributes: share: share of the requested torque that the actuator delivers."""
 
     kind: Literal["actuator_weak"]
     share: Share
@@ -134,7 +134,7 @@ class ActuatorWeak(ActuatorFault):
 
 
 class ActuatorDead(ActuatorFault):
-    """Delivers nothing."""
+    """The actuator delivers no torque."""
 
     kind: Literal["actuator_dead"]
 
@@ -143,20 +143,20 @@ class ActuatorDead(ActuatorFault):
 
 
 class PayloadFault(ArmFault):
-    """A fault that leaves the arm with another payload, for good."""
+    """A fault that changes the arm's payload for good."""
 
     for_s: None = None
 
     @abstractmethod
     def payload_after_kg(self, carried_kg: float) -> float:
-        """What the arm carries from then on, given what it carried before."""
+        """Return the arm's new payload, given the one before."""
 
     def begin(self, arm: ArmHardware, _now_ns: int) -> None:
         arm.carry(self.payload_after_kg(arm.payload_kg))
 
 
 class PayloadPickedUp(PayloadFault):
-    """Attributes: payload_kg: point mass that comes to what the tip carries already."""
+    """Attributes: payload_kg: point mass added to the tip's payload."""
 
     kind: Literal["payload_picked_up"]
     payload_kg: Positive
@@ -166,7 +166,7 @@ class PayloadPickedUp(PayloadFault):
 
 
 class PayloadDropped(PayloadFault):
-    """All that the tip carries falls off."""
+    """The tip loses its whole payload."""
 
     kind: Literal["payload_dropped"]
 
@@ -181,10 +181,10 @@ class PayloadDropped(PayloadFault):
 
 
 def payload_steps(payload_kg: float, faults: Iterable[Fault]) -> list[tuple[float, float]]:
-    """What an arm carries over a run: from when on, s, and how much, kg; the first at 0 s.
+    """Return an arm's payloads over a run: start time, s, and mass, kg; the first at 0 s.
 
     Args:
-        payload_kg: what it carries at the start.
+        payload_kg: its payload at the start.
         faults: all of the run.
     """
     steps = [(0.0, payload_kg)]
@@ -195,11 +195,11 @@ def payload_steps(payload_kg: float, faults: Iterable[Fault]) -> list[tuple[floa
 
 
 class ArmFaults:
-    """The faults of an arm; where two of them meet in a joint, the later in the scenario is last.
+    """The faults of an arm; if two affect one joint, the later in the scenario is applied last.
 
     Args:
-        faults: all faults of the plant; those of other parts are passed over.
-        joint_names: names of the joints, which the faults refer to.
+        faults: all faults of the plant; those of other parts are ignored.
+        joint_names: names of the joints.
         random: source of an encoder's noise.
         arm: the arm as a whole.
     """
@@ -223,11 +223,11 @@ class ArmFaults:
         )
 
     def begin_due(self, now_ns: int) -> None:
-        """Do to the arm what faults do once, when they begin."""
+        """Apply the one-time effects of faults that begin now."""
         self._beginnings.run_due(now_ns)
 
     def faulty_torques(self, commanded_nm: Vector, now_ns: int) -> Vector:
-        """Torques that the actuators take for those commanded, N m, shape (joints,)."""
+        """Return the torques that actuators deliver for commanded ones, N m, shape (joints,)."""
         requested_nm = commanded_nm.copy()
         for fault in self._actuator_faults:
             if fault.is_active(now_ns):
@@ -236,7 +236,7 @@ class ArmFaults:
         return requested_nm
 
     def spoil_readings(self, motion: Matrix, now_ns: int) -> None:
-        """Put what faulty encoders show in place of what they would show.
+        """Replace the readings of faulty encoders.
 
         Args:
             motion: positions, rad, and velocities, rad/s, as rows; changed in place.

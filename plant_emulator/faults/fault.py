@@ -1,4 +1,4 @@
-"""What every scheduled fault has: when it begins and ends, and how it is checked."""
+"""Common base of all scheduled faults: start, end and checks."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Share = Annotated[Number, Field(gt=0, le=1)]
 
 
 class FaultContext(NamedTuple):
-    """What a fault is checked against.
+    """Context in which a fault is checked.
 
     Attributes:
         joint_names: names of the robot's joints.
         duration_s: length of the run.
         payload_kg: mass that the arm carries when the fault begins.
-        no_link_faults: what is allowed in place of faults of messages, where the link has none
-            that the plant could change; None where it has.
+        no_link_faults: what is allowed instead of faults of messages, if the plant cannot change
+            this link's messages; None if it can.
     """
 
     joint_names: tuple[str, ...]
@@ -36,12 +36,12 @@ class FaultContext(NamedTuple):
 
 
 class Fault(StrictModel):
-    """What every fault has.
+    """Base of all faults.
 
     Attributes:
         kind: which fault.
-        at_s: when it begins, on the run's clock.
-        for_s: how long it lasts; to the end of the run if left out.
+        at_s: start, on the run's clock.
+        for_s: duration; to the end of the run if left out.
     """
 
     kind: str
@@ -60,21 +60,21 @@ class Fault(StrictModel):
         return self.start_ns <= now_ns < self.end_ns
 
     def check(self, key: str, context: FaultContext) -> None:
-        """Check the fault against the scenario it is part of.
+        """Check the fault against its scenario.
 
         Args:
-            key: where in the scenario it stands.
+            key: its key in the scenario.
             context: what it may refer to.
 
         Raises:
-            ConfigurationError: it refers to what is not there, or begins after the end.
+            ConfigurationError: it refers to something that does not exist, or begins after the end.
         """
         if self.at_s >= context.duration_s:
             allowed = f"below duration_s = {context.duration_s}"
             raise ConfigurationError(f"{key}.at_s", self.at_s, allowed)
 
     def __str__(self) -> str:
-        """The fault in a few words: its kind, and the values that are its own."""
+        """Describe the fault in a few words: its kind, and its own values."""
         common = ("kind", "at_s", "for_s")
         own = [f"{key} {value}" for key, value in self if key not in common and value is not None]
         return ", ".join([self.kind, *own])

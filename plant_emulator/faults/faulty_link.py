@@ -1,6 +1,6 @@
-"""A link on which scheduled faults happen.
+"""A link with scheduled faults.
 
-It stands in front of any link, so that the loop, the gate and the bus are those of every other run.
+It wraps any link, so loop, gate and bus are the same as in any other run.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ _STREAM = 102
 
 
 class FaultyLink:
-    """A `PlantLink` on which scheduled faults happen; it announces where each begins and ends.
+    """A `PlantLink` with scheduled faults; it announces the start and end of each.
 
-    The plant waits for one answer to each state. An answer that came is one that came, whatever
-    has become of it; to a state that nobody can read, none will come. All else is the link's own.
+    The plant waits for one answer to each state. An answer counts as received even if a fault
+    spoiled it; an unreadable state gets none. Everything else is passed to the wrapped link.
 
     Args:
-        link: the link proper.
+        link: the wrapped link.
         clock: the plant's clock.
-        gate: the gate that commands go to.
+        gate: the gate that checks commands.
         joint_names: names of the joints.
         faults: all faults of the plant; those of other parts are only announced.
-        process_actions: what is asked of whoever started the processes.
+        process_actions: actions requested from the process that started the run.
         seed: the scenario's seed.
     """
 
@@ -58,7 +58,7 @@ class FaultyLink:
     ) -> None:
         self._link, self._clock, self._gate = link, clock, gate
         message_faults = [fault for fault in faults if isinstance(fault, MessageFault)]
-        # What a sender does wrong comes before what the link does to it.
+        # The sender's faults are applied before the link's.
         self._message_faults = sorted(message_faults, key=lambda fault: fault.happens_on_the_way)
         self._commanders = [fault for fault in faults if isinstance(fault, SecondCommander)]
         stream = np.random.SeedSequence(seed, spawn_key=(_STREAM,))

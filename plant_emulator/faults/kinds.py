@@ -1,4 +1,4 @@
-"""The table of faults: a class that is in it is a kind of fault that scenarios can schedule."""
+"""The table of faults: its classes are the kinds of faults that scenarios can schedule."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ FAULT_KINDS: list[type[Fault]] = [
     process_faults.ProcessFrozen,
     process_faults.ProcessRestarted,
 ]
-"""Each declares its ``kind`` as a literal, its keys, and what it does."""
+"""Each class declares its ``kind`` as a literal, its keys, and its effect."""
 
 
 def parse_fault(values: Any) -> Fault:
-    """The fault that an entry of a scenario describes.
+    """Return the fault that an entry of a scenario describes.
 
     Raises:
-        ValidationError: it is of no kind of the table, or its keys are wrong.
+        ValidationError: its kind is not in the table, or its keys are wrong.
     """
     fault: Fault = _adapter(tuple(FAULT_KINDS)).validate_python(values)
     return fault
@@ -55,18 +55,18 @@ def _adapter(kinds: tuple[type[Fault], ...]) -> TypeAdapter[Any]:
 ScheduledFault = Annotated[
     SerializeAsAny[Fault], PlainValidator(parse_fault), Sections(lambda: FAULT_KINDS)
 ]
-"""An entry of the section ``faults``; the table is looked at when a scenario is read."""
+"""An entry of the section ``faults``; the table is read when a scenario is read."""
 
 
 def check_faults(faults: Sequence[Fault], context: FaultContext) -> None:
-    """Check faults against the scenario they are part of.
+    """Check faults against their scenario.
 
     Args:
         faults: all of them.
-        context: that scenario, with what the arm carries at its start.
+        context: that scenario, with the arm's payload at its start.
 
     Raises:
-        ConfigurationError: one refers to what is not there, or begins after the end.
+        ConfigurationError: one refers to something that does not exist, or begins after the end.
     """
     for index, fault in enumerate(faults):
         others = [other for other in faults if other is not fault]

@@ -1,4 +1,4 @@
-"""Faults in messages: their content is wrong, or they come from another sender."""
+"""Faults in messages: wrong content, or another sender."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Direction = Literal["uplink", "downlink"]
 
 
 class LinkFault(Fault):
-    """A fault of messages, which takes a link whose messages the plant can change."""
+    """A fault of messages, for links whose messages the plant can change."""
 
     def check(self, key: str, context: FaultContext) -> None:
         super().check(key, context)
@@ -35,7 +35,7 @@ class ChannelFault(LinkFault):
 
     @abstractmethod
     def changed(self, conditions: Conditions) -> Conditions:
-        """The conditions of the channel while the fault lasts."""
+        """Return the conditions of the channel while the fault lasts."""
 
 
 class LinkCut(ChannelFault):
@@ -58,7 +58,7 @@ class LinkSlowed(ChannelFault):
 
 
 class LinkDuplicated(ChannelFault):
-    """Attributes: share: probability that a message comes twice."""
+    """Attributes: share: probability that a message arrives twice."""
 
     kind: Literal["link_duplicated"]
     share: Share = 1.0
@@ -68,7 +68,7 @@ class LinkDuplicated(ChannelFault):
 
 
 def channel_faults(faults: Iterable[Fault], direction: Direction) -> list[ChannelFault]:
-    """The faults of one direction of the link."""
+    """Return the faults of one direction of the link."""
     return [f for f in faults if isinstance(f, ChannelFault) and f.direction == direction]
 
 
@@ -77,7 +77,7 @@ SECOND_COMMANDER = b"second commander"
 
 
 class MessageEditor:
-    """Changes messages as faults ask for it.
+    """Edits messages for faults.
 
     Args:
         joint_names: names of the joints.
@@ -90,21 +90,21 @@ class MessageEditor:
         self._uniform = uniform
 
     def happens(self, probability: float) -> bool:
-        """Whether something of this probability happens now."""
+        """Draw whether an event of this probability happens now."""
         return next(self._uniform) < probability
 
     def cut_off(self, payload: bytes) -> bytes:
-        """A message that ends at a random byte."""
+        """Return a message cut off at a random byte."""
         return payload[: int(next(self._uniform) * len(payload))]
 
     @staticmethod
     def with_later_stamp(payload: bytes, by_ns: int) -> bytes:
-        """A message with a header whose stamp is so much later, but not before 0."""
+        """Return a message whose header's stamp is later by so much, but not before 0."""
         stamp_ns = stamp_of(payload)
         return payload if stamp_ns is None else with_stamp(payload, max(0, stamp_ns + by_ns))
 
     def with_torque(self, command: bytes, torque_nm: float, *, joints: slice) -> bytes:
-        """A command that asks for another torque; as it is where it cannot be read."""
+        """Return a command with another torque; an unreadable command is not changed."""
         try:
             self._layout.decode(command, self._command)
         except InvalidMessageError:
@@ -117,30 +117,30 @@ class MessageFault(LinkFault):
     """A fault in messages.
 
     Attributes:
-        happens_on_the_way: the link does it; else the sender does, which comes before.
+        happens_on_the_way: the link causes it; otherwise the sender does, earlier.
     """
 
     happens_on_the_way: ClassVar[bool] = False
 
     @abstractmethod
     def acts_on(self) -> Direction:
-        """Which messages are faulty."""
+        """Select the faulty messages."""
 
     @abstractmethod
     def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
-        """What becomes of messages that are sent together while the fault lasts.
+        """Return messages that are sent together as the fault changes them.
 
         Args:
             messages: on the uplink a joint state and its plant status, on the downlink a command.
-            editor: does it.
+            editor: edits them.
         """
 
 
 class LinkCorrupted(MessageFault):
-    """A message comes cut off at a random byte; nobody can read it.
+    """Cuts messages off at a random byte, so that they cannot be read.
 
     Attributes:
-        share: probability that this becomes of a message.
+        share: probability that a message is cut off.
     """
 
     kind: Literal["link_corrupted"]
@@ -157,7 +157,7 @@ class LinkCorrupted(MessageFault):
 
 
 class NonFiniteCommand(MessageFault):
-    """Every command reads NaN for the torque of one joint, as from a law that divides by zero."""
+    """Replaces one joint's torque by NaN in every command, as from a law that divides by zero."""
 
     kind: Literal["non_finite_command"]
 
@@ -169,10 +169,10 @@ class NonFiniteCommand(MessageFault):
 
 
 class ClockStep(MessageFault):
-    """The clock of one side leaps: the stamps that it writes are wrong.
+    """Shifts the clock of one side: its stamps are wrong.
 
     Attributes:
-        side: whose clock; that of the plant stamps states, that of the controller commands.
+        side: whose clock; the plant's stamps states, the controller's commands.
         step_ms: by how much.
     """
 
@@ -188,16 +188,16 @@ class ClockStep(MessageFault):
 
 
 class SecondCommander(LinkFault):
-    """Another session answers every state too, just before the controller does.
+    """Adds a session that answers every state too, just before the controller.
 
     Attributes:
-        torque_nm: torque that it commands of every joint.
+        torque_nm: torque that it commands for every joint.
     """
 
     kind: Literal["second_commander"]
     torque_nm: Number
 
     def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
-        """What arrives just before a command of the controller's; its number is given later."""
+        """Return the command to insert just before one of the controller's, still unnumbered."""
         payload = editor.with_torque(arrival.payload, self.torque_nm, joints=slice(None))
         return arrival._replace(payload=payload, sender=SECOND_COMMANDER)

@@ -1,4 +1,4 @@
-"""Faults of whole processes: the plant asks for them, `run` carries them out."""
+"""Faults of whole processes: the plant requests them, `run` carries them out."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.scheduler import ScheduledAction
 
 Verb = Literal["kill", "remove", "start", "freeze", "resume"]
-"""What can be done to a process; one that is removed will be started again, a killed one not."""
+"""Actions on a process; a removed process will be started again, a killed one will not."""
 
 
 class ProcessAction(NamedTuple):
-    """Something to be done to a process.
+    """An action on a process.
 
     Attributes:
-        number: its place in the scenario. A plant that was restarted asks for all of its actions
-            again; by their numbers those that were done are known.
+        number: its index in the scenario. A restarted plant requests all of its actions again; the
+            numbers identify those already done.
         target: the process.
-        verb: what is done to it.
-        then: what is done to it afterwards; None where nothing is, or where the plant's clock says
-            when.
-        after_s: how much wall time is between the two.
+        verb: the action.
+        then: a second action later; None if there is none, or if the plant's clock times it.
+        after_s: wall time between the two.
     """
 
     number: int
@@ -42,8 +41,8 @@ class ProcessFault(Fault):
 
     Attributes:
         target: the process.
-        first: what is done to it when the fault begins.
-        last: what is done to it when the fault is over; None where it never is.
+        first: action at the beginning of the fault.
+        last: action at the end of the fault; None if it never ends.
     """
 
     target: Literal["controller", "plant", "recorder"]
@@ -51,14 +50,14 @@ class ProcessFault(Fault):
     last: ClassVar[Verb | None] = None
 
     def schedule(self, index: int, request: Request) -> list[ScheduledAction]:
-        """What the plant has to ask for, and when.
+        """Return what the plant has to request, and when.
 
-        A plant that is gone or frozen has no clock: how such a fault ends is asked for at its
+        A killed or frozen plant has no clock: the end of such a fault is requested at its
         beginning.
 
         Args:
             index: place of the fault in the scenario.
-            request: has an action done.
+            request: requests an action.
         """
         begin = ProcessAction(2 * index, Role(self.target), self.first)
         schedule = []
@@ -73,7 +72,7 @@ class ProcessFault(Fault):
 
 
 class ProcessKilled(ProcessFault):
-    """SIGKILL, and it stays away."""
+    """SIGKILL; the process is not started again."""
 
     kind: Literal["process_killed"]
     for_s: None = None
@@ -81,7 +80,7 @@ class ProcessKilled(ProcessFault):
 
 
 class ProcessFrozen(ProcessFault):
-    """SIGSTOP, and SIGCONT after ``for_s``, of the plant's clock; of the wall's for the plant."""
+    """SIGSTOP, and SIGCONT after ``for_s`` on the plant's clock (for the plant, the wall clock)."""
 
     kind: Literal["process_frozen"]
     for_s: Positive
@@ -90,7 +89,7 @@ class ProcessFrozen(ProcessFault):
 
 
 class ProcessRestarted(ProcessFault):
-    """SIGKILL, and a new process in its place after ``for_s``, likewise."""
+    """SIGKILL, and a new process after ``for_s``, on the same clocks."""
 
     kind: Literal["process_restarted"]
     for_s: Positive
@@ -99,21 +98,21 @@ class ProcessRestarted(ProcessFault):
 
 
 def process_faults(faults: Iterable[Fault]) -> list[ProcessFault]:
-    """The faults of whole processes."""
+    """Return the faults of whole processes."""
     return [fault for fault in faults if isinstance(fault, ProcessFault)]
 
 
 def plant_faults(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """The faults that the plant emulates by itself."""
+    """Return the faults that the plant emulates itself."""
     return tuple(fault for fault in faults if not isinstance(fault, ProcessFault))
 
 
 def process_actions(faults: Iterable[Fault], request: Request) -> tuple[ScheduledAction, ...]:
-    """All that the plant has to ask for, and when, for the faults of processes.
+    """Return all actions that the plant has to request for faults of processes, and when.
 
     Args:
         faults: all faults of the scenario, in its order.
-        request: has an action done.
+        request: requests an action.
     """
     return tuple(
         action

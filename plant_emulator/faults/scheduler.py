@@ -1,4 +1,4 @@
-"""Actions at given instants: the one schedule of all faults, whatever they happen to."""
+"""Actions at given instants: the one schedule of all faults."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import NamedTuple
 
 
 def do_nothing(_now_ns: int) -> None:
-    """For an action that is only reported."""
+    """Do nothing: the action of an entry that is only reported."""
 
 
 def report_nothing(_description: str) -> None:
-    """For a schedule that is only carried out."""
+    """Report nothing: for a schedule that is only carried out."""
 
 
 class ScheduledAction(NamedTuple):
     """One entry of a schedule.
 
     Attributes:
-        at_ns: when, on the clock of whoever carries it out.
+        at_ns: when, on the scheduler's clock.
         description: what happens, in a few words.
-        action: does it, given the time.
+        action: called with the time.
     """
 
     at_ns: int
@@ -30,25 +30,25 @@ class ScheduledAction(NamedTuple):
 
 
 class FaultScheduler:
-    """Carries out actions when their time has come.
+    """Carries out actions at their times.
 
     Args:
-        actions: in any order; those of the same instant are carried out in the order given.
+        actions: in any order; actions of the same instant are carried out in the given order.
     """
 
     def __init__(self, actions: Iterable[ScheduledAction]) -> None:
         self._pending = sorted(actions, key=_instant)
 
     def add(self, action: ScheduledAction) -> None:
-        """Put one more action on the schedule."""
+        """Add an action to the schedule."""
         insort(self._pending, action, key=_instant)
 
     def postpone(self, by_ns: int) -> None:
-        """Let everything that is still to come happen later."""
+        """Postpone all remaining actions."""
         self._pending = [each._replace(at_ns=each.at_ns + by_ns) for each in self._pending]
 
     def run_due(self, now_ns: int, report: Callable[[str], None] = report_nothing) -> None:
-        """Do what is due at `now_ns`, once.
+        """Carry out each action that is due at `now_ns`, once.
 
         Args:
             now_ns: the time, on the same clock as the actions' instants.

@@ -1,1 +1,1 @@
-"""Rigid bodies under joint torques: physics engines, one of which a scenario names."""
+"""Physics engines: rigid bodies under joint torques. A scenario names one of them."""

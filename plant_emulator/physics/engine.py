@@ -1,4 +1,4 @@
-"""The rigid bodies of an arm as the plant needs them, whichever physics engine moves them."""
+"""Interface of physics engines: the rigid bodies of an arm for the plant."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import Integrator
 
 ANY_PAYLOAD_KG = 1.0
-"""Stands for any other."""
+"""Stands for any payload."""
 
 
 @dataclass(frozen=True)
 class ArmSpecification:
-    """What an engine makes an arm of.
+    """The arm that an engine has to build.
 
     Attributes:
         robot: description of the arm.
@@ -28,8 +28,8 @@ class ArmSpecification:
         torques: everything that acts on the joints.
         integrator: the rule that integrates motion over a substep.
         payload_kg: point mass at the tip.
-        rotor_inertia_kg_m2: of rotors behind rigid gears, shape (joints,); None for none.
-        payload_changes: whether there will be another one, see `ArmPhysics.carry`.
+        rotor_inertia_kg_m2: inertia of rotors behind rigid gears, shape (joints,); None for none.
+        payload_changes: whether the payload will change, see `ArmPhysics.carry`.
         gui: open the engine's window.
     """
 
@@ -44,7 +44,7 @@ class ArmSpecification:
 
     @property
     def loaded_kg(self) -> float:
-        """The payload to load the arm with: what is picked up later needs a body from the start."""
+        """Payload to load the arm with: a later payload needs a body from the start."""
         return self.payload_kg or (ANY_PAYLOAD_KG if self.payload_changes else 0.0)
 
 
@@ -52,7 +52,7 @@ class ArmPhysics(ABC):
     """An arm on a fixed base, moved by the torques at its joints.
 
     Attributes:
-        payload_kg: point mass at the tip, as of now.
+        payload_kg: current point mass at the tip.
         motion: joint positions, rad, and velocities, rad/s, as rows, shape (2, joints).
         position: the first row.
         velocity: the second row.
@@ -92,24 +92,24 @@ class ArmPhysics(ABC):
 
     @abstractmethod
     def advance(self, first: int, end: int) -> None:
-        """Go through substeps under the torque that is asked for, and read the joints after each.
+        """Compute substeps under the requested torque, and read the joints after each.
 
         Args:
             first: number of the first substep in the run.
-            end: number of the first one not to go through.
+            end: number of the first substep to leave out.
 
         Raises:
-            ConnectionError: the engine is gone, as when its window was closed.
+            ConnectionError: the engine is gone, for instance because its window was closed.
         """
 
     @abstractmethod
     def advance_braked(self, substeps: int) -> None:
-        """Go through substeps with all brakes engaged and no other torque.
+        """Compute substeps with all brakes engaged and no other torque.
 
         Raises:
-            ConnectionError: as `advance`.
+            ConnectionError: as for `advance`.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Free what the engine holds."""
+        """Free the engine's resources."""

@@ -1,6 +1,6 @@
 """The table of physics engines.
 
-A new engine is one class after `ArmPhysics`, one line here, and its name in
+A new engine needs a class that implements `ArmPhysics`, one line here, and its name in
 `PhysicsConfiguration.engine`. It is imported when a scenario uses it.
 """
 
@@ -25,11 +25,11 @@ class PhysicsEngine:
 
     Attributes:
         title: its name in sentences.
-        distribution: the Python package that brings it; the module is called the same.
-        place: its arm, as ``module:class``.
-        integrators: the rules by which it integrates motion.
-        has_window: whether it can show the arm while it moves.
-        has_rotors: whether it knows motors: their inertia, elastic gears and cogging.
+        distribution: its Python package; the module has the same name.
+        place: its class of arms, as ``module:class``.
+        integrators: its rules of integration.
+        has_window: whether it can show the moving arm in a window.
+        has_rotors: whether it models motors: their inertia, elastic gears and cogging.
     """
 
     title: str
@@ -41,7 +41,7 @@ class PhysicsEngine:
 
     @property
     def is_installed(self) -> bool:
-        """Whether this Python has the engine, which is not imported for that."""
+        """Whether this Python has the engine; it is not imported for that."""
         return find_spec(self.distribution) is not None
 
     @property
@@ -50,7 +50,7 @@ class PhysicsEngine:
 
     @property
     def arm_type(self) -> type[ArmPhysics]:
-        """The class of its arms."""
+        """Class of its arms."""
         module, name = self.place.split(":")
         return cast("type[ArmPhysics]", getattr(import_module(module), name))
 
@@ -68,13 +68,13 @@ ENGINES = {
 DEFAULT_ENGINE = "bullet"
 
 
-_version = lru_cache(metadata.version)  # which reads files
+_version = lru_cache(metadata.version)  # reads files
 
 
 def engine_name(plant: PlantConfiguration) -> str:
-    """Name of the engine in force.
+    """Return the name of the engine in force.
 
-    Where a scenario names none: Bullet if it is installed and has what the motors ask for.
+    If a scenario names none: Bullet, if it is installed and has the features that the motors need.
     """
     default = ENGINES[DEFAULT_ENGINE]
     is_enough = default.is_installed and not plant.actuator.has_rotors
@@ -82,29 +82,29 @@ def engine_name(plant: PlantConfiguration) -> str:
 
 
 def physics_text(plant: PlantConfiguration) -> str:
-    """Engine and integrator in force."""
+    """Describe engine and integrator in force."""
     return f"{ENGINES[engine_name(plant)].title}, {plant.physics.integrator}"
 
 
 def physics_in_force(plant: PlantConfiguration) -> str:
-    """The same with the engine's version, where it is installed."""
+    """Describe them with the engine's version, if it is installed."""
     engine = ENGINES[engine_name(plant)]
     version = f" {engine.version}" if engine.is_installed else ""
     return f"{engine.title}{version}, {plant.physics.integrator}"
 
 
 def default_note(plant: PlantConfiguration) -> str:
-    """That the engine is not the default one, where a scenario names none; else nothing."""
+    """Return a note if the default engine is not installed, and a scenario names none."""
     default = ENGINES[DEFAULT_ENGINE]
     is_second_choice = plant.physics.engine is None and not default.is_installed
     return f" ({default.title} is not installed)" if is_second_choice else ""
 
 
 def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
-    """The engine of a scenario's plant, installed and able to do what the scenario asks of it.
+    """Return the engine of a scenario's plant, installed and able to run the scenario.
 
     Raises:
-        ConfigurationError: it is not installed, or has no such integrator or no window.
+        ConfigurationError: it is not installed, or lacks the integrator or a window.
     """
     name = engine_name(plant)
     engine, integrator = ENGINES[name], plant.physics.integrator

@@ -1,4 +1,4 @@
-"""MuJoCo as a physics engine: an arm that compiled code steps by MuJoCo's C function."""
+"""MuJoCo as a physics engine: compiled code calls MuJoCo's C function for each step."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _INTEGRATORS = {
 }
 _SWITCHED_OFF = ("CONTACT", "LIMIT", "EULERDAMP", "AUTORESET", "SENSOR", "ACTUATION")
 _HELD_KG_M2 = 1e12
-"""Inertia of a joint that its brake holds: no torque moves it by as much as rounding does."""
+"""Inertia of a joint that its brake holds: any torque moves it less than rounding does."""
 _HARDEST = 0.9999
-"""The hardest constraint that MuJoCo takes."""
+"""The hardest constraint that MuJoCo accepts."""
 
 
 def _step_function() -> Any:
-    """``mj_step`` for compiled code; None where MuJoCo's package is laid out otherwise."""
+    """Return ``mj_step`` for compiled code; None if MuJoCo's package has another layout."""
     found = sorted(Path(mujoco.__file__).parent.glob("libmujoco.*"))
     if not (found and hasattr(mujoco.MjModel, "_address") and hasattr(mujoco.MjData, "_address")):
         return None
@@ -46,16 +46,17 @@ step = _step_function()
 
 
 class Bodies(NamedTuple):
-    """How compiled code gets at an arm.
+    """Handles of an arm for compiled code.
 
     Attributes:
         model: address of MuJoCo's model.
         data: address of its state.
-        places: place of each joint in MuJoCo's lists, shape (joints,).
-        positions: MuJoCo's own, rad; these four of shape (joints and mimic joints,).
+        places: index of each joint in MuJoCo's lists, shape (joints,).
+        positions: MuJoCo's array, rad; this and the next three have shape (joints and mimic
+            joints,).
         velocities: rad/s.
         torques: N m.
-        inertia: of the rotors and brakes at each joint, kg m².
+        inertia: inertia of rotors and brakes at each joint, kg m².
     """
 
     model: int
@@ -68,10 +69,10 @@ class Bodies(NamedTuple):
 
 
 class MujocoArm(ArmPhysics):
-    """An arm in a world of its own, without contacts, joint limits or damping of MuJoCo's own.
+    """An arm in its own world, without contacts, joint limits or MuJoCo's own damping.
 
-    Brakes are ideal: a joint that they hold stops at once, and does not slip. The others take over
-    the impulse of that stop.
+    Brakes are ideal: a braked joint stops at once and does not slip. The other joints take the
+    impulse of that stop.
 
     Raises:
         RobotDescriptionError: MuJoCo cannot load the arm.
@@ -109,7 +110,7 @@ class MujocoArm(ArmPhysics):
 
     @staticmethod
     def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:  # noqa: ARG004
-        """Check that MuJoCo can load an arm; what it could load before, it need not load again."""
+        """Check that MuJoCo can load an arm; a successful check is not repeated."""
         _checked(robot.path, robot.resolved_urdf(payload_kg, "none"), robot.followers)
 
     def place(self, position: Vector) -> None:
@@ -129,7 +130,7 @@ class MujocoArm(ArmPhysics):
         mujoco.mj_forward(model, data)
         mujoco.mj_mulM(model, data, momentum, bodies.velocities)
         bodies.inertia[bodies.places] = np.where(joints, _HELD_KG_M2, self._rotors)
-        # A brake acts on its own joint alone: along the free ones, momentum stays what it was.
+        # A brake acts on its own joint only: the momentum along the free ones is kept.
         mujoco.mj_forward(model, data)
         mujoco.mj_solveM(model, data, bodies.velocities[None], momentum[None])
         _read(bodies, self.motion)
@@ -148,7 +149,7 @@ class MujocoArm(ArmPhysics):
         _read(self._bodies, self.motion)
 
     def close(self) -> None:
-        """There is nothing to free."""
+        """Do nothing: there is nothing to free."""
 
     def _rest(self) -> None:
         self._bodies.velocities[:] = 0.0
@@ -172,7 +173,7 @@ def _advance_slowly(
     model: Any, data: Any, bodies: Bodies, motion: Matrix, period_ns: int, substeps: int,
     tables: TorqueTables, first: int, end: int,
 ) -> tuple[bool, int]:  # fmt: skip
-    """The same bits by MuJoCo's Python function, for a MuJoCo that does not show its addresses."""
+    """Compute the same bits by MuJoCo's Python function, for builds without its addresses."""
     saturated, hits = False, 0
     for number in range(first, end):
         saturated, new_hits = _apply(bodies, motion, period_ns, substeps, tables, number)
@@ -186,7 +187,7 @@ def _advance_slowly(
 def _apply(
     bodies: Bodies, motion: Matrix, period_ns: int, substeps: int, tables: TorqueTables, number: int
 ) -> tuple[bool, int]:
-    """Apply the torques of a substep; what `joint_torques` returns."""
+    """Apply the torques of a substep; return the result of `joint_torques`."""
     found = joint_torques(motion, (number * period_ns // substeps) * 1e-9, tables)
     for i in range(motion.shape[1]):
         bodies.torques[bodies.places[i]] = tables.torques_nm[TOTAL, i]
@@ -195,7 +196,7 @@ def _apply(
 
 @compiled
 def _read(bodies: Bodies, motion: Matrix) -> None:
-    """Read positions and velocities of the joints; those that brakes hold stand still."""
+    """Read positions and velocities of the joints; braked joints stand still."""
     for i in range(motion.shape[1]):
         place = bodies.places[i]
         if bodies.inertia[place] == _HELD_KG_M2:
@@ -205,7 +206,7 @@ def _read(bodies: Bodies, motion: Matrix) -> None:
 
 
 def _compiled_model(robot: RobotDescription, payload_kg: float) -> Any:
-    """A fresh model of an arm.
+    """Return a new model of an arm.
 
     Raises:
         RobotDescriptionError: MuJoCo cannot load it.
@@ -230,7 +231,7 @@ _checked = lru_cache(maxsize=16)(_compiled)
 
 @lru_cache(maxsize=16)
 def _for_mujoco(urdf: str) -> str:
-    """A resolved URDF as MuJoCo reads every number in it: joints without ends, links as they are.
+    """Return a resolved URDF in MuJoCo's terms: joints without limits, links unchanged.
 
     Links are renamed, as MuJoCo has a body called ``world``.
     """
@@ -254,7 +255,7 @@ def _renamed(link: str) -> str:
 
 
 def _tie(spec: Any, follower: Follower) -> None:
-    """Tie a joint to another one: q = multiplier × q of the leader + offset."""
+    """Couple a joint to another one: q = multiplier × q of the leader + offset."""
     tie = spec.add_equality()
     tie.type = mujoco.mjtEq.mjEQ_JOINT
     tie.name1, tie.name2 = follower.name, follower.leader

@@ -1,4 +1,4 @@
-"""The law of stiff_pd.c in Python, with nothing but its standard library.
+"""The law of stiff_pd.c in Python, with only its standard library.
 
 funnel-hil simulate --set controller.law=external \
     --set 'controller.external.command=[python3, stiff_pd.py]'
@@ -12,7 +12,7 @@ RESET, HEADER, ROWS = 0, 8, 8
 
 
 def torques(rows: list[tuple[float, ...]], step_s: float, sums: list[float]) -> list[float]:
-    """N m, from rows of position, velocity and their references, as the protocol has them."""
+    """Return torques, N m, from rows of position, velocity and their references."""
     answer: list[float] = []
     for i, (q, v, q_ref, v_ref, *_, limit) in enumerate(zip(*rows, strict=True)):
         error = q - q_ref
@@ -24,7 +24,7 @@ def torques(rows: list[tuple[float, ...]], step_s: float, sums: list[float]) -> 
 
 
 def main() -> None:
-    """Answer until the run is over."""
+    """Answer questions until the run is over."""
     sums = [0.0] * 3
     while header := sys.stdin.buffer.read(8 * HEADER):
         question, _version, joints, _time_s, step_s, *_ = struct.unpack(f"{HEADER}d", header)

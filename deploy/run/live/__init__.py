@@ -1,1 +1,1 @@
-"""What a run does for a live view of it: what its recorder passes on, and the viewer's process."""
+"""A run's side of a live view: the recorder's snapshots, and their way to the viewer."""

@@ -1,8 +1,8 @@
-"""The way from a recorder to viewers: local sockets, in a folder that only this user can enter.
+"""Connection from a recorder to viewers: local sockets in a folder that only this user can enter.
 
-No viewer is on the bus, where one that is frozen would hold up whoever sends. A viewer asks the
-recorder, again and again as long as it looks; the recorder sends it a datagram for each snapshot,
-if there is room for it. One that is slow, frozen or gone holds nobody up.
+Viewers are not on the bus, where a frozen one would delay senders. A viewer asks the recorder
+repeatedly while it is open; the recorder sends it a datagram for each snapshot if there is room. A
+slow, frozen or vanished viewer delays no process.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ _ASK_EVERY_S = 0.5
 _FORGET_S = 5.0
 _MOST_VIEWERS = 8
 _MOST_ASKED = 50
-"""At a look: nobody can keep a recorder from its work by asking."""
+"""Requests read per check, so that viewers cannot keep the recorder from its work."""
 _MOST_TRIES = 10
-"""To have a folder that others remove at their end."""
+"""Attempts to create a folder that other processes may remove when they end."""
 _LONGEST_FOLDER = 60
-"""The path of a socket has room for 107 characters."""
+"""The path of a socket may have 107 characters."""
 
 
 class LiveFeed:
     """A recorder's end. Without viewers it does nothing.
 
     Args:
-        endpoint: of the plant, by which viewers find the recorder.
+        endpoint: the plant's endpoint, by which viewers find the recorder.
         scenario: file of the scenario in force.
         joint_names: of the robot.
 
     Attributes:
-        dropped: snapshots that a viewer had no room for.
+        dropped: snapshots for which a viewer's buffer had no room.
 
     Raises:
         OSError: there is no place for its socket.
@@ -58,16 +58,16 @@ class LiveFeed:
 
     @property
     def is_watched(self) -> bool:
-        """Whether there are viewers, for whom messages are to be taken."""
+        """Whether there are viewers that need messages."""
         return self._sampler is not None
 
     def take(self, message: Message) -> None:
-        """A message was recorded."""
+        """Take a recorded message."""
         if self._sampler is not None:
             self._sampler.take(message)
 
     def send(self) -> None:
-        """Hear who is there, and send them what came since the last time."""
+        """Read the viewers' requests, and send them everything since the last call."""
         self._hear()
         if self._sampler is None:
             return
@@ -80,7 +80,7 @@ class LiveFeed:
             self._sampler = None
 
     def close(self) -> None:
-        """Remove the socket, by which viewers know that the run is over."""
+        """Remove the socket; viewers then know that the run is over."""
         _remove(self._socket, self._place)
 
     def _hear(self) -> None:
@@ -88,7 +88,7 @@ class LiveFeed:
         for _ in range(_MOST_ASKED):
             try:
                 datagram, viewer = self._socket.recvfrom(len(_ASK) + 1)
-            except OSError:  # nobody more
+            except OSError:  # no more requests
                 break
             if datagram != _ASK or not viewer:
                 continue
@@ -107,19 +107,19 @@ class LiveFeed:
             self._socket.sendto(datagram, viewer)
         except (BlockingIOError, InterruptedError):
             self.dropped += 1
-        except OSError:  # gone
+        except OSError:  # the viewer has gone
             self._viewers.pop(viewer, None)
 
 
 class FeedReceiver:
-    """A viewer's end. Whatever else arrives there is counted and ignored.
+    """A viewer's end. Other datagrams are counted and ignored.
 
     Args:
-        endpoint: of the plant.
+        endpoint: the plant's endpoint.
 
     Attributes:
-        scenario: file of the scenario in force, once a recorder has told it.
-        is_over: the recorder was there, and is no more.
+        scenario: file of the scenario in force, once a recorder has sent it.
+        is_over: the recorder was found, and has gone.
         garbage: datagrams that were no snapshots.
 
     Raises:
@@ -136,7 +136,7 @@ class FeedReceiver:
         self.garbage = 0
 
     def receive(self, timeout_s: float) -> Snapshot | None:
-        """The next snapshot; None if none comes in time."""
+        """Return the next snapshot; None if none arrives in time."""
         if time.monotonic() - self._asked_s >= _ASK_EVERY_S:
             self._ask()
         self._socket.settimeout(timeout_s)
@@ -157,7 +157,7 @@ class FeedReceiver:
         _remove(self._socket, self._place)
 
     def _ask(self) -> None:
-        """Ask the recorder that answered last, or else whichever is there."""
+        """Send a request to the recorder that answered last, or else to any."""
         self._asked_s = time.monotonic()
         known = [] if self._recorder is None else [self._recorder]
         for place in [*known, *self._place.parent.glob(f"{self._recorders}-*")]:
@@ -167,11 +167,11 @@ class FeedReceiver:
         self._recorder, self.is_over = None, self.scenario is not None
 
     def _is_there(self, recorder: Path) -> bool:
-        """Ask a recorder, and say whether it was there to be asked."""
+        """Send a request to a recorder; return whether it exists."""
         try:
             self._socket.setblocking(False)
             self._socket.sendto(_ASK, str(recorder))
-        except BlockingIOError:  # there, and busy
+        except BlockingIOError:  # exists, but is busy
             return True
         except OSError:
             return False
@@ -179,7 +179,7 @@ class FeedReceiver:
 
 
 def clear_left_behind() -> None:
-    """Remove what processes that were killed left in the folder of sockets."""
+    """Remove the sockets of killed processes."""
     folder = _folder()
     with contextlib.suppress(OSError):
         _clear(folder)
@@ -187,15 +187,15 @@ def clear_left_behind() -> None:
 
 
 def _name(endpoint: str) -> str:
-    """What the sockets of recorders of a plant are called; no longer than it must be."""
+    """Return the common name of the sockets of a plant's recorders, as short as possible."""
     return hashlib.sha256(endpoint.partition("/")[2].encode()).hexdigest()[:16]
 
 
 def _bound(name: str) -> tuple[socket.socket, Path]:
-    """A socket of this process in the user's folder, where those of dead ones are cleared away."""
+    """Return a socket of this process in the user's folder; remove those of dead processes."""
     folder = _folder()
     for _ in range(_MOST_TRIES):
-        with contextlib.suppress(FileNotFoundError):  # another process removed it at its end
+        with contextlib.suppress(FileNotFoundError):  # another process removed it when it ended
             _make_private(folder)
             _clear(folder)
             return _bound_in(folder, name)
@@ -230,7 +230,7 @@ def _folder() -> Path:
 
 
 def _clear(folder: Path) -> None:
-    """Remove what processes left behind that were killed."""
+    """Remove the files of killed processes."""
     for place in folder.iterdir():
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
             try:
@@ -245,4 +245,4 @@ def _remove(made: socket.socket, place: Path) -> None:
     made.close()
     with contextlib.suppress(OSError):
         place.unlink()
-        place.parent.rmdir()  # where it was the last
+        place.parent.rmdir()  # if that was the last one

@@ -1,4 +1,4 @@
-"""What a viewer gets to see of a run: the newest message of each topic, some times a second."""
+"""Snapshots of a run for viewers: the newest message of each topic, some times a second."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Message(NamedTuple):
 
     Attributes:
         stamp_ns: on the run's clock.
-        payload: its CDR bytes, as they came off the wire.
+        payload: its CDR bytes, as received.
     """
 
     topic: Topic
@@ -28,12 +28,12 @@ class Message(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """What a viewer gets to see at a time.
+    """A snapshot of a run.
 
     Attributes:
-        ticks: ticks of the plant that ended so far, as far as they were seen.
+        ticks: number of the plant's ticks that are known to have ended.
         deadlines_missed: how many of their deadlines were missed.
-        messages: the newest of each topic since the last snapshot, and all events.
+        messages: the newest message of each topic since the last snapshot, and all events.
     """
 
     ticks: int
@@ -41,7 +41,7 @@ class Snapshot(NamedTuple):
     messages: tuple[Message, ...]
 
     def encode(self) -> bytes:
-        """Bytes of a datagram."""
+        """Return the bytes of a datagram."""
         parts = [_COUNTS.pack(self.ticks, self.deadlines_missed)]
         for topic, stamp_ns, payload in self.messages:
             parts += [_HEAD.pack(topics.TOPICS.index(topic), stamp_ns, len(payload)), payload]
@@ -52,7 +52,7 @@ class Snapshot(NamedTuple):
         """Read the bytes of a datagram.
 
         Raises:
-            ValueError: they are something else.
+            ValueError: they are no snapshot.
         """
         messages = []
         try:
@@ -72,10 +72,10 @@ class Snapshot(NamedTuple):
 
 
 class Sampler:
-    """Picks what a viewer gets to see from all messages of a run, and counts deadlines at each.
+    """Selects the messages for viewers, and counts deadlines at each message.
 
     Args:
-        joint_names: of the robot, which say how long a message is.
+        joint_names: the robot's joints, which determine the length of a message.
     """
 
     def __init__(self, joint_names: tuple[str, ...]) -> None:
@@ -88,7 +88,7 @@ class Sampler:
         self._events: list[Message] = []
 
     def take(self, message: Message) -> None:
-        """A message came."""
+        """Take a message."""
         topic, _, payload = message
         if topic.rate is Rate.EVENT:
             self._events.append(message)
@@ -100,8 +100,8 @@ class Sampler:
             self._missed += not payload[self._deadline_met_at]
 
     def snapshot(self) -> Snapshot | None:
-        """What came since this was last asked; None for nothing."""
+        """Return everything new since the last call; None if nothing is."""
         messages = (*self._newest.values(), *self._events)
         self._newest, self._events = {}, []
-        ticks = max(0, self._truths - 1)  # the first is told when a tick begins
+        ticks = max(0, self._truths - 1)  # a tick's first message reports its beginning
         return Snapshot(ticks, self._missed, messages) if messages else None

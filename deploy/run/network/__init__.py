@@ -1,1 +1,1 @@
-"""What lies between the processes of a run: endpoints, keys, relays that delay."""
+"""Network between the processes of a run: endpoints, keys, relays that delay."""

@@ -1,8 +1,8 @@
-"""Keys: a small authority of one's own, and a certificate for each role.
+"""Keys: a private certificate authority, and a certificate for each role.
 
-A certificate's common name is the role of its holder, which is all that access control asks for.
-Keys are ECDSA on P-256 in PKCS #8. Private keys are readable by their owner alone, and appear
-nowhere but in their own files.
+A certificate's common name is the role of its holder; access control checks nothing else. Keys are
+ECDSA on P-256 in PKCS #8. Private keys are readable only by their owner, and stored only in their
+own files.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_A
 
 
 def create_authority(keys: KeyFolder, days: float) -> None:
-    """Make an authority, in a folder that nobody else can look into.
+    """Create an authority, in a folder that only its owner can read.
 
     Args:
-        keys: the folder; created where it does not exist.
+        keys: the folder; created if it does not exist.
         days: how long the authority is valid.
 
     Raises:
@@ -58,16 +58,16 @@ def create_authority(keys: KeyFolder, days: float) -> None:
 
 
 def issue(keys: KeyFolder, role: Role, hosts: Sequence[str], days: float) -> x509.Certificate:
-    """Issue a certificate with a new private key to a role, in place of the one it has.
+    """Issue a certificate with a new private key to a role, replacing its old one.
 
     Args:
         keys: the folder of the authority.
         role: becomes the common name.
-        hosts: names and addresses under which its endpoint is reached.
+        hosts: host names and addresses of its endpoint.
         days: how long it is valid; never longer than the authority.
 
     Raises:
-        ScenarioError: there is no authority, or a host is none.
+        ScenarioError: there is no authority, or a host is invalid.
     """
     remedy = f"run `funnel-hil keys init --folder {keys.path}`"
     authority = read_certificate(keys.authority, remedy)
@@ -95,7 +95,7 @@ def issue(keys: KeyFolder, role: Role, hosts: Sequence[str], days: float) -> x50
 
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
-    """Names and addresses under which the holder's endpoint may be reached."""
+    """Return the host names and addresses in a certificate."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
@@ -104,13 +104,13 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """The role that a certificate claims; empty where it claims none."""
+    """Return the role in a certificate; empty if it has none."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(names[0].value) if names else ""
 
 
 def check_keys(keys: KeyFolder, roles: Iterable[Role]) -> None:
-    """Find out before anything starts whether these roles have what link.security needs.
+    """Check, before anything starts, that these roles have the keys that link.security needs.
 
     Raises:
         ScenarioError: a file is missing, unreadable, expired, of another role, of another
@@ -149,7 +149,7 @@ def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> Non
     _require_valid_now(path, certificate, remedy)
     try:
         certificate.verify_directly_issued_by(authority)
-    except Exception as error:  # what it raises depends on the kind of key that signed
+    except Exception as error:  # the exception depends on the kind of key that signed
         raise ScenarioError(f"{path}: is not issued by {keys.authority}: {remedy}") from error
     key = _read_key(keys.key(role), remedy)
     if key.public_key() != certificate.public_key():
@@ -168,7 +168,7 @@ def _require_valid_now(path: Path, certificate: x509.Certificate, remedy: str) -
 def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
     pem = _read(path, remedy)
     mode, handed_over = path.stat().st_mode, os.environ.get("CREDENTIALS_DIRECTORY")
-    # Of keys that systemd hands over, the group's rights are those of an access list.
+    # systemd passes keys on with an access list, whose mask is shown as the group's rights.
     is_credential = handed_over is not None and path.resolve().is_relative_to(handed_over)
     if mode & (stat.S_IRWXO if is_credential else stat.S_IRWXO | stat.S_IRWXG):
         shown = stat.filemode(mode)
@@ -192,7 +192,7 @@ def _read(path: Path, remedy: str) -> bytes:
 
 
 def _purposes(role: Role) -> list[x509.ObjectIdentifier]:
-    """A recorder only ever connects to others; nobody should take it for a server."""
+    """Return a role's extended key usage: a recorder only connects, and must not be a server."""
     return [_CLIENT] if role is Role.RECORDER else [_CLIENT, _SERVER]
 
 
@@ -248,7 +248,7 @@ def _write(
     key_file: Path,
     key: ec.EllipticCurvePrivateKey,
 ) -> None:
-    """Write both files; the key's is created with its mode, so that it is never open to others."""
+    """Write both files; the key's is created with its final mode, so others can never read it."""
     pem = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )

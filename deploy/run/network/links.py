@@ -1,6 +1,6 @@
-"""What a machine must have for a scenario's link, checked before anything starts.
+"""Requirements of a scenario's link on this machine, checked before anything starts.
 
-And where the processes of `run` listen: where the scenario says, and else where nobody else does.
+It also chooses where the processes of `run` listen: at the scenario's endpoints, or at free ones.
 """
 
 from __future__ import annotations
@@ -21,18 +21,17 @@ from plant_emulator.faults.process_faults import process_faults
 _KEYS = ("plant_endpoint", "controller_endpoint")
 _DATAGRAM_PROTOCOLS = ("udp", "quic")
 _PORTS = range(20_000, 32_768)
-"""Below those that systems give to connections that go out: one of these may be taken again before
-whoever it was chosen for listens."""
+"""Below the ports of outgoing connections, which could take a port before its process listens."""
 _ATTEMPTS = 1000
 _lately: deque[int] = deque(maxlen=1000)
-"""Those chosen last, which nobody listens at perhaps: of two choices the second is another."""
+"""Ports chosen last, perhaps not in use yet: a second choice must differ."""
 
 
 def check_link(setup: Setup, *, one_process: bool) -> None:
-    """Check that this machine has what the scenario's link needs, before anything starts.
+    """Check that this machine has the requirements of the scenario's link, before anything starts.
 
     Raises:
-        ScenarioError: it has not.
+        ScenarioError: it does not.
     """
     if one_process:
         require_own_controller(setup)
@@ -41,10 +40,10 @@ def check_link(setup: Setup, *, one_process: bool) -> None:
 
 
 def require_own_controller(setup: Setup) -> None:
-    """Check that the scenario's controller is one of ours, which a process of the user's is not.
+    """Check that the scenario's controller is one of ours, not a user's process.
 
     Raises:
-        ScenarioError: it is not.
+        ScenarioError: it is a user's process.
     """
     process = setup.scenario.controller.process
     if process is not None:
@@ -54,20 +53,20 @@ def require_own_controller(setup: Setup) -> None:
 
 
 def require_keys(setup: Setup, *roles: Role) -> None:
-    """Bad keys are bad input, told before anything starts.
+    """Check the keys before anything starts; bad keys are bad input.
 
     Raises:
-        ScenarioError: as `check_keys`.
+        ScenarioError: as for `check_keys`.
     """
     security = setup.scenario.link.security
     if security.enabled:
-        from deploy.run.network.keys import check_keys  # needs libraries that no other run does
+        from deploy.run.network.keys import check_keys  # imports libraries used by no other run
 
         check_keys(security.keys, roles)
 
 
 def check_awaiting(setup: Setup) -> None:
-    """Check that a controller from elsewhere can be waited for, at the scenario's own endpoints.
+    """Check that a remote controller can be awaited, at the scenario's own endpoints.
 
     Raises:
         ScenarioError: it cannot.
@@ -86,12 +85,12 @@ def check_awaiting(setup: Setup) -> None:
 
 
 def with_free_endpoints(setup: Setup) -> Setup:
-    """A scenario with free TCP ports in place of the default endpoints, and a bus of its own.
+    """Return a scenario with free TCP ports instead of the default endpoints, and a separate bus.
 
-    Endpoints and buses that the scenario or an override gives stay as they are.
+    Endpoints and buses given by the scenario or an override are not changed.
 
     Raises:
-        ScenarioError: one that is given cannot be listened at.
+        ScenarioError: a given endpoint cannot be used for listening.
     """
     link = setup.scenario.link
     given = [key for key in _KEYS if key in link.model_fields_set]
@@ -109,7 +108,7 @@ def with_free_endpoints(setup: Setup) -> Setup:
 
 @contextlib.contextmanager
 def _refusing(setup: Setup, key: str) -> Iterator[None]:
-    """Tell of an endpoint that cannot be listened at as of bad input."""
+    """Report an endpoint that cannot be used for listening as bad input."""
     endpoint = getattr(setup.scenario.link, key)
     try:
         yield
@@ -123,10 +122,10 @@ def _refusing(setup: Setup, key: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _listening(endpoint: str) -> Iterator[None]:
-    """Occupy a Zenoh endpoint; one that is a file is left alone.
+    """Occupy a Zenoh endpoint; an endpoint that is a file is skipped.
 
     Raises:
-        OSError: it is in use, or not of this machine.
+        OSError: it is in use, or on another machine.
         OverflowError: there is no such port.
         UnicodeError: there is no such host.
     """
@@ -141,7 +140,7 @@ def _listening(endpoint: str) -> Iterator[None]:
     kind = socket.SOCK_DGRAM if is_datagram else socket.SOCK_STREAM
     family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), None, type=kind)[0]
     with socket.socket(family, kind) as listener:
-        if not is_datagram:  # else a port would stay taken for a while after its last user
+        if not is_datagram:  # otherwise a port stays occupied for a while after its last use
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((place[0], int(port), *place[2:]))
         if not is_datagram:
@@ -150,12 +149,12 @@ def _listening(endpoint: str) -> Iterator[None]:
 
 
 def free_ports(number: int) -> list[int]:
-    """TCP ports of this machine that nobody uses, other ones each time.
+    """Return unused TCP ports of this machine, different ones in each call.
 
     Raises:
-        OSError: they are not to be found.
+        OSError: none are found.
     """
-    chance = random.SystemRandom()  # a fork continues its parent's common generator
+    chance = random.SystemRandom()  # a fork would continue its parent's generator
     chosen: list[int] = []
     with contextlib.ExitStack() as stack:
         for _ in range(_ATTEMPTS):

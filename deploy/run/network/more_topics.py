@@ -1,4 +1,4 @@
-"""The plant's link with the run's clock, or with the reference, sent before every state.
+"""The plant's link with another message before every state: the run's clock, or the reference.
 
 The clock is for nodes with ``use_sim_time``, the reference for controllers that do not know it.
 """
@@ -20,7 +20,7 @@ _CLOCK_BYTES = ENCAPSULATION_BYTES + 8
 
 
 class _LinkWithTopic:
-    """A `PlantLink` that sends another message before each state, and else is what it wraps."""
+    """A `PlantLink` that sends another message before each state, and wraps the real link."""
 
     def __init__(self, link: PlantLink, send: Callable[[bytes, int], None]) -> None:
         self._link, self._send = link, send
@@ -36,9 +36,9 @@ class _LinkWithTopic:
 
 
 def with_clock(link: PlantLink) -> PlantLink:
-    """The link, which sends `clock` before each state: its stamp, with which its bytes begin.
+    """Return the link, extended to send `clock` before each state: its stamp, copied as bytes.
 
-    A node that stamps commands with the time then stamps them with that of the newest state.
+    A node that stamps commands with its time then uses the stamp of the newest state.
     """
 
     def send(state: bytes, _stamp_ns: int) -> None:
@@ -50,9 +50,9 @@ def with_clock(link: PlantLink) -> PlantLink:
 def with_reference(
     link: PlantLink, reference: Reference, joint_names: tuple[str, ...]
 ) -> PlantLink:
-    """The link, which sends `joint_reference` before each state, with the stamp of the state.
+    """Return the link, extended to send `joint_reference` before each state, with its stamp.
 
-    It says where the joints are to be, and how fast, when they are measured.
+    It contains the joints' reference positions and velocities at the time of measurement.
     """
     record = Record(topics.layout(topics.JOINT_REFERENCE, joint_names))
     motion = record.rows("position", "velocity")

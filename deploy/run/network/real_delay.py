@@ -1,8 +1,8 @@
-"""A real delay for `run`: what it takes, and where the relay between controller and plant stands.
+"""A real delay for `run`: its requirements, and the relay between controller and plant.
 
-The plant listens, and of the two only the controller connects: it is given the relay's endpoint in
-place of the plant's. No session finds another by itself (`bus_schema.zenoh.session`), so there is
-no way around the relay; the recorder has its own connections.
+The plant listens, and only the controller connects: it gets the relay's endpoint instead of the
+plant's. Sessions do not discover each other (`bus_schema.zenoh.session`), so nothing bypasses the
+relay; the recorder has separate connections.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 
 RELAY = "relay"
-"""What the process is called."""
+"""Name of the process."""
 LONGEST_MS = 1000.0
 _PROTOCOLS = ("tcp", "tls")
 
 
 class RelayOptions(NamedTuple):
-    """What a relay is given.
+    """Options of a relay.
 
     Attributes:
-        listen: HOST:PORT where connections come in.
-        connect: HOST:PORT that they are passed on to.
-        delay_ms: how long bytes are held back, each way.
+        listen: HOST:PORT that accepts connections.
+        connect: HOST:PORT that they are forwarded to.
+        delay_ms: delay of the bytes, each way.
     """
 
     listen: str
@@ -42,9 +42,9 @@ class RealDelay(NamedTuple):
     """A real delay between controller and plant.
 
     Attributes:
-        round_trip_ms: how long bytes are held back, there and back together.
-        endpoint: where the controller finds the plant: the relay.
-        plant_endpoint: where the relay does.
+        round_trip_ms: sum of the delays in both directions.
+        endpoint: endpoint for the controller: the relay's.
+        plant_endpoint: the plant's endpoint, for the relay.
     """
 
     round_trip_ms: float
@@ -53,18 +53,18 @@ class RealDelay(NamedTuple):
 
     @property
     def options(self) -> RelayOptions:
-        """What the relay is given."""
+        """Options of the relay."""
         here, there = (each.partition("/")[2] for each in (self.endpoint, self.plant_endpoint))
         return RelayOptions(here, there, 0.5 * self.round_trip_ms)
 
     @property
     def override(self) -> str:
-        """What makes a controller go by the relay."""
+        """Override that makes a controller connect to the relay."""
         return f"link.plant_endpoint={self.endpoint}"
 
 
 def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
-    """Check that a scenario can be run over such a delay.
+    """Check that a scenario can be run with such a delay.
 
     Raises:
         ScenarioError: it cannot.
@@ -92,10 +92,10 @@ def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
 
 
 def knowing_real_delay(setup: Setup, round_trip_ms: float) -> Setup:
-    """The scenario with a deadline and a controller that allow for the real delay.
+    """Return the scenario with a deadline and a controller that allow for the real delay.
 
-    By default both go by the delays of the link, and those do not have this one. What the scenario
-    says of either stays.
+    By default both follow from the link's delays, which do not include this one. Values given in
+    the scenario are not changed.
     """
     scenario = setup.scenario
     controller = scenario.controller
@@ -120,7 +120,7 @@ def _knowing_real_delay(setup: Setup, round_trip_ms: float) -> LinkConfiguration
 
 
 def real_delay(setup: Setup, round_trip_ms: float) -> RealDelay:
-    """Where the relay stands for a scenario with its final endpoints: at a free port."""
+    """Return the relay for a scenario with its final endpoints: at a free port."""
     plant_endpoint = setup.scenario.link.plant_endpoint
     (port,) = free_ports(1)
     endpoint = f"{plant_endpoint.rpartition(':')[0]}:{port}"

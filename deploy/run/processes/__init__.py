@@ -1,1 +1,1 @@
-"""The processes of a run: started, linked, made to fail, recorded."""
+"""The processes of a run: start, links, injected faults, recording."""

@@ -1,4 +1,4 @@
-"""One process of a run, as `run` sees it."""
+"""A child process of a run."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _POLL_S = 0.05
 
 
 class Failure(NamedTuple):
-    """How a process failed.
+    """Failure of a process.
 
     Attributes:
         text: one sentence.
-        is_cause: other failures are its consequences: it was killed or frozen from outside, or says
-            so itself.
-        is_bad_input: it was given what does not go together, a scenario and another one say.
+        is_cause: other failures are its consequences: it was killed or frozen from outside, or
+            reports itself as the cause.
+        is_bad_input: its inputs conflict, such as two different scenarios.
     """
 
     text: str
@@ -48,14 +48,14 @@ class Failure(NamedTuple):
 
 @dataclass
 class RunOutcome:
-    """How the processes of a run ended.
+    """Outcome of the processes of a run.
 
     Attributes:
         failures: one sentence for each process that failed; causes come before consequences.
         interrupted: the user stopped the run.
-        is_bad_input: a process of ours found that it was given what does not go together.
-        realtime: real-time settings that were asked for, by role.
-        relay: what the relay of a real delay reports; empty without one.
+        is_bad_input: one of our processes found that its inputs conflict.
+        realtime: requested real-time settings, by role.
+        relay: report of the relay of a real delay; empty without one.
     """
 
     failures: list[str] = field(default_factory=list)
@@ -66,7 +66,7 @@ class RunOutcome:
 
 
 def in_causal_order(failures: Sequence[str]) -> list[str]:
-    """Sentences about failures; that a process which failed itself was silent comes last."""
+    """Sort sentences about failures: a process's own failure comes before its silence."""
 
     def is_consequence(text: str) -> bool:
         peer = silent_peer(text)
@@ -78,18 +78,18 @@ def in_causal_order(failures: Sequence[str]) -> list[str]:
 
 
 class ChildProcess(ABC):
-    """One child process. It ends with its parent, and no signal of the terminal reaches it.
+    """A child process. It ends with its parent, and receives no signals of the terminal.
 
     Args:
         role: what it is called.
         errors: file that its standard error will be appended to.
 
     Attributes:
-        has_started: set once it is on the bus, as far as that can be known.
+        has_started: set once it is on the bus, as far as known.
     """
 
     _process: BaseProcess
-    """It, once it is started."""
+    """The process, once it is started."""
 
     def __init__(self, role: str, errors: Path) -> None:
         self.role = role
@@ -103,7 +103,7 @@ class ChildProcess(ABC):
 
     @property
     def sentinel(self) -> int:
-        """What `multiprocessing.connection.wait` takes to wait for its end."""
+        """Handle by which `multiprocessing.connection.wait` waits for the end of the process."""
         return self._process.sentinel
 
     def is_frozen(self) -> bool:
@@ -115,7 +115,7 @@ class ChildProcess(ABC):
         return stat.rpartition(")")[2].split()[0] in ("T", "t")
 
     def ask_to_stop(self) -> None:
-        """Ask once; a second signal could meet an interpreter that is already shutting down."""
+        """Request a stop, once: a second signal could hit an interpreter during its shutdown."""
         if self.is_running() and not self._was_asked_to_stop:
             self._was_asked_to_stop = True
             self.send(signal.SIGTERM)
@@ -123,20 +123,20 @@ class ChildProcess(ABC):
     def send(self, number: signal.Signals) -> None:
         """Send a signal."""
         if self._process.pid is not None and self.is_running():
-            with contextlib.suppress(ProcessLookupError):  # it has ended just now
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
                 os.kill(self._process.pid, number)
 
     def confirm(self) -> None:  # noqa: B027 (a program waits for nothing)
-        """Tell a child that waits for it that what it asked for is done."""
+        """Confirm to a waiting child that its requested action is done."""
 
     def kill(self) -> None:
-        """Kill it, and wait until it is gone."""
+        """Kill it, and wait until it has ended."""
         if self.is_running():
             self._process.kill()
         self._process.join()
 
     def _last_line(self) -> str:
-        """The last line on its standard error."""
+        """Return the last line on its standard error."""
         try:
             with self._errors.open("rb") as file:
                 file.seek(max(self._errors_before, file.seek(0, os.SEEK_END) - _LAST_BYTES))
@@ -148,17 +148,17 @@ class ChildProcess(ABC):
 
     @abstractmethod
     def failure(self) -> Failure | None:
-        """What went wrong with the process, which has ended; None if nothing did."""
+        """Return the failure of the ended process; None if there is none."""
 
 
 class Child(ChildProcess):
-    """A role of ours, which reports.
+    """A role of ours, which reports its status.
 
     Args:
         role: what it is called.
         function: what it does; returns its exit code.
-        options: what the function is called with, beside a reporter.
-        folder: of the run; what the role prints is in a file there, if it prints anything.
+        options: arguments of the function, besides a reporter.
+        folder: the run's folder; it gets a file with the role's output, if any.
         inbox: takes the messages it sends.
     """
 
@@ -191,9 +191,9 @@ class Child(ChildProcess):
         code = self._process.exitcode or 0
         self._reader.join(timeout=_MESSAGES_TIMEOUT_S)
         if code == -signal.SIGTERM and self._was_asked_to_stop:
-            return None  # it had not got as far as to leave in order, or was past it
+            return None  # it had not reached an orderly exit, or had passed it
         if code == INTERRUPTED and not self._faults:
-            return None  # it was asked to stop, by whomever, and left in order
+            return None  # it was asked to stop, by any process, and left in order
         if code < 0:
             return Failure(f"the {self.role} was killed by {signal_name(-code)}", is_cause=True)
         if self._faults:
@@ -216,12 +216,12 @@ class Child(ChildProcess):
 
 
 class LiveViewer(Child):
-    """The viewer of `run --live`, which is up once this is made, if it can be.
+    """The viewer of `run --live`; the constructor returns once it is ready, or has failed.
 
     Args:
-        view: what it does, given the folder and a reporter.
-        folder: of the run, with the scenario in force.
-        inbox: takes what it reports; where to look, first of all.
+        view: function of the process, called with the folder and a reporter.
+        folder: the run's folder, with the scenario in force.
+        inbox: takes its reports; the first contains its addresses.
     """
 
     def __init__(
@@ -237,7 +237,7 @@ class LiveViewer(Child):
                 return
 
     def end(self) -> None:
-        """End it; a failure is reported, but is no failure of the run."""
+        """End it; a failure is reported, but does not fail the run."""
         self.ask_to_stop()
         if not self.is_frozen():
             self._process.join(_VIEWER_STOPS_WITHIN_S)

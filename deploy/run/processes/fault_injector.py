@@ -1,4 +1,4 @@
-"""Kills, freezes and restarts processes when the plant asks for it: the faults of processes."""
+"""Faults of processes: kills, freezes and restarts processes on the plant's request."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _POLL_S = 0.002
 
 
 class ProcessFaultInjector:
-    """Does each action once: a plant that was restarted asks for all of its actions again.
+    """Performs each action once, even though a restarted plant requests all of its actions again.
 
     Args:
-        processes: the processes by role, as they are at any time.
+        processes: the current processes by role.
         start: starts a process anew.
 
     Attributes:
@@ -36,7 +36,7 @@ class ProcessFaultInjector:
         self.removed: set[Role] = set()
 
     def request(self, action: ProcessAction) -> None:
-        """Do what is asked for, unless it was asked for before."""
+        """Perform a requested action, unless it was requested before."""
         if action.number in self._requested:
             return
         self._requested.add(action.number)
@@ -47,7 +47,7 @@ class ProcessFaultInjector:
             self._later.add(ScheduledAction(due_ns, later.verb, lambda _: self._perform(later)))
 
     def run_due(self) -> None:
-        """Do what was asked for to be done later, and is due now."""
+        """Perform the postponed actions that are due."""
         self._later.run_due(time.monotonic_ns())
 
     def _perform(self, action: ProcessAction) -> None:

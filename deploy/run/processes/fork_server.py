@@ -1,8 +1,8 @@
-"""What Python's fork server does before it forks: it alone imports this module.
+"""Preparation of Python's fork server, which alone imports this module.
 
-A process of a run takes a second or two to load the program. Forked from one that has done so, and
-that has few threads whatever `run` has, it takes none. Each is given the environment variables of
-`run`; those here are the fork server's own.
+A process of a run takes a second or two to load the program. A fork of this server, which has
+loaded it and has few threads, takes no time for that. Each fork gets the environment variables of
+`run`; those here belong to the fork server.
 """
 
 import contextlib
@@ -13,27 +13,27 @@ import os
 import signal
 import sys
 
-gc.disable()  # until all is loaded: looking for garbage would be a sixth of that
+gc.disable()  # until all is loaded: garbage collection would take a sixth of that time
 if sys.platform == "linux":
-    # It would live as long as one of its processes does, and these leave when it ends.
+    # It would live as long as one of its processes, and these leave when it ends.
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 import numpy as np  # noqa: E402 (takes its time, in which the command may end)
 
-logging.disable()  # where kernels are kept, `run` itself says
+logging.disable()  # `run` itself reports where kernels are kept
 from bus_schema.runtime.compiled import HAS_SAID  # noqa: E402
 
 logging.disable(logging.NOTSET)
 from bus_schema.runtime.finite import all_finite  # noqa: E402
 
-os.environ[HAS_SAID] = "1"  # of this kernel `run` itself says that it compiles it
-with contextlib.suppress(Exception):  # whoever needs it will say what is wrong
-    all_finite(np.zeros(1))  # numba loads most of itself with the first compiled function
+os.environ[HAS_SAID] = "1"  # `run` itself reports that it compiles this kernel
+with contextlib.suppress(Exception):  # the process that needs it will report the error
+    all_finite(np.zeros(1))  # numba loads most of its modules with the first compiled function
 
 import deploy.run.processes.roles  # noqa: E402, F401
 from deploy.run.closed_output import outlive_readers  # noqa: E402
 
 outlive_readers()
-gc.set_threshold(200_000)  # more than a process of a run makes until it does without
-gc.freeze()  # no child looks through all this again, nor copies the memory that it is in
+gc.set_threshold(200_000)  # no run reaches this before it disables collection
+gc.freeze()  # no child collects these objects, or copies their memory
 gc.enable()

@@ -1,8 +1,8 @@
-"""`run`: recorder, plant and controller as child processes, watched until none is left.
+"""`run`: recorder, plant and controller as child processes, monitored until all have ended.
 
-Each child is a role; what it does is in `roles.py` beside this file. The controller may be a
-program of the user's own instead (`program.py`), or be awaited from elsewhere. With a real delay
-there is a `relay` between plant and controller.
+Each child is a role, defined in `roles.py` beside this file. The controller may also be a user's
+program (`program.py`), or a remote one that is awaited. With a real delay there is a `relay`
+between plant and controller.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class Launcher:
     Args:
         setup: the scenario.
         scenario: file of its effective form, which the processes read.
-        log: file for the recording. A recorder that is started in place of another one writes to
-            a file beside it: run-2.mcap, run-3.mcap and so on.
+        log: file for the recording. A restarted recorder writes to a file beside it: run-2.mcap,
+            run-3.mcap and so on.
         can_log: likewise for the frames of a CAN bus.
         delay: a real delay between controller and plant; None for none.
-        awaits_controller: start no controller, as one will come from elsewhere.
-        viewer: what a live view does, given the run's folder; None for no live view.
+        awaits_controller: start no controller, but wait for a remote one.
+        viewer: function of a live view, called with the run's folder; None for no live view.
     """
 
     def __init__(
@@ -91,13 +91,13 @@ class Launcher:
         self._stop_requested = True
 
     def run(self, on_message: Callable[[StatusMessage], None]) -> RunOutcome:
-        """Start, watch and clear up.
+        """Start, monitor and clean up.
 
         Args:
-            on_message: called with what the children report.
+            on_message: called with the children's status messages.
         """
         try:
-            if self._view is not None:  # before all others, so that nothing is missed
+            if self._view is not None:  # first of all, so that it misses nothing
                 self._viewer = LiveViewer(self._view, self._scenario_file.parent, self._inbox)
                 self._handle_messages(on_message)
             if self._delay is not None:
@@ -113,13 +113,13 @@ class Launcher:
             clear_left_behind()
         self._handle_messages(on_message)
         self._outcome.failures = in_causal_order(self._outcome.failures)
-        self._note_what_program_said()
+        self._note_suspicion()
         for start in range(1, self._starts[Role.RECORDER] + 1):
             record_failures(_numbered(self._log, start), self._outcome.failures)
         return self._outcome
 
     def _start(self, role: Role) -> None:
-        """Start a process, or another one in place of one that is gone."""
+        """Start a process, or replace one that has ended."""
         gone = self._children.get(role)
         if gone is not None:
             self._note_failure(gone.failure())
@@ -127,10 +127,10 @@ class Launcher:
         child = self._child(role)
         self._children[role] = child
         if gone is not None and self._setup.scenario.clock == "lockstep":
-            child.has_started.wait(_RESTART_TIMEOUT_S)  # virtual time waits for it
+            child.has_started.wait(_RESTART_TIMEOUT_S)  # in virtual time, the run waits for it
 
     def _child(self, role: Role) -> ChildProcess:
-        """A process of a role, started."""
+        """Start and return a process of a role."""
         link, controller = self._setup.scenario.link, self._setup.scenario.controller
         if role is Role.CONTROLLER and controller.process is not None:
             place = link.plant_endpoint if self._delay is None else self._delay.endpoint
@@ -145,7 +145,7 @@ class Launcher:
         return Child(role, roles.ROLES[role], options, self._scenario_file.parent, self._inbox)
 
     def _watch(self, on_message: Callable[[StatusMessage], None]) -> None:
-        """Follow the children until the plant is done and the others had time to follow."""
+        """Monitor the children until the plant has ended and the others had time to follow."""
         leave_by_s: float | None = None
         while self._injector.removed or self._one_of_ours_is_running():
             self._handle_messages(on_message)
@@ -156,7 +156,7 @@ class Launcher:
                 self._ask_to_stop()
             if self._has_gone(Role.RECORDER) or self._relay_has_gone():
                 plant.ask_to_stop()
-            self._look_after_program()
+            self._stop_program_or_peers()
             if self._has_gone(Role.PLANT) or self._has_gone(Role.CONTROLLER):
                 leave_by_s = leave_by_s or time.monotonic() + self._time_to_leave_s()
             if leave_by_s is not None and time.monotonic() > leave_by_s:
@@ -165,7 +165,7 @@ class Launcher:
             connection.wait(running, _POLL_S)
 
     def _ask_to_stop(self) -> None:
-        """The plant's end is the controller's too, where the controller does not lead the plant."""
+        """Ask children to stop at the plant's end; the controller too, unless it leads the run."""
         if self._setup.link_kind.controller_leads and Role.CONTROLLER in self._children:
             self._children[Role.CONTROLLER].ask_to_stop()
         self._children[Role.PLANT].ask_to_stop()
@@ -176,8 +176,8 @@ class Launcher:
         )
         return any(child.is_running() for child in ours)
 
-    def _look_after_program(self) -> None:
-        """A program of the user's own knows neither when a run is over nor whom else it keeps."""
+    def _stop_program_or_peers(self) -> None:
+        """Stop the user's program after the run, or the processes that wait for it in vain."""
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, ControllerProcess):
             return
@@ -186,14 +186,14 @@ class Launcher:
         if self._has_gone(Role.PLANT):
             program.ask_to_stop()
             if not self._has_begun:
-                self._children[Role.RECORDER].ask_to_stop()  # it may not have met the plant
+                self._children[Role.RECORDER].ask_to_stop()  # it may not have found the plant
         elif self._has_gone(Role.CONTROLLER) and not self._has_begun:
             plant = self._children[Role.PLANT]
-            if plant.has_started.is_set():  # before, a signal would kill it
+            if plant.has_started.is_set():  # earlier, a signal would kill it
                 plant.ask_to_stop()  # it would wait for the program in vain
 
     def _time_to_leave_s(self) -> float:
-        """The plant has its command timeout and its stop to get through, in wall time."""
+        """Return the wall time that the plant needs to leave: its command timeout and its stop."""
         if self._outcome.interrupted:
             return _STOP_TIMEOUT_S
         plant = self._setup.scenario.plant
@@ -211,16 +211,16 @@ class Launcher:
         return [*self._children.values(), *([] if self._relay is None else [self._relay])]
 
     def _clear_up(self) -> None:
-        """No process is left over, and each one's end is accounted for."""
+        """End all processes, and note how each one ended."""
         thaw()
-        early = self._relay if self._relay_has_gone() else None  # it is to outlast the others
+        early = self._relay if self._relay_has_gone() else None  # it must outlast the others
         frozen = self._ask_all_to_stop()
         for child in self._all_children():
             failure = _end(child, was_frozen=child in frozen, is_early=child is early)
             self._note_failure(failure)
 
     def _ask_all_to_stop(self) -> list[ChildProcess]:
-        """Give the children that still run time to stop; which of them are frozen and cannot."""
+        """Give the running children time to stop; return those that are frozen and cannot."""
         stuck = [child for child in self._all_children() if child.is_running()]
         frozen = [child for child in stuck if child.is_frozen()]
         for child in stuck:
@@ -232,8 +232,8 @@ class Launcher:
             time.sleep(_POLL_S)
         return frozen
 
-    def _note_what_program_said(self) -> None:
-        """Where a run failed or never began, a program may be the cause all the same."""
+    def _note_suspicion(self) -> None:
+        """Note the program's part in a failure: it may be the cause even if it did not fail."""
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, ControllerProcess) or program.failure() is not None:
             return
@@ -266,7 +266,7 @@ class Launcher:
 
 
 def _end(child: ChildProcess, *, was_frozen: bool, is_early: bool) -> Failure | None:
-    """Kill a child if it still runs; what is to be said of its end."""
+    """Kill a child if it still runs; note how it ended."""
     was_running = child.is_running()
     child.kill()
     if was_frozen:
@@ -280,5 +280,5 @@ def _end(child: ChildProcess, *, was_frozen: bool, is_early: bool) -> Failure | 
 
 
 def _numbered(path: Path, number: int) -> Path:
-    """The file of this number in a series, counted from 1: run.mcap, run-2.mcap and so on."""
+    """Return the file of this number in a series from 1: run.mcap, run-2.mcap and so on."""
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")

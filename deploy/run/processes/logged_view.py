@@ -1,4 +1,4 @@
-"""What 3-D viewers need of a run, in its recording and for whoever listens meanwhile."""
+"""Messages for 3-D viewers, in a run's recording and for live subscribers."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from bus_schema.view.arm_view import ArmView
 
 
 class LoggedView:
-    """Writes to a recording what 3-D viewers need of it, and tells others of it.
+    """Writes messages for 3-D viewers to a recording, and publishes them.
 
     Args:
         log: the recording.
         robot: the arm.
-        publish: called with each message too; its number.
-        sent_ns: when what comes first of all is sent, as `McapLog.write` has it.
+        publish: also called with each message; returns its number.
+        sent_ns: time of sending of the first messages, as for `McapLog.write`.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class LoggedView:
             self._write(topic, payload, 0, sent_ns)
 
     def show(self, state: bytes, stamp_ns: int, sent_ns: int) -> None:
-        """Tell where the links are at a joint state, as often as a viewer draws."""
+        """Write the links' poses at a joint state, as often as a viewer draws."""
         transforms = self._view.transforms(state, stamp_ns)
         if transforms is not None:
             self._write(TF, transforms, stamp_ns, sent_ns)
@@ -44,7 +44,7 @@ class LoggedView:
 
 
 def _numbered() -> Callable[[Topic, bytes], int]:
-    """A bus that nobody listens to."""
+    """Number messages for a bus without subscribers."""
     numbers: Counter[str] = Counter()
 
     def number(topic: Topic, _payload: bytes) -> int:

@@ -1,4 +1,4 @@
-"""What a recorder counts of the messages that come to it, and of those that never came."""
+"""Counts of a recorder's messages, and of missing ones."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections import Counter
 from bus_schema.zenoh.bundle_order import FORGED_NUMBER
 
 SECOND_PLANT = "second_plant"
-_MOST_STREAMS = 10_000  # whoever makes up an id for each message fills no memory
+_MOST_STREAMS = 10_000  # forged ids, one per message, must not fill the memory
 _LONGEST_GAP = 1 << 24
-"""Messages that a sender may have sent unheard, hours at 1 kHz; a longer gap is of no count."""
+"""Longest gap counted, hours at 1 kHz; a longer one shows no number of messages."""
 _MOST_EVENTS, _MOST_EVENT_BYTES, _MOST_EVENT_SENDERS = 5000, 1 << 20, 64
-"""Of one sender, and how many of these; a process of ours sends some dozens."""
+"""Limits on events per sender, their bytes, and senders; our processes send some dozens."""
 
 
 class GapCounter:
-    """Counts messages that never came, by the gaps in their senders' numbers.
+    """Counts missing messages by the gaps in their senders' numbers.
 
     Args:
-        rejected: counts, by reason, messages whose numbers no sender can have come to.
+        rejected: counts, by reason, messages with impossible numbers.
 
     Attributes:
         missed: messages that are missing, by topic.
@@ -30,9 +30,9 @@ class GapCounter:
         self._rejected = rejected
 
     def note(self, topic: str, sender: bytes, sequence: int) -> None:
-        """A message came; what is missing since the last one of its sender is missed.
+        """Note a message, and count those missing since its sender's last one.
 
-        Of those whose number is 0, which is none, nothing is known to be missing.
+        Messages without a number (0) show no gaps.
         """
         stream = topic, sender
         last = self._last_sequence.get(stream, 0)
@@ -48,9 +48,9 @@ class GapCounter:
                 self.missed[topic] += sequence - last - 1
 
     def expect(self, topic: str, count: int, came: int) -> int:
-        """Somebody else got `count` messages, of which `came` came here too.
+        """Compare with another receiver: it got `count` messages, of which `came` arrived here too.
 
-        How many of the others nobody had missed so far.
+        Return how many of the rest were not yet counted as missing.
         """
         unknown = max(0, count - came - self.missed[topic])
         self.missed[topic] += unknown
@@ -58,7 +58,7 @@ class GapCounter:
 
 
 class PlantSenders:
-    """Counts what cannot come from the one plant of a run: by a second sender, or once more.
+    """Counts messages that a run's only plant cannot have sent: by a second sender, or repeated.
 
     Args:
         rejected: counts them, by reason.
@@ -69,7 +69,7 @@ class PlantSenders:
         self._last: dict[str, tuple[bytes, int]] = {}
 
     def note(self, topic: str, sender: bytes, sequence: int) -> None:
-        """A message came that is the plant's to send; one that never numbers them sends 0."""
+        """Note a message of the plant's topics; its number is 0 if its sender gives none."""
         known, last = self._last.setdefault(topic, (sender, sequence - 1))
         if sender != known or (last > 0 and sequence <= last):
             self._rejected[SECOND_PLANT] += 1
@@ -78,7 +78,7 @@ class PlantSenders:
 
 
 class EventBudget:
-    """How many run events are recorded: where a run is judged, all of them are held in memory."""
+    """Limit on recorded run events: the judge of a run keeps all of them in memory."""
 
     def __init__(self) -> None:
         self._spent: dict[bytes, tuple[int, int]] = {}

@@ -1,4 +1,4 @@
-"""``controller.process``: a controller of the user's own on the bus, as a process of a run."""
+"""``controller.process``: a user's own controller on the bus, as a process of a run."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _NODE = "controller_process"
 
 
 def require_program(setup: Setup) -> None:
-    """Check that the program of ``controller.process`` is there, before anything starts.
+    """Check that the program of ``controller.process`` exists, before anything starts.
 
     Raises:
-        ScenarioError: it is not.
+        ScenarioError: it does not.
     """
     command = setup.scenario.controller.process
     if command is not None and shutil.which(command[0]) is None:
@@ -39,12 +39,12 @@ def require_program(setup: Setup) -> None:
 
 
 def program_variables(setup: Setup, scenario: Path, plant_endpoint: str) -> dict[str, str]:
-    """What the process is told of its run: environment variables, beside those of ours.
+    """Return the environment variables that describe the run to the process, besides ours.
 
     Args:
         setup: the scenario.
         scenario: file of its effective form.
-        plant_endpoint: where the process finds the plant.
+        plant_endpoint: the plant's endpoint for the process.
     """
     link, names = setup.scenario.link, setup.robot.joint_names
     session = secrets.token_hex(16)
@@ -70,18 +70,18 @@ def program_variables(setup: Setup, scenario: Path, plant_endpoint: str) -> dict
 
 
 class ControllerProcess(ChildProcess):
-    """The process of ``controller.process``, with whatever it starts itself.
+    """The process of ``controller.process``, with all processes that it starts.
 
-    When the run is over it is asked to stop; how it then ends is its own affair.
+    When the run is over it is asked to stop; how it then ends does not matter.
 
     Args:
         setup: the scenario.
-        scenario: file of its effective form; what the process says is written beside it.
-        plant_endpoint: where the process finds the plant.
+        scenario: file of its effective form; the process's output is written beside it.
+        plant_endpoint: the plant's endpoint for the process.
     """
 
     def __init__(self, setup: Setup, scenario: Path, plant_endpoint: str) -> None:
-        assert setup.scenario.controller.process is not None  # else there is none to start
+        assert setup.scenario.controller.process is not None  # otherwise there is none to start
         variables = program_variables(setup, scenario, plant_endpoint)
         self._name = setup.scenario.controller.name
         stdout, stderr = (
@@ -90,18 +90,18 @@ class ControllerProcess(ChildProcess):
         command = setup.scenario.controller.process
         super().__init__(Role.CONTROLLER, stderr)
         self._process = start_program(command, {**os.environ, **variables}, stdout, stderr)
-        self.has_started.set()  # it tells nobody when it is ready
+        self.has_started.set()  # it never reports that it is ready
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal to it and all it has started."""
+        """Send a signal to it and all processes that it started."""
         if self._process.pid is not None:
             try:
                 os.killpg(self._process.pid, number)
-            except ProcessLookupError:  # it has no group yet, or is gone
+            except ProcessLookupError:  # it has no group yet, or has ended
                 super().send(number)
 
     def kill(self) -> None:
-        """Kill it and all it has started, and wait until it is gone."""
+        """Kill it and all processes that it started, and wait until it has ended."""
         if self._process.pid is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -120,11 +120,11 @@ class ControllerProcess(ChildProcess):
         return Failure(f"the controller ({self._name}) {how}: {self._last_line()}", is_cause=True)
 
     def suspicion(self, *, plant_gave_up_first: bool) -> Failure | None:
-        """What it may have to do with a failure, for one that has not failed itself.
+        """Explain its possible part in a failure, if it has not failed itself.
 
         Args:
-            plant_gave_up_first: the plant, whose end is one for the program to end by, waited for
-                it in vain.
+            plant_gave_up_first: the plant waited for it in vain and ended, which may have ended the
+                program.
         """
         who, said = f"the controller ({self._name})", self._last_line()
         if not self._was_asked_to_stop and not plant_gave_up_first:

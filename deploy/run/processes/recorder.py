@@ -1,4 +1,4 @@
-"""The recorder: a process of its own that writes every message on the bus to an MCAP file."""
+"""The recorder: a separate process that writes every message on the bus to an MCAP file."""
 
 from __future__ import annotations
 
@@ -37,33 +37,33 @@ DATA_ATTACHMENTS = {
     **dict(zip(DELAY_KEYS, ("uplink_delays.txt", "downlink_delays.txt"), strict=True)),
     reference_file.KEY: "reference.csv",
 }
-"""What files that a scenario refers to are called there, by dotted key."""
+"""Names, in a recording, of the files that a scenario refers to, by dotted key."""
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
 REJECTED_METADATA = "rejected"
-"""What somebody else sent in the name of a process of the run, by reason."""
+"""Number of messages forged in the name of a process of the run, by reason."""
 DAMAGING = (SECOND_PLANT, ALTERED_BUNDLE)
-"""Reasons that leave open which messages are the plant's."""
+"""Reasons that make it uncertain which messages are the plant's."""
 FAILURES_METADATA = "failures"
-"""What the recorder cannot know: a sentence for each process that failed, causes first."""
+"""Facts that the recorder cannot know: a sentence for each failed process, causes first."""
 _LARGEST_BACKLOG_BYTES = 1 << 27
-"""A minute and more of what both loops send at 1 kHz."""
+"""A minute or more of both loops' messages at 1 kHz."""
 _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
-"""How long the backlog is still written once the recorder has to leave."""
+"""How long the recorder still writes its backlog after a stop request."""
 _MOST_COMMANDS = 1 << 40
 _FROZEN_S, _RETURN_S = 2.0, 12.0
-"""A recorder that stood still for so long gives its peers time to connect again."""
+"""A recorder that stood still for this long gives its peers time to connect again."""
 _PAUSE_S = 0.02
-"""Between two looks into the mailbox: waking up for each message would cost the loops time."""
+"""Time between two checks of the mailbox: waking up for each message would cost the loops time."""
 
 
 def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
-    """Begin the recording of a run, with all that is needed to judge or repeat it.
+    """Begin the recording of a run, with everything needed to judge or repeat it.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: it cannot be written.
     """
     names = setup.robot.joint_names
     tick_bytes = sum(
@@ -87,12 +87,12 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
 
 
 def close_log(log: McapLog, lost: Counter[str], rejected: Counter[str]) -> None:
-    """Finish a recording with the count of what it holds, and of what it lacks by topic.
+    """Finish a recording with the counts of its messages and of missing ones, by topic.
 
     Args:
         log: the recording.
-        lost: messages that never came to it, by topic.
-        rejected: messages and bundles that somebody else sent in another's name, by reason.
+        lost: number of missing messages, by topic.
+        rejected: number of messages and bundles sent in another's name, by reason.
     """
     log.finish_messages()
     missing = lost + log.lost
@@ -109,7 +109,7 @@ def _as_text(counts: Mapping[str, int]) -> dict[str, str]:
 
 
 def record_failures(path: Path, failures: Sequence[str]) -> None:
-    """Have a recording say what ended the run, wherever it is judged; also a partial one."""
+    """Write the failures that ended a run into its recording, even a partial one, for the judge."""
     for file in (path, partial_path(path)):
         if failures and file.is_file() and not file.is_symlink():
             try:
@@ -123,14 +123,14 @@ def record_failures(path: Path, failures: Sequence[str]) -> None:
 class Recorder:
     """Writes every message on the bus until both sides have left.
 
-    Its backlog is bounded. In real time the oldest of it makes room where the disk is too slow, so
-    that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk that fails ends
-    the recording but not the run: what comes later is counted.
+    Its backlog is bounded. In real time, if the disk is too slow, the oldest messages are dropped,
+    so that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk failure ends
+    the recording but not the run: later messages are counted.
 
     Args:
         setup: the scenario.
         path: file of the recording.
-        feed: takes what comes, for a live view.
+        feed: takes all messages, for a live view.
 
     Raises:
         OSError: the recording cannot be begun.
@@ -159,30 +159,30 @@ class Recorder:
 
     @property
     def messages(self) -> int:
-        """Messages in the recording."""
+        """Number of messages in the recording."""
         return self._log.messages
 
     @property
     def lost(self) -> Counter[str]:
-        """Messages that are not: by gaps in their senders' numbers, and by the disk; by topic."""
+        """Number of lost messages by topic: gaps in their senders' numbers, and disk failures."""
         return self._gaps.missed + self._log.lost
 
     @property
     def rejected(self) -> Counter[str]:
-        """What somebody else sent in the name of a process of this run, by reason."""
+        """Number of messages forged in the name of a process of this run, by reason."""
         return self._mailbox.rejected
 
     @property
     def failure(self) -> OSError | None:
-        """What ended the recording before its time, if anything did."""
+        """What ended the recording early, if anything did."""
         return self._log.failure
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
         """Record until both sides have left the bus, or until asked to stop.
 
         Raises:
-            PeerSilentError: nobody came.
-            ScenarioMismatchError: who came runs another scenario, and would be judged by this one.
+            PeerSilentError: no process joined.
+            ScenarioMismatchError: a process runs another scenario, and would be judged by this one.
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
         has_received = False
@@ -213,7 +213,7 @@ class Recorder:
                 )
 
     def close(self) -> None:
-        """Write what was received, as far as there is time, and finish the file."""
+        """Write the received messages, as far as there is time, and finish the file."""
         give_up_s = time.monotonic() + _CLOSE_TIMEOUT_S
         while time.monotonic() < give_up_s and self._write_what_came():
             pass
@@ -236,12 +236,12 @@ class Recorder:
         self._node.close()
 
     def _write_what_came(self) -> bool:
-        """Write what has come in, or a good part of it; whether anything had."""
+        """Write all waiting messages, or many of them; return whether there were any."""
         taken = written = 0
         while taken < _AT_ONCE and (messages := self._mailbox.take()) is not None:
             self._write(messages)
             written += len(messages)
-            taken += 1 + len(messages)  # what is not ours takes its time too
+            taken += 1 + len(messages)  # foreign messages take time too
         for gid, sequence in self._progress.items():
             self._node.tell_progress(gid, sequence)
         self._progress.clear()
@@ -250,7 +250,7 @@ class Recorder:
         return written > 0
 
     def _write(self, messages: list[Received]) -> None:
-        """Write messages, which is what the recorder spends its time on."""
+        """Write messages: the recorder's main work."""
         stamp_ns = self._last_stamp_ns
         feed = self._feed if self._feed is not None and self._feed.is_watched else None
         for topic, payload, sequence, source_time_ns, gid in messages:
@@ -263,7 +263,7 @@ class Recorder:
             told_ns = stamp_of(payload)
             if told_ns is not None:
                 stamp_ns = told_ns
-            # In virtual time, when a message was sent by the wall says nothing of the run.
+            # In virtual time, the wall time of sending is irrelevant to the run.
             sent_ns = stamp_ns if self._is_virtual else source_time_ns
             self._log.write(topic, sequence, stamp_ns, sent_ns, payload)
             if topic is topics.JOINT_STATES:
@@ -277,7 +277,7 @@ class Recorder:
         self._last_stamp_ns = stamp_ns
 
     def _read_event(self, payload: bytes, gid: bytes, sequence: int) -> None:
-        """Tell a process whose last message this is that all of its messages are recorded."""
+        """Acknowledge to a process, at its last message, that all its messages are recorded."""
         with contextlib.suppress(InvalidMessageError):
             event = RunEvent.decode(payload)
             if event.source == Role.PLANT:
@@ -290,7 +290,7 @@ class Recorder:
                     self._commands_received = count
 
     def _compare_with_the_plant(self) -> None:
-        """Count the commands that the plant received and that never came here."""
+        """Count commands that the plant received and that never arrived here."""
         name = topics.JOINT_COMMANDS.name
         came = self._log.written[name] + self._log.lost[name]
         missing = self._gaps.expect(name, self._commands_received, came)

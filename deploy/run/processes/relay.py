@@ -1,7 +1,7 @@
-"""The relay of a real delay: a process between two TCP peers that holds back every byte.
+"""The relay of a real delay: a process between two TCP peers that delays every byte.
 
-What an emulated delay leaves out is here: the bytes are on a real connection for as long, with the
-scheduling of the machine, the transport's own buffers and two processes that really are apart.
+Unlike an emulated delay, it includes a real connection, with the machine's scheduling, the
+transport's own buffers and two separate processes.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from deploy.scenario.yaml_files import ScenarioError
 
 _CHUNK_BYTES = 1 << 16
 _MOST_CHUNKS = 64
-"""A direction whose receiver does not read holds no more than this: the sender feels it."""
+"""Limit of chunks per direction: beyond it, the relay stops reading and the sender has to wait."""
 _CONNECT_TIMEOUT_S = 1.0
 _LOOK_UP_S = 0.1
-"""How often the relay looks whether it is to stop."""
+"""Period of the check for a stop request."""
 
 
 def relay(options: RelayOptions, reporter: StatusReporter) -> int:
-    """Be a relay between two TCP peers until asked to stop; the exit code."""
+    """Run a relay between two TCP peers until asked to stop; return the exit code."""
     stop = StopRequest()
     listen, target = tcp_address(options.listen), tcp_address(options.connect)
     if not 0.0 <= options.delay_ms <= LONGEST_MS:
         raise ScenarioError(f"--delay {options.delay_ms:g}: must be 0 to {LONGEST_MS:g} ms")
-    report_settings(go_realtime(), reporter)  # threads inherit them
+    report_settings(go_realtime(), reporter)  # threads inherit the signal mask
     family = socket.AF_INET6 if ":" in listen[0] else socket.AF_INET
     try:
         listener = socket.create_server(listen, family=family)
@@ -58,10 +58,10 @@ def relay(options: RelayOptions, reporter: StatusReporter) -> int:
 
 
 def tcp_address(text: str) -> tuple[str, int]:
-    """Host and port of HOST:PORT.
+    """Return host and port of HOST:PORT.
 
     Raises:
-        ScenarioError: it is something else.
+        ScenarioError: it has another form.
     """
     host, _, port = text.rpartition(":")
     if not (host and port.isdecimal() and 0 < int(port) < 1 << 16):
@@ -70,12 +70,12 @@ def tcp_address(text: str) -> tuple[str, int]:
 
 
 class DelayRelay:
-    """Takes connections and passes them on; they end with the process.
+    """Accepts connections and forwards them; they end with the process.
 
     Args:
-        listener: where connections come in.
-        target: host and port that each of them is passed on to.
-        delay_ns: how long bytes are held back, each way.
+        listener: socket that accepts connections.
+        target: host and port that each connection is forwarded to.
+        delay_ns: delay of the bytes, each way.
     """
 
     def __init__(self, listener: socket.socket, target: tuple[str, int], delay_ns: int) -> None:
@@ -84,14 +84,14 @@ class DelayRelay:
         listener.settimeout(_LOOK_UP_S)
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
-        """Relay until it is to stop."""
+        """Relay until asked to stop."""
         while not is_stop_requested():
-            with contextlib.suppress(OSError):  # nobody came, or gave up
+            with contextlib.suppress(OSError):  # none came, or it was closed again
                 near, _ = self._listener.accept()
                 _in_thread(self._pass_on, near)
 
     def counts(self) -> dict[str, Any]:
-        """Chunks that were passed on, and percentiles of how much later than due, in whole µs."""
+        """Return the number of forwarded chunks, and percentiles of their lateness, in whole µs."""
         total: Counter[int] = Counter()
         for stream in list(self._streams):
             total.update(stream.lateness_us.copy())
@@ -100,7 +100,7 @@ class DelayRelay:
         return {"chunks": total.total(), "lateness_us": percentiles(values, counts)}
 
     def _pass_on(self, near: socket.socket) -> None:
-        """Relay a connection to its end; if the target does not take it, it may come again."""
+        """Relay a connection to its end; if the target refuses it, the peer may try again."""
         with near, contextlib.suppress(OSError):
             far = socket.create_connection(self._target, _CONNECT_TIMEOUT_S)
             with far:
@@ -116,15 +116,15 @@ class DelayRelay:
 
 
 class DelayedStream:
-    """One direction of a connection, each of whose two ends a thread looks after.
+    """One direction of a connection, with a thread for each end.
 
     Args:
-        source: where the bytes come from.
-        sink: where they go.
-        delay_ns: how long they are held back.
+        source: socket to read from.
+        sink: socket to write to.
+        delay_ns: delay of the bytes.
 
     Attributes:
-        lateness_us: how much later than due chunks left, each with its count.
+        lateness_us: lateness of sent chunks, each value with its count.
     """
 
     def __init__(self, source: socket.socket, sink: socket.socket, delay_ns: int) -> None:
@@ -133,7 +133,7 @@ class DelayedStream:
         self.lateness_us: Counter[int] = Counter()
 
     def take_in(self) -> None:
-        """Read to the end; a broken connection ends as one that is closed, with an empty chunk."""
+        """Read to the end; a broken connection ends like a closed one, with an empty chunk."""
         chunk = b"some"
         while chunk:
             try:
@@ -143,7 +143,7 @@ class DelayedStream:
             self._held.put((time.monotonic_ns() + self._delay_ns, chunk))
 
     def let_go(self) -> None:
-        """Send each chunk when it is due, and pass the end on."""
+        """Send each chunk when it is due, then forward the end."""
         chunk = b"some"
         while chunk:
             due_ns, chunk = self._held.get()
@@ -154,7 +154,7 @@ class DelayedStream:
                     return
                 self._sink.sendall(chunk)
                 self.lateness_us[(time.monotonic_ns() - due_ns) // 1000] += 1
-            except OSError:  # the receiver is gone: nothing more is taken in
+            except OSError:  # the receiver has gone: stop reading
                 with contextlib.suppress(OSError):
                     self._source.shutdown(socket.SHUT_RD)
 

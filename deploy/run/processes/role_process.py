@@ -1,7 +1,7 @@
-"""A process of its own, forked from one that has few threads: a role of a run, or a program.
+"""A separate process, forked from one that has few threads: a role of a run, or a program.
 
-A role is a function; it finds the libraries of the program loaded. A program of the user's own
-takes the place of all that is there.
+A role is a function that runs with our libraries already loaded. A user's program replaces the
+whole process image.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ if TYPE_CHECKING:  # the fork server starts before `run` loads the libraries, an
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["deploy.run.processes.fork_server"])
 CANNOT_START = 127
-"""Exit code of a program that could not be started, as shells have it."""
+"""Exit code of a program that could not be started, as in shells."""
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 _SAFE_PATH = "PYTHONSAFEPATH"
 _LONG_PATH = 60
-"""Of the 107 characters that the path of a socket may have, 32 are Python's own."""
+"""Of the 107 characters allowed in a socket's path, Python uses 32."""
 _LEAVE_WITHIN_S = 30
-"""Longer than any process takes to leave in order."""
+"""Longer than any process needs to leave in order."""
 Options = TypeVar("Options")
 _sockets: list[int] = []
-"""At most one: the file descriptor by which the fork server is reached."""
+"""At most one: the file descriptor of the connection to the fork server."""
 
 
 class _Surroundings(NamedTuple):
-    """What a process is given beside what it does.
+    """Context of a process, besides its function.
 
     Attributes:
         environment: its environment variables.
-        outputs: files that its standard output and error are appended to.
+        outputs: files to which its standard output and error are appended.
         fork_server: id of the process that it is forked from.
     """
 
@@ -60,7 +60,7 @@ class _Surroundings(NamedTuple):
     fork_server: int
 
     def enter(self) -> None:
-        """Take them on; no signal of the terminal reaches this process from here on."""
+        """Apply them; from here on, no signal of the terminal reaches this process."""
         os.setsid()
         os.environ.clear()
         os.environ.update(self.environment)
@@ -70,11 +70,11 @@ class _Surroundings(NamedTuple):
 
 
 def prepare() -> None:
-    """Start the process that others are forked from, which loads the program meanwhile.
+    """Start the fork server, which loads the program in the background.
 
-    To be called in the main thread. It ends with this process.
+    Call it in the main thread. The server ends with this process.
     """
-    with _fork_server_survives(), _socket_without_a_path():
+    with _shielded_fork_server(), _socket_without_a_path():
         forkserver.ensure_running()
 
 
@@ -88,14 +88,14 @@ def start_role(
     """Start a role in this folder; from the main thread. It ends with this process.
 
     Args:
-        role: what the process is called.
-        function: what it does; returns its exit code.
-        options: what it is called with, beside a reporter.
-        folder: of the run.
-        output: file that takes what it, or a law in it, prints.
+        role: name of the process.
+        function: its function; returns the exit code.
+        options: arguments of the function, besides a reporter.
+        folder: the run's folder.
+        output: file for its output, and that of a law in it.
 
     Returns:
-        the process, and the connection that takes what it reports.
+        the process, and the connection for its reports.
     """
     ours, theirs = _CONTEXT.Pipe()
     with theirs:
@@ -107,23 +107,23 @@ def start_role(
 def start_program(
     command: Sequence[str], environment: Mapping[str, str], stdout: Path, stderr: Path
 ) -> BaseProcess:
-    """Start a program in this folder, in a process group of its own; from the main thread.
+    """Start a program in this folder, in a separate process group; from the main thread.
 
     It is killed when this process ends, and no signal of the terminal reaches it.
 
     Args:
         command: the program and its arguments.
         environment: all of its environment variables.
-        stdout: file that takes its standard output.
-        stderr: file that takes its standard error.
+        stdout: file for its standard output.
+        stderr: file for its standard error.
     """
     return _fork(_run_program, environment, (stdout, stderr), list(command))
 
 
 def thaw() -> None:
-    """Have what processes are forked from go on where it is frozen (stopped by a signal).
+    """Resume the fork server if it is frozen (stopped by a signal).
 
-    Until then nobody's end is noticed. So does the process that clears up after it.
+    While it is frozen, no child's end is noticed. Its resource tracker is resumed too.
     """
     for pid in (forkserver._forkserver._forkserver_pid, resource_tracker._resource_tracker._pid):  # type: ignore[attr-defined]
         if pid is not None:
@@ -135,11 +135,11 @@ atexit.register(thaw)
 
 
 def end_with_parent(parent_pid: int) -> None:
-    """Have this process leave in order when its parent is gone, even if it is stopped by then.
+    """Make this process leave in order when its parent is gone, even if it is stopped by then.
 
-    The signal asked for is SIGCONT: only that and SIGKILL reach a process that is stopped, and
-    SIGKILL would leave no time to finish a file. To be called before anything that takes time, in
-    the main thread. Where there is no Linux, nothing is asked for.
+    It requests SIGCONT from Linux: only that and SIGKILL reach a stopped process, and SIGKILL would
+    leave no time to finish a file. Call it first, in the main thread. On other systems it does
+    nothing.
 
     Args:
         parent_pid: process id of the parent, which may be gone already.
@@ -147,7 +147,7 @@ def end_with_parent(parent_pid: int) -> None:
 
     def leave_without_parent(_number: int = 0, _frame: FrameType | None = None) -> None:
         if os.getppid() != parent_pid:
-            signal.alarm(_LEAVE_WITHIN_S)  # ends a process that does not get round to leaving
+            signal.alarm(_LEAVE_WITHIN_S)  # ends a process that does not leave in time
             os.kill(os.getpid(), signal.SIGTERM)
 
     signal.signal(signal.SIGCONT, leave_without_parent)
@@ -162,10 +162,10 @@ def _fork(
     outputs: tuple[Path, Path],
     *arguments: Any,
 ) -> BaseProcess:
-    """Start a process; a request to stop can end the wait for a fork server that is frozen.
+    """Start a process; a stop request can end the wait for a frozen fork server.
 
     Raises:
-        ChildProcessError: something ended the fork server meanwhile.
+        ChildProcessError: the fork server was ended meanwhile.
     """
     prepare()
     server: int = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
@@ -179,13 +179,13 @@ def _fork(
 
 
 @contextmanager
-def _fork_server_survives() -> Iterator[None]:
-    """For a fork server to be started: nothing that is meant for this process ends it.
+def _shielded_fork_server() -> Iterator[None]:
+    """Let a fork server start that survives signals meant for this process.
 
-    It is in the process group that a terminal, or `timeout`, tells to stop; and modules in this
-    folder are not to take the place of ours.
+    It is in the process group that a terminal, or `timeout`, stops. Also, modules in the current
+    folder must not replace ours.
     """
-    resource_tracker.ensure_running()  # which would let the signals through
+    resource_tracker.ensure_running()  # it would let the signals through
     signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     is_ours = _SAFE_PATH not in os.environ
     os.environ.setdefault(_SAFE_PATH, "1")
@@ -199,10 +199,10 @@ def _fork_server_survives() -> Iterator[None]:
 
 @contextmanager
 def _socket_without_a_path() -> Iterator[None]:
-    """For a fork server to be started: its socket is removed at once, and reached without a path.
+    """Let a fork server start whose socket has no path: its file is removed at once.
 
-    A process that is killed could not remove it at its end. Where there is no Linux, it stays until
-    then. The path must be short, which not every TMPDIR is.
+    A killed process could not remove it. Without Linux, it stays until the end. The path must be
+    short, unlike some values of TMPDIR.
     """
     if sys.platform != "linux":
         yield
@@ -218,7 +218,7 @@ def _socket_without_a_path() -> Iterator[None]:
         finally:
             settings["tempdir"] = others
         if server._forkserver_address.startswith(folder):
-            while _sockets:  # of a fork server that has ended
+            while _sockets:  # of an ended fork server
                 os.close(_sockets.pop())
             _sockets.append(os.open(server._forkserver_address, os.O_PATH))
             server._forkserver_address = f"/proc/self/fd/{_sockets[0]}"
@@ -232,10 +232,10 @@ def _run_role(
     channel: Connection,
     folder: Path,
 ) -> None:
-    """Call the function, and end as a command does."""
+    """Call the function, and exit as a command does."""
     from deploy.run.processes.status import StatusReporter
 
-    title = f"{sys.executable} -m deploy.cli {role} {folder}"  # for `ps` and the like
+    title = f"{sys.executable} -m deploy.cli {role} {folder}"  # for `ps` and similar tools
     setproctitle(title.encode(errors="replace").decode())  # finds its place by the old environment
     surroundings.enter()
     launcher = multiprocessing.parent_process()
@@ -251,7 +251,7 @@ def _run_role(
 
 
 def _set_up_output(reporter: StatusReporter) -> None:
-    """What is printed or logged is written at once; that something compiles is reported."""
+    """Write all output at once, and report when kernels are compiled."""
     from bus_schema.runtime import compiled
 
     def is_written(record: logging.LogRecord) -> bool:
@@ -268,12 +268,12 @@ def _set_up_output(reporter: StatusReporter) -> None:
 
 
 def _run_program(surroundings: _Surroundings, command: list[str]) -> NoReturn:
-    """Become the program."""
+    """Replace this process by the program."""
     folder = Path.cwd()
     surroundings.enter()
-    if sys.platform == "linux":  # its parent, the fork server, ends with whoever asked for it
+    if sys.platform == "linux":  # its parent, the fork server, ends with the requesting process
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # which Python ignores, and programs inherit
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ignored by Python, and inherited by programs
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
     try:
         os.chdir(folder)

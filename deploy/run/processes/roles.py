@@ -1,4 +1,4 @@
-"""What each process of a run does: controller, plant, recorder."""
+"""The functions of a run's processes: controller, plant, recorder."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ logger = logging.getLogger(__name__)
 
 _PROGRESS_S = 0.2
 _LONGEST_AWAKE_NS = 60_000
-"""Before a tick: some four times what it takes to wake a thread up."""
+"""Time spent awake before a tick: about four times a thread's wake-up time."""
 
 
 @dataclass(frozen=True)
 class RoleOptions:
-    """What controller, plant or recorder is given.
+    """Options of controller, plant or recorder.
 
     Attributes:
         scenario: name or path.
@@ -66,7 +66,7 @@ class RoleOptions:
 
 
 def plant(options: RoleOptions, reporter: StatusReporter) -> int:
-    """Be the plant: emulate the arm for a controller on the bus; the exit code."""
+    """Run the plant: emulate the arm for a controller on the bus; return the exit code."""
     setup = load_setup(options.scenario, options.overrides)
     check_link(setup, one_process=False)
     require_keys(setup, Role.PLANT)
@@ -96,7 +96,7 @@ def plant(options: RoleOptions, reporter: StatusReporter) -> int:
         with _reporting_progress(reporter, lambda: _plant_progress(loop, setup)):
             outcome = loop.run()
         link.await_recorded()
-        if outcome.faults:  # of a controller that left at once, it shows late why
+        if outcome.faults:  # a controller that left at once explains it late
             link.require_same_scenario(Role.CONTROLLER)
         _report_outcome(outcome, reporter)
         if outcome.faults:
@@ -121,7 +121,7 @@ def _report_outcome(outcome: PlantOutcome, reporter: StatusReporter) -> None:
 
 
 def controller(options: RoleOptions, reporter: StatusReporter) -> int:
-    """Be the controller: answer the joint states of a plant on the bus; the exit code."""
+    """Run the controller: answer the joint states of a plant on the bus; return the exit code."""
     setup = load_setup(options.scenario, options.overrides)
     check_link(setup, one_process=False)
     require_own_controller(setup)
@@ -157,10 +157,10 @@ def controller(options: RoleOptions, reporter: StatusReporter) -> int:
 
 
 def _failure_of(step: Callable[[], None]) -> Exception | None:
-    """Do a step in which a law is called; what it raised, if anything."""
+    """Do a step that calls a law; return its exception, if any."""
     try:
         step()
-    except Exception as error:  # noqa: BLE001 (whatever a law does, the end is in order)
+    except Exception as error:  # noqa: BLE001 (for any error of a law, the end is in order)
         return error
     return None
 
@@ -168,10 +168,10 @@ def _failure_of(step: Callable[[], None]) -> Exception | None:
 def _end(
     loop: ControlLoop, link: ControllerLink, failure: Exception | None, reporter: StatusReporter
 ) -> None:
-    """Leave the bus in order, and report what stopped the controller, if anything did."""
+    """Leave the bus in order, and report the reason if the controller was stopped."""
     if failure is not None:
         reason = reason_of(failure)
-        # What the controller does is a cause; what the bus does may follow from others.
+        # The controller's own failures are causes; those of the bus may be consequences.
         bus_is_cause = isinstance(failure, BusError) and failure.is_cause
         is_cause = bus_is_cause or isinstance(failure, ControllerError)
         reporter.report("fault", text=reason, is_cause=is_cause)
@@ -181,7 +181,7 @@ def _end(
 
 
 def recorder(options: RoleOptions, reporter: StatusReporter) -> int:
-    """Be the recorder: write every message on the bus to a file; the exit code."""
+    """Run the recorder: write every message on the bus to a file; return the exit code."""
     setup = load_setup(options.scenario, options.overrides)
     require_keys(setup, Role.RECORDER)
     assert options.log is not None  # the file
@@ -189,7 +189,7 @@ def recorder(options: RoleOptions, reporter: StatusReporter) -> int:
 
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
-    """Be the recorder for one run, and feed live views of it; the exit code."""
+    """Run the recorder for one run, and feed its live views; return the exit code."""
     leave_loops_their_cpus()
     if setup.scenario.clock == "realtime":
         report_settings([raise_priority()], reporter)
@@ -231,7 +231,7 @@ ROLES = {Role.CONTROLLER: controller, Role.PLANT: plant, Role.RECORDER: recorder
 
 
 def _live_feed(setup: Setup, recording: Path) -> LiveFeed | None:
-    """Where live views find the run; None where there is no place for it, which costs no run."""
+    """Return the feed of live views; None if its socket cannot be created, which fails no run."""
     scenario = recording.resolve().with_name(SCENARIO_ATTACHMENT)
     try:
         return LiveFeed(setup.scenario.link.plant_endpoint, scenario, setup.robot.joint_names)
@@ -246,7 +246,7 @@ def _between_processes(setup: Setup, can_log: Path | None = None) -> LinkRun:
 
 
 def _exit_code(error: Exception) -> int:
-    """Different scenarios are bad input, though it shows only once both are there."""
+    """Return the exit code: a mismatch of scenarios is bad input, even if found late."""
     return BAD_INPUT if isinstance(error, ScenarioMismatchError) else FAULT
 
 
@@ -254,7 +254,7 @@ def _exit_code(error: Exception) -> int:
 def _reporting_progress(
     reporter: StatusReporter, progress: Callable[[], dict[str, Any]]
 ) -> Iterator[None]:
-    """Report how the loop is doing a few times a second, from outside the loop."""
+    """Report the loop's progress a few times a second, from outside the loop."""
     over = threading.Event()
 
     def report() -> None:

@@ -1,4 +1,4 @@
-"""How the processes of a run are scheduled: real-time priorities, CPUs, and what is refused."""
+"""Scheduling of a run's processes: real-time priorities, CPUs, and refused settings."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from deploy.run.processes.status import StatusReporter
 from deploy.scenario.setup import Setup
 
 _BEHIND_OTHERS = 49
-"""Priority of a loop without a CPU of its own: loops of other runs that have one go first."""
+"""Priority of a loop without its own CPU, below that of other runs' loops with one."""
 
 _REMEDIED = (SCHEDULER, MEMORY_LOCK, IDLE_STATES, PRECEDENCE)
 _GROUP = "realtime"
 
 
 def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> bool:
-    """Have a loop scheduled as its clock wants it, and report that; before other threads exist.
+    """Schedule a loop by its clock, and report the settings; call it before other threads exist.
 
     Returns:
-        whether it has a CPU that no other real-time loop runs on.
+        whether it has a CPU without another real-time loop.
     """
     if setup.scenario.clock != "realtime":
         use_batch_scheduling()
-        # Each waits for the other at every tick; to wake up a CPU would be half of that. It is no
-        # matter of deadlines: where it is refused, the run takes longer.
+        # Each waits for the other at every tick, and waking an idle CPU would take half of that
+        # time. It does not affect deadlines: if it is refused, the run only takes longer.
         sleep_lightly()
         return False
     candidates = _cpus_for(setup, role)
@@ -55,9 +55,9 @@ def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> boo
 
 
 def leave_loops_their_cpus() -> None:
-    """Keep the calling process off the CPUs that loops are given first, where there are others.
+    """Keep the calling process off the CPUs that loops get first, if there are others.
 
-    For whoever works beside a run: recorder and live view. To be called before other threads exist.
+    For processes beside the loops: recorder and live view. Call it before other threads exist.
     """
     if sys.platform == "linux":
         usable = sorted(os.sched_getaffinity(0))
@@ -66,7 +66,7 @@ def leave_loops_their_cpus() -> None:
 
 
 def report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
-    """Report what was asked of the system, and what the lack of it costs."""
+    """Report the settings requested from the system, and the cost of those that are missing."""
     told = [vars(setting) for setting in settings]
     reporter.report("realtime", settings=told)
     if text := missing_settings(told):
@@ -85,10 +85,10 @@ def _cpus_for(setup: Setup, role: Role) -> list[int]:
 
 
 def missing_settings(settings: Iterable[Mapping[str, Any]]) -> str:
-    """One line on settings that were refused; empty where none was.
+    """Describe refused settings in one line; empty if none was.
 
     Args:
-        settings: fields of `RealtimeSetting`, of one process or of several.
+        settings: fields of `RealtimeSetting`, from one process or several.
     """
     refused = [setting for setting in settings if not setting["granted"]]
     names = dict.fromkeys(setting["name"] for setting in refused)
@@ -102,7 +102,7 @@ def missing_settings(settings: Iterable[Mapping[str, Any]]) -> str:
 
 
 def remedy() -> str:
-    """Commands that allow real-time runs to the user, to be copied; nothing is changed by it."""
+    """Return commands that allow real-time runs to the user; they are only shown."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container's user without an entry in /etc/passwd

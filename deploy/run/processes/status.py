@@ -1,4 +1,4 @@
-"""Status messages of a process: objects for `run` that started it, or sentences for people."""
+"""Status messages of a process: objects for the `run` that started it, or sentences."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from plant_emulator.faults.process_faults import ProcessAction
 
 _PROGRESS_EVERY_S = 5.0
 _UNITS = {"s": "s", "us": "µs", "mrad": "mrad"}
-"""Of values whose names end in them."""
+"""Units by the ending of a value's name."""
 
 
 class StatusMessage(NamedTuple):
     """A message of a process about itself.
 
     Attributes:
-        role: the process: a `Role`, or the name of one that is not on the bus.
+        role: the process: a `Role`, or the name of a process that is not on the bus.
         kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action``,
-            ``result``, or ``compiles`` where it has numerical kernels to compile.
-        values: what belongs to the kind.
+            ``result``, or ``compiles`` if it has to compile numerical kernels.
+        values: content of this kind of message.
     """
 
     role: str
@@ -34,7 +34,7 @@ class StatusMessage(NamedTuple):
 
 
 def in_words(values: Mapping[str, Any]) -> str:
-    """Values by name as a sentence for people: ``ticks 500, wall 0.5 s, rejected: none``."""
+    """Format values by name as a sentence: ``ticks 500, wall 0.5 s, rejected: none``."""
     return ", ".join(_value_in_words(name, value) for name, value in values.items())
 
 
@@ -55,11 +55,11 @@ def _value_in_words(name: str, value: Any) -> str:
 
 
 class StatusReporter:
-    """Sends the status messages of a process; its threads may do so at once.
+    """Sends the status messages of a process; safe for several threads.
 
     Args:
         role: the process.
-        channel: takes them, as kind and values; None for sentences to people.
+        channel: receives kind and values; None for sentences to people.
     """
 
     def __init__(self, role: str, channel: Connection | None = None) -> None:
@@ -70,9 +70,9 @@ class StatusReporter:
         self._next_progress_s = time.monotonic()
 
     def report(self, kind: str, **values: Any) -> None:
-        """Report something; the kinds are those of a `StatusMessage`."""
+        """Report a status; kinds as in `StatusMessage`."""
         if self._channel is not None:
-            with self._lock, contextlib.suppress(OSError):  # nobody reads it any longer
+            with self._lock, contextlib.suppress(OSError):  # no process reads it any longer
                 self._channel.send((kind, values))
         elif kind in ("note", "lacks", "fault"):
             self._console.print(f"{self._role}: {values['text']}", markup=False)
@@ -80,7 +80,7 @@ class StatusReporter:
             self._console.print(f"{self._role}: {in_words(values)}", markup=False)
 
     def _is_time_for_progress(self) -> bool:
-        """`run` draws a bar from every message; a person reads a line now and then."""
+        """Whether to show progress: `run` draws every message in a bar, people read a few lines."""
         now_s = time.monotonic()
         if now_s < self._next_progress_s:
             return False
@@ -88,7 +88,7 @@ class StatusReporter:
         return True
 
     def request(self, action: ProcessAction, *, await_execution: bool) -> None:
-        """Have `run` do something to a process; without `run` nobody does."""
+        """Request an action on a process from `run`; without `run` it is not done."""
         if self._channel is not None:
             self.report("process_action", action=action)
             if await_execution:

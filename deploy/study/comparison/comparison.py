@@ -38,13 +38,12 @@ COLUMNS = {"point": "string", **_VARIED}
 
 
 class ComparisonDefinition(StudyDefinition):
-    """A comparison, as its folder keeps it.
+    """Definition of a comparison, as stored in its folder.
 
     Attributes:
         scenario: a scenario file, or the name of a shipped one.
-        laws: which; all shipped ones and the scenario's own if null.
-        settling_rad: also start each law with errors of these sizes, and follow it until it has
-            settled.
+        laws: the laws; all shipped ones and the scenario's own if null.
+        settling_rad: also start each law with errors of these sizes, until it has settled.
     """
 
     scenario: str
@@ -53,10 +52,10 @@ class ComparisonDefinition(StudyDefinition):
 
 
 class Comparison(StudyOfRuns):
-    """The runs of a comparison: each law is recorded to a folder of its own, but for settling.
+    """The runs of a comparison: each law is recorded to its own folder, except for settling.
 
     Attributes:
-        setups: the scenario under each law, by the name that the law has in results.
+        setups: the scenario with each law, by the law's name in results.
     """
 
     kind = KIND
@@ -111,7 +110,7 @@ class Comparison(StudyOfRuns):
                 yield from self._starts(index, law, overrides)
 
     def _starts(self, index: int, law: str, overrides: Sequence[str]) -> Iterator[PlannedRun]:
-        """The starts of a law from near and far."""
+        """Return the starts of a law with small and large errors."""
         duration_s = min(LONGEST_S, self.setups[law].scenario.duration_s)
         for place, size_rad in enumerate(self.definition.settling_rad):
             start = override("robot.initial_offset_rad", offset_of(self.setups[law], size_rad))
@@ -134,7 +133,7 @@ class Comparison(StudyOfRuns):
         }
 
     def settling(self, rows: list[Row]) -> list[SettlingTest]:
-        """The laws all of whose starts are done."""
+        """Return the laws whose starts are all done."""
         sizes, found = self.definition.settling_rad, []
         for law, setup in self.setups.items():
             started = {row["offset_rad"]: row for row in rows if row["law"] == law}
@@ -153,11 +152,11 @@ class Comparison(StudyOfRuns):
 
 @dataclass(frozen=True)
 class ComparedRuns:
-    """Runs of one scenario under several laws, in the order asked for.
+    """Runs of one scenario with several laws, in the requested order.
 
     Attributes:
         runs: a run for each law.
-        settling: what became of starts from near and far, for each law that was put to that test.
+        settling: results of starts with small and large errors, for each tested law.
     """
 
     runs: list[JudgedRun]
@@ -165,20 +164,20 @@ class ComparedRuns:
 
     @property
     def drawn(self) -> list[JudgedRun]:
-        """Runs with something to draw."""
+        """Runs that can be drawn."""
         return [run for run in self.runs if len(run.data.tables[topics.PLANT_TRUTH.name]) > 1]
 
     def colour_index(self, law: str) -> int:
-        """Place of a law among all, which gives its colour."""
+        """Return the index of a law among all, which selects its colour."""
         return [run.law for run in self.runs].index(law)
 
 
 def compared_in(path: Path, summary: Mapping[str, Any]) -> ComparedRuns:
-    """The runs of a folder with a comparison, which are judged again.
+    """Return the runs in the folder of a comparison, judged again.
 
     Args:
         path: the folder.
-        summary: what it says of the comparison.
+        summary: its summary of the comparison.
 
     Raises:
         RunFolderError: a run is missing or cannot be read.
@@ -191,11 +190,11 @@ def compared_in(path: Path, summary: Mapping[str, Any]) -> ComparedRuns:
 
 
 def rows_again(compared: ComparedRuns, before: Sequence[Row]) -> list[Row]:
-    """The rows of a comparison whose recordings were judged again, in order.
+    """Return the rows of a comparison whose recordings were judged again, in order.
 
     Args:
         compared: its runs.
-        before: the rows that are there, with those of starts, which have no recording.
+        before: the existing rows, with those of starts, which have no recording.
     """
     starts = [each for each in before if each.get("offset_rad") is not None]
     of_law = {each["law"]: each for each in before if each not in starts}
@@ -208,12 +207,12 @@ def rows_again(compared: ComparedRuns, before: Sequence[Row]) -> list[Row]:
 
 
 def law_folder(law: str) -> str:
-    """Where in a comparison the run of a law is."""
+    """Return the folder of a law's run in a comparison."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", law)
 
 
 def judged_again(name: str, path: Path) -> JudgedRun:
-    """A recorded run; what its recording cannot know is what its folder tells.
+    """Return a recorded run, with facts that only its folder contains.
 
     Raises:
         RunFolderError: it cannot be read.

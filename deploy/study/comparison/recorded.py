@@ -1,4 +1,4 @@
-"""Recorded runs side by side: whatever they differ in, as long as they drive the same joints."""
+"""Recorded runs side by side: any runs that drive the same joints."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ _FILES = ("robot.urdf", "reference.file", "distribution_file")
 
 
 class Parting(NamedTuple):
-    """Where a run leaves the first one.
+    """Tick at which a run departs from the first one.
 
     Attributes:
-        tick: of the first run, the first at which position, velocity or torque of a joint are not
-            the same bits, of those instants at which both have a tick; else where one of them ends.
-        time_s: of that tick.
-        largest_rad: how far apart a joint's positions are at most, over these instants; None where
-            they have none.
-        is_end: nothing differs before that tick: one of them ends there.
+        tick: tick of the first run at which, among the instants common to both, position, velocity
+            or torque of a joint first differ in a bit; or the one at which either run ends.
+        time_s: time of that tick.
+        largest_rad: largest difference of a joint's positions over these instants; None without
+            any.
+        is_end: nothing differs before that tick, where one of them ends.
     """
 
     tick: int
@@ -52,15 +52,14 @@ class Parting(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRuns(ComparedRuns):
-    """Runs side by side, by labels in place of laws; the others are held against the first.
+    """Runs side by side, by labels instead of laws; each is compared with the first.
 
     Attributes:
         paths: folders or MCAP files of the runs.
-        partings: of each run from the first; None where all ticks are the same bits that both
-            recordings have.
-        differing: values of the scenarios by run, as JSON, for each key that is not the same in
-            all; None where a scenario lacks it. Without what belongs to a host, without gains of
-            laws that none of the runs has, and without the clock where one is a simulation.
+        partings: parting of each run from the first; None if all common ticks are equal to the bit.
+        differing: values of the scenarios by run, as JSON, for each key that differs; None where a
+            scenario lacks it. Without values of a host, gains of laws that none of the runs uses,
+            and the clock if one is a simulation.
     """
 
     paths: Sequence[Path]
@@ -73,12 +72,12 @@ class RecordedRuns(ComparedRuns):
 
     @property
     def manifests(self) -> list[dict[str, object]]:
-        """``manifest.json`` of each run; empty where there is none."""
+        """``manifest.json`` of each run; empty if there is none."""
         return [read_manifest(path if path.is_dir() else path.parent) for path in self.paths]
 
     @property
     def differences_of_arithmetic(self) -> dict[str, str]:
-        """Why the last bits of a run may differ from the first one's, by its label."""
+        """Explain why the last bits of a run may differ from the first one's, by its label."""
         first, *manifests = self.manifests
         return {
             run.law: sentence
@@ -89,7 +88,7 @@ class RecordedRuns(ComparedRuns):
 
 
 def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
-    """Read runs to be compared; the recordings may be anybody's, no law of theirs is imported.
+    """Read runs to be compared; the recordings are untrusted, and their laws are not imported.
 
     Args:
         paths: two or more folders or MCAP files of runs.
@@ -121,7 +120,7 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
 
 
 def read_again(path: Path) -> RecordedRuns:
-    """The runs that a folder of `KIND` set side by side; errors as `recorded_runs`."""
+    """Return the runs compared in a folder of `KIND`; raises as `recorded_runs`."""
     told = read_summary(path).get("paths")
     if not isinstance(told, list) or not all(isinstance(each, str) for each in told):
         raise RunFolderError(f"{path}: names no runs")
@@ -129,9 +128,9 @@ def read_again(path: Path) -> RecordedRuns:
 
 
 def _read(label: str, path: Path) -> tuple[JudgedRun, dict[str, str]]:
-    """A recorded run, judged again, and its scenario's values; files are as the recording has them.
+    """Return a recorded run, judged again, and its scenario's values; files as in the recording.
 
-    Where the scenario came from they may be gone or changed by now. Copies may end lines otherwise.
+    The original files may be gone or changed by now. Copies may have other line ends.
     """
     data, contents = load_run(path)
     texts = {
@@ -144,7 +143,7 @@ def _read(label: str, path: Path) -> tuple[JudgedRun, dict[str, str]]:
 
 
 def _labels(places: Sequence[Path]) -> list[str]:
-    """The shortest ends of the paths that tell them apart."""
+    """Return the shortest ends of the paths that distinguish them."""
     parts = [(place if place.is_dir() else place.with_suffix("")).parts for place in places]
     parts = [each[:-1] if each[-1] == "run" else each for each in parts]
     for length in range(1, max(map(len, parts)) + 1):
@@ -177,7 +176,7 @@ def _parting(first: JudgedRun, other: JudgedRun) -> Parting | None:
     if len(here) and has_same_ticks and not differs.any():
         return None
     numbers = tick_numbers(first.data)[here]
-    after = int(numbers[-1]) + 1 if len(here) else 0  # where one of them ends, or has more ticks
+    after = int(numbers[-1]) + 1 if len(here) else 0  # one of them ends, or has more ticks
     tick = int(numbers[np.argmax(differs)]) if differs.any() else after
     apart = np.abs(ours["position"][here] - theirs["position"][there])
     largest = float(apart.max()) if len(here) else None
@@ -185,7 +184,7 @@ def _parting(first: JudgedRun, other: JudgedRun) -> Parting | None:
 
 
 def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:
-    """Rows of the true motion of two runs at the same instants, whatever their rates."""
+    """Return the rows of the true motion of two runs at common instants, for any rates."""
     ours_ns, theirs_ns = (
         np.rint(1e9 * stamps_s(run.tables[topics.PLANT_TRUTH.name])).astype(np.int64)
         for run in (first, other)
@@ -195,7 +194,7 @@ def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:
 
 
 def _is_in_force(key: str, runs: Sequence[RunData]) -> bool:
-    """Whether a value is of use to all: gains are of laws that ran, no clock is of a simulation."""
+    """Whether a value is relevant: gains of laws that ran, and no clock of a simulation."""
     if key == "clock":
         return all(run.clock != SIMULATED for run in runs)
     laws = {run.setup.scenario.controller.law for run in runs}
@@ -206,11 +205,11 @@ def _is_in_force(key: str, runs: Sequence[RunData]) -> bool:
 def _differing(values: Sequence[dict[str, str]]) -> dict[str, list[str | None]]:
     keys = dict.fromkeys(key for each in values for key in each)
     by_key = {key: [each.get(key) for each in values] for key in keys}
-    return {key: _told(key, each) for key, each in by_key.items() if len(set(each)) > 1}
+    return {key: _shown(key, each) for key, each in by_key.items() if len(set(each)) > 1}
 
 
-def _told(key: str, values: list[str | None]) -> list[str | None]:
-    """Values as they can be shown: of files, which are the same."""
+def _shown(key: str, values: list[str | None]) -> list[str | None]:
+    """Return values in a form to show: files are numbered by content."""
     if not key.endswith(_FILES):
         return values
     known = list(dict.fromkeys(each for each in values if each is not None))

@@ -1,4 +1,4 @@
-"""Fixed time put to the test: settling times from near and far, against the one bound."""
+"""Test of fixed-time convergence: settling times for small and large errors, against one bound."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deploy.scenario.setup import Setup
 
 OFFSETS_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
 LONGEST_S = 8.0
-"""How long each start is followed, unless the scenario ends before."""
+"""How long each start is followed, unless the scenario ends earlier."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Start:
     Attributes:
         offset_rad: initial error of each joint.
         settling_time_s: when the last joint entered the funnel's final bound to stay; None if not.
-        bounds_kept: whether the verdict on it is that it kept its bounds.
+        bounds_kept: whether its verdict is that it kept its bounds.
     """
 
     offset_rad: list[float]
@@ -42,7 +42,7 @@ class SettlingTest:
 
     Attributes:
         law: its name.
-        bound_s: the bound that holds for every start; None for a law that has none.
+        bound_s: the bound for every start; None for a law without one.
     """
 
     law: str
@@ -58,11 +58,11 @@ class SettlingTest:
 
 
 SETTLING = TypeAdapter(list[SettlingTest])
-"""From and to what ``summary.json`` has of settling tests."""
+"""Converter of settling tests from and to ``summary.json``."""
 
 
 def settling_test(law: str, starts: Sequence[tuple[list[float], Row]]) -> SettlingTest:
-    """What came of all starts of a law: the offset of each, and the row of its run."""
+    """Return the results of a law's starts: the offset of each, and the row of its run."""
     bounds = [bound for _, row in starts for bound in row["settling_bound_s"] or ()]
     return SettlingTest(law, max(bounds, default=None), [_start(*each) for each in starts])
 
@@ -74,11 +74,11 @@ def _start(offset_rad: list[float], row: Row) -> Start:
 
 
 def offset_of(setup: Setup, size_rad: float) -> list[float]:
-    """The start at a distance: the initial error of each joint, rad.
+    """Return the initial error of each joint at a distance, rad.
 
-    Every joint starts off by the same size, on the side of the scenario's own offset, or on the
-    other where its range ends before, or as far as it goes. The funnel opens with the offset, as
-    the scenario says.
+    Every joint has an error of the same size, on the side of the scenario's own offset; if its
+    range ends before, on the other side, or as large as possible. The funnel opens with the offset,
+    as in the scenario.
     """
     robot = setup.robot
     own = np.broadcast_to(setup.scenario.robot.initial_offset_rad, robot.joints)

@@ -35,15 +35,15 @@ _DOUBLE_BYTES = 8
 
 
 class Handles(NamedTuple):
-    """How compiled code gets at an arm.
+    """Handles of an arm for compiled code.
 
     Attributes:
         server: its physics server.
-        body: the arm there.
-        has_window: whether the server is a thread of its own, with a window.
-        indices: places of its positions and of its velocities in Bullet's lists, as rows, shape
-            (2, joints).
-        pointers: room for the addresses of these lists, shape (2,).
+        body: the arm's number on that server.
+        has_window: whether the server is a separate thread with a window.
+        indices: indices of its positions and velocities in Bullet's lists, as rows, shape (2,
+            joints).
+        pointers: buffer for the addresses of these lists, shape (2,).
     """
 
     server: int
@@ -54,7 +54,7 @@ class Handles(NamedTuple):
 
 
 class BulletArm(ArmPhysics):
-    """An arm on a server of its own; compiled code goes through several substeps in a call.
+    """An arm on its own server; one call of compiled code computes several substeps.
 
     Raises:
         RobotDescriptionError: Bullet cannot load the arm.
@@ -84,7 +84,7 @@ class BulletArm(ArmPhysics):
 
     @staticmethod
     def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:
-        """Check that Bullet can load an arm; what it could load before, it need not load again."""
+        """Check that Bullet can load an arm; a successful check is not repeated."""
         require_loadable(robot.path, robot.resolved_urdf(payload_kg, shapes(gui=gui)))
 
     def place(self, position: Vector) -> None:
@@ -93,7 +93,7 @@ class BulletArm(ArmPhysics):
             raise no_answer()
 
     def hold(self, joints: Sequence[bool]) -> None:
-        """Brakes hold against ten times the joint's largest torque."""
+        """Hold joints by brakes, with ten times the joint's largest torque."""
         self._server.hold_with(np.where(joints, self._brake_torques, 0.0).tolist())
 
     def carry(self, payload_kg: float) -> None:
@@ -148,7 +148,7 @@ def _advance_braked(handles: Handles, motion: Matrix, substeps: int) -> bool:
 
 @compiled
 def _read(handles: Handles, motion: Matrix) -> bool:
-    """Read positions and velocities; whether the server answered."""
+    """Read positions and velocities; return whether the server answered."""
     server, indices, pointers = handles.server, handles.indices, handles.pointers
     status = submit(server, request_state(server, handles.body), handles.has_window)
     first = pointers.ctypes.data

@@ -11,7 +11,7 @@ from bus_schema.robot_description import RobotDescription, Shapes
 from plant_emulator.physics.bullet.library import quiet
 from plant_emulator.physics.bullet.server import loadable_file
 
-with quiet():  # it prints when it is imported, and when it connects
+with quiet():  # it prints at import and on connecting
     import pybullet
     from pybullet_utils.bullet_client import BulletClient
 
@@ -20,17 +20,17 @@ _FIELD_OF_VIEW_DEG = 35.0
 _FRAME_MARGIN = 1.05
 _LIGHT_FROM = (1.0, -2.0, 3.0)
 _CENTRE_OF_MASS, _ORIGIN = 0, 4
-"""Places in the state of a link."""
+"""Indices in the state of a link."""
 
 
 class ArmCamera:
-    """An arm that is placed and looked at.
+    """Camera for pictures of an arm in given postures.
 
     Args:
         robot: description of the arm.
 
     Raises:
-        RobotDescriptionError: Bullet cannot load the arm, not even without its meshes.
+        RobotDescriptionError: Bullet cannot load the arm, even without its meshes.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -39,7 +39,7 @@ class ArmCamera:
             self._client = BulletClient(pybullet.DIRECT)
         try:
             self._body = self._load("drawable")
-        except pybullet.error:  # a mesh that cannot be read is no reason to do without
+        except pybullet.error:  # an unreadable mesh must not prevent a picture
             try:
                 self._body = self._load("none")
             except pybullet.error as error:
@@ -49,7 +49,7 @@ class ArmCamera:
         self._link = {info[1].decode(): info[0] for info in infos}
 
     def extent(self, positions: Matrix) -> tuple[Vector, Vector]:
-        """Corners of the box around all joints and links at all `positions`, m, shape (3,) each.
+        """Return the corners of the box around the arm at all `positions`, m, shape (3,) each.
 
         Args:
             positions: joint positions, rad, shape (poses, joints).
@@ -69,7 +69,7 @@ class ArmCamera:
         height_px: int,
         extent: tuple[Vector, Vector] | None = None,
     ) -> NDArray[np.uint8]:
-        """Picture of the arm on white, shape (height, width, 3), RGB.
+        """Return a picture of the arm on white, shape (height, width, 3), RGB.
 
         Args:
             position: joint positions, rad, shape (joints,).

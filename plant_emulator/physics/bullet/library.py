@@ -20,12 +20,12 @@ _ONE_AT_A_TIME = threading.RLock()
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """What is written to standard output and error goes nowhere meanwhile, whoever writes it.
+    """Discard all output to standard output and error while the context lasts.
 
-    That goes for other threads too: to be used in the main thread, wherever there is a choice.
+    This affects other threads too: use it in the main thread where possible.
     """
     flush = ctypes.CDLL(None).fflush
-    with _ONE_AT_A_TIME:  # or one could put back another's /dev/null
+    with _ONE_AT_A_TIME:  # otherwise one thread could restore another's /dev/null
         sys.stdout.flush()
         kept = [os.dup(1), os.dup(2)]
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -47,7 +47,7 @@ _NAME_BYTES = 1024
 
 
 class JointInfo(ctypes.Structure):
-    """The beginning of ``b3JointInfo``, and room for all the rest of it."""
+    """The beginning of ``b3JointInfo``, and space for the rest."""
 
     _fields_ = (
         ("link_name", ctypes.c_char * _NAME_BYTES),
@@ -74,12 +74,12 @@ LIBRARY = _load_library()
 
 
 def function(name: str, result: Any, *arguments: Any) -> Any:
-    """The function ``b3<name>``."""
+    """Return the function ``b3<name>``."""
     found = getattr(LIBRARY, "b3" + name)
     found.restype, found.argtypes = result, arguments
     return found
 
 
 def setter(name: str, *arguments: Any) -> Any:
-    """A function that completes a command."""
+    """Return a function that sets a value of a command."""
     return function(name, INT, POINTER, *arguments)

@@ -1,4 +1,4 @@
-"""Pictures of an arm by a process of its own: Bullet's readers of meshes crash on hostile files."""
+"""Pictures of an arm by a separate process: Bullet's mesh readers crash on hostile files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bus_schema.runtime.limited_process import (
 
 
 class RenderError(Exception):
-    """There is no picture; the message says why."""
+    """No picture was drawn; the message says why."""
 
 
 class Rendering:
-    """Pictures that a process of its own draws meanwhile.
+    """Pictures that a separate process draws in the background.
 
     Args:
         robot: description of the arm.
@@ -40,10 +40,10 @@ class Rendering:
         self._process = LimitedProcess(__name__, order)
 
     def pictures(self) -> NDArray[np.uint8]:
-        """The pictures on white by one camera, shape (pictures, height, width, 3), RGB.
+        """Return the pictures on white by one camera, shape (pictures, height, width, 3), RGB.
 
         Raises:
-            RenderError: the process crashed, or took more than it may.
+            RenderError: the process crashed, or exceeded its limits.
         """
         try:
             pixels = self._process.answer()
@@ -54,7 +54,7 @@ class Rendering:
 
 
 def main() -> None:
-    """Draw what standard input asks for, on standard output, within limits."""
+    """Draw the pictures that standard input requests, on standard output, within limits."""
     limit_this_process(cpu_s=6)
     from plant_emulator.physics.bullet.camera import ArmCamera
 

@@ -1,8 +1,8 @@
-"""Bullet's C interface, as pybullet's library carries it: a physics server with one arm.
+"""Bullet's C interface in pybullet's library: a physics server with one arm.
 
 pybullet's Python functions build lists, tuples and dictionaries around each of these calls, and
-Python has to call them in every substep; these can be called from compiled code, as `arm.py`
-does. Both end in the same functions, so they give the same bits.
+Python has to call them in every substep; compiled code can call the C functions directly
+(`arm.py`). Both call the same functions, so they give the same bits.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _set_gear_offset = setter("InitChangeUserConstraintSetRelativePositionTarget", D
 def tie(
     server: int, body: int, links: tuple[int, int], follower: Follower, submit: Callable[[int], int]
 ) -> None:
-    """Tie a joint to another one: q = multiplier × q of the leader + offset.
+    """Couple a joint to another one: q = multiplier × q of the leader + offset.
 
-    The solver keeps their speeds tied in every step; an error in position fades in a few steps.
+    The solver couples their speeds in every step; an error in position decays in a few steps.
 
     Args:
         server: the physics server.
@@ -80,7 +80,7 @@ _MOST_ITERATIONS = 500
 
 
 class Joint(NamedTuple):
-    """Where to find a joint: among the links, and in lists of positions and of velocities."""
+    """Indices of a joint: among the links, and in lists of positions and of velocities."""
 
     link: int
     position_index: int
@@ -119,7 +119,7 @@ _set_desired_velocity = setter("JointControlSetDesiredVelocity", INT, DOUBLE)
 _set_velocity_gain = setter("JointControlSetKd", INT, DOUBLE)
 _set_largest_force = setter("JointControlSetMaximumForce", INT, DOUBLE)
 
-# The same interface as compiled code calls it; a handle is an unsigned integer there.
+# The same interface for compiled code, where a handle is an unsigned integer.
 can_submit = c_function(LIBRARY, "b3CanSubmitCommand", "intc", "uintp")
 _submit_and_wait = c_function(
     LIBRARY, "b3SubmitClientCommandAndWaitStatus", "uintp", "uintp", "uintp"
@@ -138,10 +138,10 @@ copy_memory = c_function(ctypes.CDLL(None), "memcpy", "uintp", "uintp", "uintp",
 
 @compiled
 def submit(server: int, command: int, has_window: bool) -> int:
-    """Have a command carried out; its status, 0 if the server is gone.
+    """Execute a command; return its status, 0 if the server is gone.
 
-    A server without a window has done so when the command is sent. Bullet's own function would
-    look at the clock three times all the same, which makes a substep cost a fifteenth more.
+    A server without a window executes a command while it is sent. Bullet's own function would still
+    read the clock three times, which makes a substep a fifteenth more expensive.
     """
     status: int
     if has_window:
@@ -153,20 +153,20 @@ def submit(server: int, command: int, has_window: bool) -> int:
 
 
 def shapes(*, gui: bool) -> Shapes:
-    """What a URDF has to have of its links: physics alone needs nothing."""
+    """Choose the shapes that a URDF must contain: physics alone needs none."""
     return "drawable" if gui else "none"
 
 
 def no_answer() -> ConnectionError:
-    """What is raised where the server is gone, as when its window was closed."""
+    """Return the error for a server that is gone, for instance because its window was closed."""
     return ConnectionError("Bullet's physics server does not answer")
 
 
 class BulletServer:
-    """A physics server with one arm on a fixed base, without damping of Bullet's own.
+    """A physics server with one arm on a fixed base, without Bullet's own damping.
 
     Args:
-        specification: what to make it of. A window needs a display.
+        specification: the arm to build. A window needs a display.
 
     Attributes:
         handle: the server, as Bullet's functions take it.
@@ -182,7 +182,7 @@ class BulletServer:
         with quiet():
             self.handle: int = _connect_window(0, None) if gui else _connect()
         reset = _reset(self.handle)
-        # One body that never touches anything: looking for contacts would be a tenth of a step.
+        # One body never touches anything: looking for contacts would be a tenth of a step.
         _set_reset_flags(reset, _USE_SIMPLE_BROADPHASE)
         self._carry_out(reset)
         try:
@@ -221,9 +221,9 @@ class BulletServer:
             self._carry_out(pose)
 
     def hold_with(self, torques_nm: Sequence[float]) -> None:
-        """Hold each joint at rest with so much torque at most; 0 lets it go."""
+        """Hold each joint at rest with at most this torque; 0 releases it."""
         motors = _control(self.handle, self.body, CONTROL_VELOCITY)
-        # followers go with their leaders, but every joint has a motor at first
+        # followers move with their leaders, but every joint has a motor at first
         free = [(joint, 0.0) for joint, _, _ in self._followers]
         for joint, torque_nm in [*zip(self.joints, torques_nm, strict=True), *free]:
             _set_desired_velocity(motors, joint.velocity_index, 0.0)
@@ -232,14 +232,14 @@ class BulletServer:
         self._carry_out(motors)
 
     def carry(self, payload_kg: float) -> None:
-        """Carry this point mass at the tip from now on; one that was announced (see the class).
+        """Carry this point mass at the tip from now on; the specification must announce it.
 
-        It comes with the velocity of the tip: those of the joints stay as they are.
+        It arrives with the velocity of the tip: joint velocities do not change.
         """
         for link in self._payload_links:
             change = _dynamics(self.handle)
             _set_mass(change, self.body, link, payload_kg)
-            # left to itself, Bullet makes up an inertia of what it takes for the link's extent
+            # by default, Bullet derives an inertia from the link's extent
             _set_inertia(change, self.body, link, (DOUBLE * 3)())
             self._carry_out(change)
 
@@ -248,7 +248,7 @@ class BulletServer:
         _disconnect(self.handle)
 
     def _carry_out(self, command: int) -> int:
-        """Have a command carried out; its status.
+        """Execute a command; return its status.
 
         Raises:
             ConnectionError: the server is gone.
@@ -259,7 +259,7 @@ class BulletServer:
         return status
 
     def _link_names(self) -> dict[str, tuple[Joint, str]]:
-        """Joint and link by name of the joint."""
+        """Return joint and link by name of the joint."""
         by_name = {}
         info = JointInfo()
         for link in range(_number_of_joints(self.handle, self.body)):
@@ -272,7 +272,7 @@ class BulletServer:
         world = _world(self.handle)
         _set_gravity(world, 0.0, 0.0, -GRAVITY_M_S2)
         _set_time_step(world, substep_s)
-        if iterates:  # else gears are left half solved
+        if iterates:  # otherwise gears are only half solved
             _set_iterations(world, _MOST_ITERATIONS)
             _set_residual(world, 0.0)
         self._carry_out(world)
@@ -286,7 +286,7 @@ class BulletServer:
 
 @lru_cache(maxsize=16)
 def require_loadable(path: Path, urdf: str) -> None:
-    """Check that Bullet can load an arm; what it could load before, it need not load again.
+    """Check that Bullet can load an arm; a successful check is not repeated.
 
     Args:
         path: the arm's file.
@@ -304,10 +304,10 @@ def require_loadable(path: Path, urdf: str) -> None:
 
 @contextmanager
 def loadable_file(path: Path, urdf: str) -> Iterator[Path]:
-    """The URDF as a file for Bullet to load, without a word on the terminal.
+    """Provide the URDF as a file for Bullet, and suppress all output on the terminal.
 
     Args:
-        path: the arm's file, whose name it bears.
+        path: the arm's file, whose name it gets.
         urdf: `RobotDescription.resolved_urdf`.
     """
     with tempfile.TemporaryDirectory() as folder:
