@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus_schema.configuration import ConfigurationError
 from bus_schema.limits import (
     Hit,
     JointLimits,
@@ -105,12 +104,6 @@ def test_controller_keeps_the_margins_and_its_own_rate():
     np.testing.assert_allclose(own.lower_rad, [-3.0, -2.9, -2.7])
     assert own.velocity_rad_s.tolist() == [3.0, 3.0, 3.0]
     assert own.torque_rate_nm_s.tolist() == [50.0, 400.0, 400.0]
-
-
-@pytest.mark.parametrize("key", ["torque_nm", "torque_rate_nm_s", "velocity_rad_s"])
-def test_wrong_number_of_joints_is_refused(key):
-    with pytest.raises(ConfigurationError, match=rf"limits\.{key} = \[1\.0, 2\.0\]"):
-        LimitsConfiguration(**{key: [1, 2]}).of_plant(ROBOT)
 
 
 def test_what_is_hit_is_counted_and_new_only_once():

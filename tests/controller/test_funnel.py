@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus_schema.configuration import ConfigurationError
 from controller.funnel import (
     Funnel,
     FunnelConfiguration,
@@ -183,23 +182,3 @@ def test_error_starts_inside_the_default_funnel(offset):
     above, below = funnel.bounds(np.zeros(1))
     assert below[0, 0] < offset < above[0, 0]
     assert max(above[0, 0], -below[0, 0]) <= 1.5
-
-
-def test_initial_error_beyond_the_widest_bound_is_refused_with_the_joint():
-    with pytest.raises(ConfigurationError, match="joint 2") as caught:
-        FunnelConfiguration().build(np.array([0.0, -1.6, 0.1]))
-    assert caught.value.key == "robot.initial_offset_rad"
-    assert caught.value.value == [0.0, -1.6, 0.1]
-
-
-@pytest.mark.parametrize("final", [0.031, [0.01, 0.5]])
-def test_funnel_that_would_have_to_widen_is_refused(final):
-    # Without an initial error the far side opens to 0.03 rad.
-    with pytest.raises(ConfigurationError) as caught:
-        FunnelConfiguration(final_rad=final).build(np.zeros(2))
-    assert caught.value.key == "funnel.final_rad"
-
-
-def test_wrong_number_of_final_bounds_is_refused():
-    with pytest.raises(ConfigurationError, match="each of the 3 joints"):
-        FunnelConfiguration(final_rad=[0.01, 0.02]).build(np.zeros(3))

@@ -6,7 +6,6 @@ import pytest
 from bus_schema.configuration import ConfigurationError
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, sample_positions
-from controller.reference_configuration import MinimumJerkConfiguration
 from deploy.scenario.scenario import load_setup
 from tests.arms import PAPER_ARM, shipped_arm
 
@@ -114,13 +113,6 @@ def test_single_waypoint_is_a_place_to_stay():
     still = MinimumJerk(np.array([2.0]), np.array([[0.3, -0.3]]))
     for time_s in (0.0, 2.0, 5.0):
         assert motion(still, time_s, 2).tolist() == [[0.3, -0.3], [0.0, 0.0], [0.0, 0.0]]
-
-
-@pytest.mark.parametrize("times", [(0.0, 0.0), (1.0, 0.5)])
-def test_waypoints_out_of_order_are_refused(times):
-    waypoints = [{"time_s": time_s, "position_rad": 0.0} for time_s in times]
-    with pytest.raises(ValueError, match="increasing time_s"):
-        MinimumJerkConfiguration(kind="minimum_jerk", waypoints=waypoints)
 
 
 JERK = (

@@ -4,12 +4,7 @@ import numpy as np
 from loop_bench import MS, OFFSET, SWING, Bench, Spectator, predicting, state, status
 
 from bus_schema.messages import topics
-from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import RUN_EVENTS
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE
-from bus_schema.runtime.modes import Mode, mode_in
-from controller.reference import CartesianPath
-from controller.torque_guard import InvalidTorqueError
 
 
 def test_control_status_tells_what_the_law_thought():
@@ -57,27 +52,6 @@ def test_rate_limit_uses_the_time_between_stamps():
     ((_, second, _),) = bench.send(20 * MS, -OFFSET)
     # 1000 N m/s over 20 ms.
     np.testing.assert_allclose(np.abs(np.subtract(second, first)), 20.0, rtol=1e-12)
-
-
-def test_law_that_returns_nan_is_told_by_name_and_cycle():
-    leaving = np.array([[0.9, 1.0, 0, 0, 0], [0.1, 0, 0, 0, 0], [0.5, 0, 0, 0, 0]])
-    bench = Bench("pid", CartesianPath(leaving, 0.25, 0.70, 0.60))
-    bench.send(0)
-    bench.plant.send_state(state(1000 * MS, np.zeros(3)), status(0))
-    failure = bench.bus.failure
-    assert isinstance(failure, InvalidTorqueError)
-    assert "law pid" in str(failure)
-    assert failure.tick == 1
-    ((stamp_ns, torque, _),) = bench.answers()  # the torque of stopping, and nothing after it
-    assert (stamp_ns, torque) == (1000 * MS, [0.0, 0.0, 0.0])
-    bench.loop.cycle(state(1001 * MS, np.zeros(3)), status(0))
-    assert bench.answers() == []
-    assert bench.loop.mode is Mode.FAULT
-    told = [RunEvent.decode(payload) for topic, payload in bench.heard if topic is RUN_EVENTS]
-    assert [mode_in(event.detail) for event in told if event.kind == EventKind.MODE] == [
-        Mode.READY, Mode.TRACKING, Mode.STOPPING, Mode.FAULT,
-    ]  # fmt: skip
-    assert [event.detail for event in told if event.kind == EventKind.FAULT] == [str(failure)]
 
 
 def test_targets_without_foresight_are_the_reference():

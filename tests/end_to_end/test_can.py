@@ -18,7 +18,6 @@ from running import (
 )
 
 from bus_schema.messages.topics import PLANT_TRUTH
-from deploy.run.run_folder import read_manifest
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from tests.multicast import own_place
@@ -40,20 +39,6 @@ def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> 
     assert run.summary["transport"]["can"]["frames_by_identifier"]["080"] == 500
     assert (run.folder / "report.html").is_file()
     assert "identical" in funnel_hil_here("replay", str(run.folder), out=None).output
-
-
-def test_runs_at_once_do_not_meet(tmp_path: Path) -> None:
-    words = settings(duration_s=0.5, link__can__answer_timeout_s=ANSWER_TIMEOUT_S)
-    with started("run", "paper_arm_can", *words, out=tmp_path / "first") as one:
-        other = funnel_hil("run", "paper_arm_can", *words, out=tmp_path / "second")
-        ended = one.end()
-    virtual = load_setup("paper_arm_can", ["duration_s=0.5", "link.can.interface=virtual"])
-    digest = simulate(virtual).data().digest
-    for run in (ended, other):
-        assert run.code == 0, run.output
-        assert run.digest == digest
-    places = [read_manifest(run.folder)["scenario"]["link"]["can"] for run in (ended, other)]
-    assert places[0]["port"] != places[1]["port"]
 
 
 def test_interrupted_run_blames_no_drive(tmp_path: Path) -> None:

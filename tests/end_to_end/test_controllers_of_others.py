@@ -69,18 +69,6 @@ def test_python_client(tmp_path: Path) -> None:
     assert_it_commanded(run_with(command, tmp_path / "run", plant, controller))
 
 
-def test_python_client_as_a_process_gives_the_same_bits_again_in_lockstep(tmp_path: Path) -> None:
-    """It answers a state with the reference of that state, whichever of the two comes first."""
-    process = settings(controller__process=[sys.executable, str(CLIENTS / "controller.py")])
-    first, second = (
-        funnel_hil_here("run", "paper_arm", *SHORT, *process, out=tmp_path / name)
-        for name in ("first", "second")
-    )
-    assert first.code == 0, first.output
-    assert_it_commanded(first)
-    assert first.digest == second.digest
-
-
 def test_python_client_as_a_process_under_tls(tmp_path: Path) -> None:
     keys = issued_keys(tmp_path / "keys")
     assert_it_commands_as_a_process(

@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from running import PATIENT, Finished, bits, funnel_hil_here, settings
+from running import PATIENT, Finished, funnel_hil_here, settings
 
 from deploy.cli import main
 from deploy.judge.run_data import RunData
@@ -43,12 +41,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 
 
 @pytest.fixture(scope="module")
-def simulation(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    out = tmp_path_factory.mktemp("lockstep") / "simulation"
-    return funnel_hil_here("simulate", "paper_arm", *SHORT, out=out)
-
-
-@pytest.fixture(scope="module")
 def delayed_run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     out = tmp_path_factory.mktemp("lockstep") / "delayed"
     return funnel_hil_here("run", "paper_arm", *LOCKSTEP, *DELAYS, out=out)
@@ -61,28 +53,10 @@ def test_run_finishes_and_is_complete(run: Finished) -> None:
     assert run.summary["ticks"] == TICKS
     assert run.summary["duration_s"] == pytest.approx(DURATION_S)
     assert "real-time factor" in run.output
-
-
-def test_run_equals_simulation_bit_for_bit(run: Finished, simulation: Finished) -> None:
-    assert simulation.code == 0
-    assert run.digest == simulation.digest
-    for topic in ("joint_states", "joint_commands", "plant_status", "plant_truth"):
-        assert bits(run.log, topic) == bits(simulation.log, topic)
-
-
-@pytest.mark.parametrize("kind", ["run", "simulation"])
-def test_replay_gives_the_same_digest(
-    kind: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    recorded: Finished = request.getfixturevalue(kind)
-    monkeypatch.setattr("sys.argv", ["funnel-hil", "replay", str(recorded.folder)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr().out.split()
-    assert ended.value.code == 0
-    assert said.count(recorded.digest) == 2  # as recorded, and as replayed
-    assert "identical" in said
+    per_tick = ("joint_states", "joint_commands", "plant_status", "control_status")
+    assert {len(run.data.tables[topic]) for topic in per_tick} == {TICKS}
+    assert len(run.data.tables["plant_truth"]) == TICKS + 1  # also what is true after the last tick
+    assert run.summary["recorder"]["lost"] == 0
 
 
 def test_replay_finds_a_torque_that_another_law_would_not_give(
@@ -160,27 +134,6 @@ def test_run_equals_simulation_and_replay_bit_for_bit(
     assert is_as_meant(run)
     assert run.digest == simulated(run.folder).digest
     assert replay(run.data.setup, run.log).is_identical
-
-
-def test_recording_is_readable_by_other_peoples_tools(run: Finished) -> None:
-    with (run.folder / "run.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        assert reader.get_header().profile == "ros2"
-        schemas = {schema.encoding for schema in reader.get_summary().schemas.values()}
-        channels = reader.get_summary().channels.values()
-        assert schemas == {"ros2msg"}
-        assert {channel.message_encoding for channel in channels} == {"cdr"}
-        counts: dict[str, int] = {}
-        for _, channel, _, message in reader.iter_decoded_messages():
-            counts[channel.topic] = counts.get(channel.topic, 0) + 1
-            if channel.topic == "/joint_commands":
-                assert list(message.name) == ["base_yaw", "shoulder", "elbow"]
-                assert len(message.effort) == 3
-    per_tick = {"/joint_states", "/joint_commands", "/plant_status", "/control_status"}
-    assert {counts[topic] for topic in per_tick} == {TICKS}
-    assert counts["/plant_truth"] == TICKS + 1  # also what is true after the last tick
-    assert sum(counts.values()) == run.summary["recorder"]["messages"]
-    assert run.summary["recorder"]["lost"] == 0
 
 
 def test_summary_has_the_documented_keys(run: Finished) -> None:

@@ -69,10 +69,13 @@ def test_bundle_of_the_controller_says_nothing_in_the_plants_name() -> None:
         bundler = controller._bundler
         assert bundler is not None
         bundler.add(b"plant_truth", FOREIGN.encode(), b"forged")
+        forged = RunEvent(5, "plant", EventKind.ENDED, '{"completed": true}').encode()
+        bundler.add(b"run_events", FOREIGN.encode(), forged)
         bundler.add(b"control_status", FOREIGN.encode(), b"its own")
         bundler.send()
         ear.await_heard(topics.CONTROL_STATUS, 1)
-        assert ear.heard["plant_truth"] == []
+        assert ear.heard["plant_truth"] == ear.heard["run_events"] == []
+        assert ear.mailbox.rejected == {"wrong_role": 1}
 
 
 @pytest.mark.parametrize("cut_off", [1, 5, 40, 60])
@@ -165,24 +168,6 @@ def test_message_too_large_for_the_transport_takes_no_others_along() -> None:
         bundler.send()
         await_true(lambda: len(taken) == 3)
         assert [len(bundle) > 1_000_000 for bundle in taken] == [False, True, False]
-
-
-def test_an_event_in_another_loops_name_is_counted_and_not_believed() -> None:
-    link = fresh_link()
-    forged = RunEvent(5, "plant", EventKind.ENDED, '{"ticks": 1000, "completed": true}').encode()
-    with (
-        plant_on(link) as plant,
-        controller_on(link) as controller,
-        ear_on(link, plant, controller) as ear,
-    ):
-        controller.activate()
-        exchange(plant, controller, range(10))
-        ear.await_heard(topics.RUN_EVENTS, 2)
-        controller.publish(topics.RUN_EVENTS, forged)  # in a bundle of the controller's
-        exchange(plant, controller, range(10, 20))
-        ear.await_heard(topics.RUN_EVENTS, 4)
-        assert ear.mailbox.rejected == {"wrong_role": 1}
-        assert forged not in [payload for _, payload in ear.heard[topics.RUN_EVENTS.name]]
 
 
 @pytest.mark.parametrize("by_role", [False, True])

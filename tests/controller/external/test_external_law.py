@@ -10,7 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 import controller.external
-from bus_schema.configuration import ConfigurationError
 from controller.control_law import Tracking
 from controller.external.external_law import ExternalLaw, ExternalLawConfiguration
 from controller.external.program import ExternalLawError
@@ -165,20 +164,6 @@ def test_a_program_ends_with_its_law(tmp_path):
     law.close()
 
 
-@pytest.mark.parametrize(
-    ("command", "reason"),
-    [(["./not_there"], "there is no program ./not_there"),
-     (["./law.txt"], "law.txt is not executable")],
-)  # fmt: skip
-def test_a_program_that_cannot_be_started_is_refused_before_the_run(
-    tmp_path, monkeypatch, command, reason
-):
-    monkeypatch.chdir(tmp_path)
-    Path("law.txt").write_text("no program")
-    with pytest.raises((ScenarioError, ConfigurationError), match=reason):
-        simulated(command)
-
-
 def test_a_recording_of_it_is_judged_but_not_done_again_unasked(tmp_path, monkeypatch):
     """A recording may be anybody's: its program is not started, nor has it to be there."""
     monkeypatch.chdir(tmp_path)
@@ -196,8 +181,3 @@ def test_a_recording_of_it_is_judged_but_not_done_again_unasked(tmp_path, monkey
     assert isinstance(refused.exception, ScenarioError)
     assert "--allow-custom-law" in str(refused.exception)
     assert not Path("started").exists()
-
-
-def test_the_law_needs_its_program():
-    with pytest.raises(ScenarioError, match=r"needs external\.command"):
-        load_setup("paper_arm", ["controller.law=external"])

@@ -118,20 +118,6 @@ def test_robot_shows_followers_slides_and_warnings():
             assert text in result.output
 
 
-def test_missing_limits_are_said_loudly_unless_the_scenario_has_them(folder):
-    path = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
-    path.write_text(path.read_text().replace('effort="5"', ""))
-    arguments = ["simulate", str(folder / "test.yaml"), "--out"]
-    said = CliRunner().invoke(app, [*arguments, str(folder / "a")])
-    assert said.exit_code == 0
-    assert "no effort limit in the URDF for hinge: torques are UNLIMITED" in said.stderr
-    assert "no velocity limit in the URDF for hinge" in said.stderr
-    limits = ["--set", "limits.torque_nm=5", "--set", "limits.velocity_rad_s=3"]
-    quiet = CliRunner().invoke(app, [*arguments, str(folder / "b"), *limits])
-    assert quiet.exit_code == 0
-    assert "UNLIMITED" not in quiet.stderr
-
-
 def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil):
     mesh = "a.dae"
     (tmp_path / mesh).write_text("<COLLADA/>")

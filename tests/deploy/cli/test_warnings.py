@@ -55,6 +55,13 @@ def test_a_missing_limit_is_said_once_and_stands_in_the_results(command, here, f
         assert funnel_hil("report", here / "out")[0] == 0
 
 
+def test_limits_of_the_scenario_take_the_place_of_missing_ones(here, funnel_hil):
+    limits = ["--set", "limits.torque_nm=5", "--set", "limits.velocity_rad_s=3"]
+    code, said = funnel_hil(*COMMANDS["simulate"], "--out", here / "out", *limits)
+    assert code == 0
+    assert "UNLIMITED" not in said
+
+
 def test_drives_say_it_too(here, funnel_hil):
     code, said = funnel_hil("drives", "arm.yaml", "--duration", 0.05)
     assert code == 0, said

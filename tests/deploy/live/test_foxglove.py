@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from tornado.httpclient import HTTPClientError
 from tornado.websocket import websocket_connect
 from watched import payloads, playback, short_run
 
@@ -151,14 +150,6 @@ def test_the_arm_is_an_asset_too(served):
                 return message
 
     assert b"<robot" in asyncio.run(ask())
-
-
-def test_only_its_own_protocol_is_spoken(served):
-    async def meet():
-        with pytest.raises(HTTPClientError):
-            await websocket_connect(served[0], subprotocols=["something.else"])
-
-    asyncio.run(meet())
 
 
 def test_garbage_and_a_client_that_reads_nothing_do_not_disturb_another(served):

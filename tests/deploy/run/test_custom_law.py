@@ -12,7 +12,6 @@ from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from tests.deploy.own_laws import own_law
 
 SOURCE = """
 import numpy as np
@@ -83,21 +82,6 @@ def test_unusable_law_is_refused_before_the_run(law, gains, told):
     with pytest.raises(ScenarioError, match=r"--set controller\.") as refused:
         setup_of(law, f"controller.gains.custom={gains}")
     assert told in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("returns", "told"),
-    [
-        ("np.zeros(2)", "(2,) where shape (3,) is expected"),
-        ("[0.0, 0.0, 0.0]", "list where shape (3,) is expected"),
-        ("np.array([0.0, np.nan, 0.0])", "the torque [0.0, nan, 0.0]"),
-        ("np.zeros(3, dtype=int)", "int64 where float64 is expected"),
-    ],
-)
-def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(folder, returns, told):
-    law = own_law(folder, f"return {returns}")
-    failure = simulate(setup_of(law, "controller.gains.custom={at_tick: 7}")).failure
-    assert str(failure) == f"law {law} returned {told} at tick 7"
 
 
 def test_law_of_the_tutorial_runs_as_shown(folder):

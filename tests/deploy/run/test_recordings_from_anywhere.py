@@ -60,14 +60,6 @@ def own_law(folder):
     return folder, law
 
 
-def test_report_imports_no_law(own_law):
-    folder, law = own_law
-    code, output, error = left(report, folder)
-    assert code == 0, (output, error)
-    assert json.loads((folder / "summary.json").read_text())["law"] == law
-    assert not TELLTALE.exists()
-
-
 def test_replay_imports_a_law_of_ones_own_only_if_told_to(own_law):
     folder, law = own_law
     code, _, error = left(replay, folder)

@@ -227,30 +227,3 @@ def test_simulation_refuses_faults_of_processes_it_has_not(target):
 def test_table_of_the_page_has_each_shipped_fault():
     shown = PAGE.read_text().split(BEGIN)[1].split(END)[0]
     assert shown.count("\n") == 2 + len(fault_scenarios())
-
-
-PICK_UP, DROP = "kind: payload_picked_up", "{kind: payload_dropped, at_s: 1}"
-
-
-@pytest.mark.parametrize(
-    ("faults", "told"),
-    [
-        ("{kind: gremlin, at_s: 1}", "faults.0.kind = 'gremlin': must be one of "),
-        ("{at_s: 1}", "faults.0.kind: is missing"),
-        ("{kind: link_cut, direction: uplink}", "faults.0.link_cut.at_s: is missing"),
-        ("{kind: link_cut, direction: up, at_s: 1}", "'up': must be 'uplink' or 'downlink'"),
-        ("{kind: link_cut, direction: uplink, at_s: -1}", "at_s = -1: must be greater than"),
-        ("{kind: link_cut, direction: uplink, at_s: 30}", "faults.0.at_s = 30.0: below duration"),
-        ("{kind: actuator_dead, joint: knee, at_s: 1}", "joint = 'knee': one of base_yaw, should"),
-        ("{kind: actuator_weak, joint: elbow, share: 1.5, at_s: 1}", "share = 1.5: must be less"),
-        ("{kind: process_killed, target: moon, at_s: 1}", "target = 'moon': must be 'controller'"),
-        ("{kind: process_frozen, target: plant, at_s: 1}", "process_frozen.for_s: is missing"),
-        (f"{DROP}, {{{PICK_UP}, payload_kg: 1, at_s: 2}}", "plant.payload_kg must be above 0"),
-        (f"{{{PICK_UP}, at_s: 1}}", "payload_picked_up.payload_kg: is missing"),
-        (f"{{{PICK_UP}, payload_kg: 0, at_s: 1}}", "payload_kg = 0: must be greater"),
-        (f"{{{PICK_UP}, payload_kg: 1, at_s: 1, for_s: 1}}", "for_s"),
-    ],
-)
-def test_fault_that_makes_no_sense_is_refused(faults, told):
-    with pytest.raises(ScenarioError, match=told):
-        load_setup("paper_arm", [f"faults=[{faults}]"])

@@ -8,7 +8,6 @@ from deploy.cli.common import parse_laws
 from deploy.run.execute import InProcess, execute
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError
 
 PROCESS = "controller.process=[./my_controller, --gain, 3]"
 
@@ -42,26 +41,6 @@ def test_a_law_that_is_set_displaces_a_process() -> None:
 )
 def test_it_is_called_after_its_program(command: str, name: str) -> None:
     assert load(f"controller.process={command}").scenario.controller.name == f"process: {name}"
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["controller.law=process"], "controller.process = null: must be a program"),
-        (["controller.process=[]"], r"controller\.process = \(?\[?\]?"),
-        (["controller.process=./mine"], r"controller\.process = './mine'"),
-        (["controller.process=['']"], r"controller\.process\.0 = ''"),
-        (
-            [PROCESS, "controller.delay_compensation.enabled=true"],
-            r"controller\.delay_compensation = .* must be left out or off",
-        ),
-        ([PROCESS, "controller.torque_rate_limit_nm_s=5"], r"controller\.torque_rate_limit_nm_s"),
-        ([PROCESS, "link.kind=in_process"], r"link\.kind = 'in_process': must be zenoh"),
-    ],
-)
-def test_what_cannot_be_is_refused(overrides: list[str], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
-        load(*overrides)
 
 
 def test_a_simulation_has_no_process() -> None:

@@ -65,11 +65,6 @@ def test_override_leaves_the_keys_beside_it_alone() -> None:
     assert after == before
 
 
-def test_later_override_wins() -> None:
-    setup = load_setup("paper_arm", ["seed=3", "seed=4"])
-    assert setup.scenario.seed == 4
-
-
 def test_all_mistakes_are_told_at_once() -> None:
     with pytest.raises(ScenarioError) as refused:
         load_setup("paper_arm", ["duration=1", "seed=-1"])

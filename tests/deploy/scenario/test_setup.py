@@ -82,8 +82,3 @@ def test_what_drives_are_told_is_written_out(tmp_path):
     assert again.drive.damping_nm_s.tolist() == [4.0, 4.0, 4.0]
     assert again.control_task().sends_targets
     assert first_horizon_ms(again) == 12.5
-
-
-def test_errors_of_a_run_that_ends_before_they_count_are_those_of_its_second_half():
-    assert load_setup("paper_arm", ["duration_s=1.5"]).scenario.metrics.from_s == 0.75
-    assert load_setup("paper_arm", ["duration_s=2.5"]).scenario.metrics.from_s == 2.0

@@ -10,7 +10,6 @@ from deploy.run.execute import execute
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
 from deploy.scenario.warnings import reference_torques, scenario_warnings
-from deploy.scenario.yaml_files import ScenarioError
 from tests.arms import ARMS, shipped_arm
 
 LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="0.25 0 0"/>
@@ -134,12 +133,6 @@ def test_unknown_torques_are_estimated_from_the_arms_weight(two_links):
     # Three times the 22.07 N m that hold it out flat; 500 postures come close to that.
     np.testing.assert_allclose(torque_limits(robot), [66.2, 20.0], rtol=0.02)
     assert "largest torques ESTIMATED" in starter_scenario(robot)["robot"]["drive_data"]
-
-
-@pytest.mark.parametrize("stiffness", [1e7, [100.0, 1e7]])
-def test_a_gear_too_stiff_for_the_physics_step_is_refused(two_links, stiffness):
-    with pytest.raises(ScenarioError, match=r"gear_stiffness_nm_rad.*must be at most .*substeps"):
-        load_setup(str(two_links(60, 20)), [f"plant.actuator.gear_stiffness_nm_rad={stiffness}"])
 
 
 def test_gears_bend_as_a_first_resonance_asks(two_links):

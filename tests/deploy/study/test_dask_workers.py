@@ -203,12 +203,6 @@ def test_a_scheduler_that_does_not_answer_is_refused(funnel_hil, definition, tmp
     assert not (tmp_path / "out").exists()
 
 
-def test_an_address_that_is_none_is_refused(funnel_hil, definition, tmp_path):
-    code, output = funnel_hil("sweep", definition, "--scheduler", "here", "--out", tmp_path / "out")
-    assert code == 2
-    assert "--scheduler here: must be" in output
-
-
 def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil, cluster, tmp_path):
     address, worker = cluster
     gate = Gate(tmp_path)

@@ -21,31 +21,6 @@ from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--laws", "pid,magic"], ["'magic'", "smc"]),
-        (["--seeds", "0"], ["seeds", "0", "from 1"]),
-        (["--offsets", "1,1"], ["offsets", "different"]),
-        (["--offsets", "x"], ["offsets", "'x'", "number"]),
-        (["--offsets", "20"], ["robot.initial_offset_rad"]),
-        (["--duration", "-1"], ["duration_s", "-1", "greater than 0"]),
-        (["--compensation", "maybe"], ["compensation", "'maybe'"]),
-        (["--set", "link.nonsense=1"], ["link.nonsense", "no such key"]),
-        (["--study", "none"], ["none", "shipped studies", "delay_margin"]),
-        (["--workers", "1", "--scheduler", "tcp://127.0.0.1:1"], ["--workers", "--scheduler"]),
-        (["--workers", "0"], ["--workers"]),
-        (["--plants", "2", "--uncertainty", "half"], ["values: is missing"]),
-        (["--drive-feedback", "maybe"], ["drive_feedback", "'maybe'"]),
-    ],
-)
-def test_impossible_margins_are_refused_with_the_reason(funnel_hil, tmp_path, words, said):
-    code, output = funnel_hil("margin", *words, "--out", tmp_path / "out")
-    assert code == 2
-    assert [word for word in said if word not in output] == []
-    assert not (tmp_path / "out").exists()
-
-
 def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
     margin = margin_of()
     whole, folder = conduct(margin, tmp_path / "out", Here(limits, seed=5))

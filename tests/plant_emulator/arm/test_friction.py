@@ -43,11 +43,6 @@ def test_default_is_frictionless_and_single_values_serve_all_joints():
     assert [friction_torque(3.0, table, joint) for joint in range(7)] == [6.0] * 7
 
 
-def test_wrong_number_of_values_is_refused():
-    with pytest.raises(ConfigurationError, match=r"plant\.friction\.coulomb_nm"):
-        friction_table(FrictionConfiguration(coulomb_nm=np.ones(2)), RATED_NM)
-
-
 def test_shares_are_of_rated_torque_and_of_the_load():
     given = FrictionConfiguration(coulomb_share=0.03, viscous_share_s=0.01, load_share=0.1)
     table = friction_table(given, RATED_NM)

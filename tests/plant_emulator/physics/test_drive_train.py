@@ -5,14 +5,13 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from bus_schema.configuration import ConfigurationError
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.arm.drive_train import drive_trains, largest_torque
 from plant_emulator.configuration import ActuatorConfiguration, PlantConfiguration
 from plant_emulator.physics.engines import engine_in_force, engine_name
-from tests.arms import PAPER_ARM, FreeArm, forward_dynamics, torques_of
+from tests.arms import PAPER_ARM, FreeArm, forward_dynamics
 
 ROTORS = np.array([3.0, 5.0, 1.0])
 POSTURE = np.array([0.3, -0.9, 1.2])
@@ -111,31 +110,6 @@ def test_cogging_follows_the_angle():
 def test_a_current_loop_is_a_lag():
     trains = drive_trains(ActuatorConfiguration(current_loop_hz=100.0), PAPER_ARM, STEP_S)
     assert trains.lag_factor == pytest.approx(math.exp(-STEP_S * 2.0 * math.pi * 100.0))
-
-
-@pytest.mark.parametrize(
-    "actuator",
-    [
-        {"lag_ms": 1.0, "current_loop_hz": 100.0}, {"rated_speed_rad_s": 1.0},
-        {"gear_damping_nm_s": 1.0},
-    ],
-)  # fmt: skip
-def test_what_does_not_go_together_is_refused(actuator):
-    with pytest.raises(ValidationError, match="with"):
-        plant_of(**actuator)
-
-
-@pytest.mark.parametrize(
-    ("actuator", "key"),
-    [
-        ({"gear_stiffness_nm_rad": 1e3}, "rotor_inertia_kg_m2"),
-        ({"rotor_inertia_kg_m2": [1.0, 2.0]}, "rotor_inertia_kg_m2"),
-        ({"no_load_speed_rad_s": 2.0, "rated_speed_rad_s": 2.0}, "rated_speed_rad_s"),
-    ],
-)
-def test_what_does_not_fit_the_arm_is_refused(actuator, key):
-    with pytest.raises(ConfigurationError, match=rf"plant\.actuator\.{key}"):
-        torques_of(plant_of(**actuator))
 
 
 def test_motors_are_mujocos():

@@ -71,17 +71,6 @@ def test_plant_that_was_restarted_does_not_repeat_what_was_done() -> None:
     assert run.processes[Role.CONTROLLER].signals == ["SIGSTOP", "SIGCONT"] * 2
 
 
-def test_process_that_is_restarted_is_missed_meanwhile() -> None:
-    run = Run()
-    fault = {"kind": "process_restarted", "target": "recorder", "at_s": 1, "for_s": 1}
-    run.play([fault], until_ns=S)
-    assert not run.processes[Role.RECORDER].runs
-    assert run.injector.removed == {Role.RECORDER}
-    run.play([fault], until_ns=2 * S)
-    assert run.started == [Role.RECORDER]
-    assert run.injector.removed == set()
-
-
 def test_fault_of_the_plant_ends_by_the_clock_on_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_ns = [0]
     monkeypatch.setattr(fault_injector.time, "monotonic_ns", lambda: wall_ns[0])

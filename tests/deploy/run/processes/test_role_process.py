@@ -131,49 +131,6 @@ def _has_ended(pid: int) -> bool:
     return state == "Z"  # in a container there may be nobody to take note of it
 
 
-CHILD = """
-import os, signal, sys, time
-from deploy.run.processes.role_process import end_with_parent
-
-def leave(number, frame):
-    print("leaves in order", flush=True)
-    sys.exit(0)
-
-end_with_parent(int(sys.argv[1]))
-signal.signal(signal.SIGTERM, leave)
-signal.signal(signal.SIGUSR1, lambda number, frame: print("is there", flush=True))
-print("waits", flush=True)
-while True:
-    time.sleep(0.01)
-"""
-PARENT = """
-import os, subprocess, sys
-child = subprocess.Popen([sys.executable, "-c", sys.argv[1], str(os.getpid())])
-print(child.pid, flush=True)
-child.wait()
-"""
-
-
-@pytest.mark.parametrize("is_stopped", [False, True], ids=["running", "stopped"])
-def test_child_leaves_in_order_when_its_parent_is_killed(is_stopped: bool) -> None:
-    parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, CHILD], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    )
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    assert parent.stdout.readline() == "waits\n"
-    if is_stopped:
-        os.kill(child, signal.SIGSTOP)
-    try:
-        parent.kill()
-        # The pipe ends when the last process that holds it is gone.
-        said, _ = parent.communicate(timeout=HANG_S)
-    except subprocess.TimeoutExpired:
-        os.kill(child, signal.SIGKILL)
-        raise
-    assert said == "leaves in order\n"
-
-
 def test_fork_server_starts_before_the_libraries_are_loaded() -> None:
     """It loads them beside the command: a run of 1 s is a twentieth shorter."""
     code = (
