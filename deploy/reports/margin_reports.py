@@ -98,7 +98,7 @@ def _margin_panels(study: DrawnStudy, arm: str) -> list[Panel[DrawnStudy]]:
         Panel(
             arm, f"margins-{arm}", f"Margins on {arm}", lambda study: _bars(study, arm),
             "The taller, the more a law takes. A click gives the command of the first value that"
-            " failed, from the start that fared worst. Dashed: the held-arm ceiling; no loop can be"
+            " failed, from the start that fared worst. Dotted: the held-arm ceiling; no loop can be"
             " started beyond it.",
             is_clickable=True,
         ),
@@ -117,21 +117,26 @@ def _margin_panels(study: DrawnStudy, arm: str) -> list[Panel[DrawnStudy]]:
 def _curves_panel(
     study: DrawnStudy, arm: str, name: str, title: str, quantity: StudyQuantity, caption: str
 ) -> Panel[DrawnStudy]:
-    """A line for each case of an arm: laws by colour, settings by dash; of one law by colour."""
+    """A line for each case of an arm: laws by colour, or of one law its settings.
+
+    Lines are dashed without compensation, and dash-dotted with feedback at the drives. Points
+    of loops that already run are hollow.
+    """
     cases = study.summary["cases"]
     laws = list(dict.fromkeys(case["law"] for case in cases))
-    settings = list(dict.fromkeys(map(tables.setting_text, cases)))[::-1]
+    settings = list(dict.fromkeys(map(tables.setting_text, cases)))
     lines = []
     for case in _cases_by_arm(study.summary)[arm]:
         law, setting = laws.index(case["law"]), settings.index(tables.setting_text(case))
-        colour, dash = (law, setting) if len(laws) > 1 else (setting, 0)
+        dash = (case["compensation"] is False) + 2 * bool(case["drive_feedback"])
         tried = case["probes"] if "probes" in case else case["values"]
         points = [
             point_of(value["value"], value, _worst_point(value), study)
             for value in tried
             if value["runs"]
         ]
-        lines.append(Curve(tables.case_name(case), colour, dash, points))
+        colour = law if len(laws) > 1 else setting
+        lines.append(Curve(tables.case_name(case), colour, dash, points, case["running"]))
     return study_figures.curves_panel(
         arm, f"{name}-{arm}", title, lines, tables.value_title(study.summary), quantity, caption
     )

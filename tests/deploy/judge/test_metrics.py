@@ -93,6 +93,10 @@ def test_errors_inside_leave_the_bounds_at_no_tick(setup: Setup) -> None:
         "first_violation_s": None,
         # 0.1 of 0.17 above leaves 41 %, 0.035 of 0.07 below leaves 50 %
         "margin_min": pytest.approx(1.0 - 0.1 / UPPER_RAD),
+        "margin_min_joint": "base_yaw",
+        "margin_min_s": 0.0,
+        "margin_start": pytest.approx(1.0 - 0.1 / UPPER_RAD),
+        "margin_steady": None,  # over before `metrics.from_s`
     }
 
 
