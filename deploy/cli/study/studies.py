@@ -23,14 +23,13 @@ from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study_results
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import (
-    headlines,
-    held_again,
     losses_table,
     margin_table,
     point_table,
     robustness_table,
     write_study_table,
 )
+from deploy.reports.study_texts import sentences
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.run.confirmation import check_confirmable
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
@@ -177,8 +176,6 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     """The result as a table."""
     if summary["kind"] == "margin":
         print_table(console, margin_table(summary))
-        for sentence in [*headlines(summary), *held_again(summary)]:
-            console.print(sentence, markup=False)
     elif summary["kind"] == "robustness":
         for table in (robustness_table(summary), losses_table(summary)):
             print_table(console, table)
@@ -188,6 +185,8 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
         for keys in summary.get("without_effect", ()):
             said = f"warning: {keys}: none of its values changed any result of a run"
             console.print(said, markup=False, soft_wrap=True)
+    for sentence in sentences(summary):
+        console.print(sentence, markup=False)
     for table in confirmation_tables([summary]):
         print_table(console, table)
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS

@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.page import Panel
-from deploy.reports.study_tables import margin_figure, setting_text, shown_value
+from deploy.reports.study_texts import margin_figure, setting_text, shown_value
 from deploy.reports.tables import scaled
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
