@@ -97,8 +97,7 @@ def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
 
 RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
-    "Smallest margin, joint": lambda s: s["bounds"]["margin_min_joint"],
-    "Smallest margin, at (s)": lambda s: s["bounds"]["margin_min_s"],
+    "Smallest margin, where": lambda s: margin_place(s["bounds"]).strip(" ()") or None,
     "Margin at the start (%)": lambda s: margin_percent(s["bounds"]["margin_start"]),
     "Steady margin": lambda s: margin_text(s["bounds"]["margin_steady"]),
     "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),

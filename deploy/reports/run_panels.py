@@ -34,12 +34,26 @@ def _over_time(
     return Panel(section, name, title, timeline.with_faults(draw), caption, is_over_time=True)
 
 
-def _error_sizes(section: str) -> RunsPanel:
-    return _over_time(
-        section, "error-envelopes", "Size of the errors", joints.error_envelopes,
-        "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
-        " ones can be told apart. Dotted: the bounds in their steady state, of the first run.",
-    )  # fmt: skip
+def _errors(section: str, whole: str, beginning: str) -> list[RunsPanel]:
+    """True errors inside their bounds, with the names of two of the panels."""
+    return [
+        _over_time(
+            section, whole, "True errors inside their bounds", joints.error_in_funnel,
+            "Lines should stay within the shaded band, the funnel of the first run. Red marks are"
+            " ticks outside it. The scale is that of the steady state. In all figures over time a"
+            " red shade is a scheduled fault.",
+        ),
+        _over_time(
+            section, beginning, "The first second", joints.error_first_second,
+            "Look for overshoot beyond the far bound, and for the room left while the bounds close"
+            " in.",
+        ),
+        _over_time(
+            section, "error-envelopes", "Size of the errors", joints.error_envelopes,
+            "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
+            " ones can be told apart. Dotted: the bounds in their steady state, of the first run.",
+        ),
+    ]  # fmt: skip
 
 
 def _tip_path(section: str, name: str) -> RunsPanel:
@@ -50,19 +64,17 @@ def _tip_path(section: str, name: str) -> RunsPanel:
     )  # fmt: skip
 
 
-def _bars(
-    section: str, name: str, quantity: quantities.JointQuantity, title: str, caption: str
-) -> RunsPanel:
-    draw = partial(several_runs.joint_bars, quantity=quantity)
-    return Panel(section, name, title, draw, f"{caption}On a logarithmic scale.")
+def _bars(section: str, name: str, of: quantities.JointQuantity, caption: str = "") -> RunsPanel:
+    draw = partial(several_runs.joint_bars, quantity=of)
+    return Panel(section, name, of.heading, draw, f"{caption}On a logarithmic scale.")
 
 
 _NETWORK_OUTPUT = _over_time(
     "What the network learned", "network-output",
     "Network output and the dynamics it stands in for", learned.network_output,
-    "Coloured: output of the network, of the first law that has one. Grey: M q̈ + C q̇ + G of the true"
-    " arm at the reference acceleration, plus friction and disturbance. The closer the two, the"
-    " less is left to the reaching terms.",
+    "Coloured: output of the network, of the first law that has one. Grey: M q̈ + C q̇ + G of the"
+    " true arm at the reference acceleration, plus friction and disturbance. The closer the two,"
+    " the less is left to the reaching terms.",
 )  # fmt: skip
 
 RUN_PANELS: list[RunsPanel] = [
@@ -72,16 +84,7 @@ RUN_PANELS: list[RunsPanel] = [
         " are limits reached for the first time. What lasts an instant is drawn wider.",
         is_over_time=True,
     ),
-    _over_time(
-        "Tracking error", "error-in-funnel", "True error inside its bounds", joints.error_in_funnel,
-        "The line should stay within the shaded band; red marks are ticks outside it. The scale is"
-        " that of the steady state. In all figures over time a red shade is a scheduled fault.",
-    ),
-    _over_time(
-        "Tracking error", "error-first-second", "The first second", joints.error_first_second,
-        "Look for overshoot beyond the far bound, and for the room left while the bounds close in.",
-    ),
-    _error_sizes("Tracking error"),
+    *_errors("Tracking error", "error-in-funnel", "error-first-second"),
     _over_time(
         "Control", "transformed-error", "Transformed error ε", _of_run(joints.transformed_error),
         "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
@@ -115,10 +118,8 @@ RUN_PANELS: list[RunsPanel] = [
         " for the other, and only both together are right.",
     ),
     *(
-        _over_time(
-            "What was learned", name, title,
-            _of_run(partial(learned.learned_over_time, key=key)), caption,
-        )
+        _over_time("What was learned", name, title,
+                   _of_run(partial(learned.learned_over_time, key=key)), caption)
         for key, name, title, caption in (
             ("inertia_factor", "learned-inertia", "Inertia factor 1 + α",
              "Masses and inertias over those of the nominal model. Grey, in all these figures:"
@@ -149,7 +150,7 @@ RUN_PANELS: list[RunsPanel] = [
 """The figures of a run, in order; another one is another entry."""
 
 _RUNS_PANELS: list[RunsPanel] = [
-    _bars("Precision", "rms", quantities.RMS_ERROR, "RMS error of every joint", ""),
+    _bars("Precision", "rms", quantities.RMS_ERROR),
     Panel(
         "Precision", "settling", "Settling time", several_runs.settling,
         "When the error entered the bounds' steady state to stay. A stroke across, for laws that"
@@ -163,16 +164,7 @@ _RUNS_PANELS: list[RunsPanel] = [
         " holds for every start, for laws that have one. A hollow circle left its funnel on"
         " the way; a cross at the top did not settle while it was watched.",
     ),
-    _over_time(
-        "Joint errors", "errors", "True errors inside their bounds", joints.error_in_funnel,
-        "The shaded band is the funnel of the first run. The scale is that of its steady state. A"
-        " click in the legend hides a run.",
-    ),
-    _over_time(
-        "Joint errors", "errors-first-second", "The first second", joints.error_first_second,
-        "Who overshoots the far bound, and who is still outside when the bounds have closed?",
-    ),
-    _error_sizes("Joint errors"),
+    *_errors("Joint errors", "errors", "errors-first-second"),
     _over_time(
         "Joint errors", "positions-apart", "How far positions are from those of the first run",
         joints.positions_apart,
@@ -190,10 +182,9 @@ _RUNS_PANELS: list[RunsPanel] = [
         "One column per run, one scale along each row. A thin line is smooth; a solid block of"
         " colour is chatter.",
     ),
-    _bars("Chattering", "total-variation", quantities.TOTAL_VARIATION, "Total variation of torque",
+    _bars("Chattering", "total-variation", quantities.TOTAL_VARIATION,
           "How far the torque travels up and down in a second. "),
     _bars("Chattering", "chatter-share", quantities.SHARE_ABOVE_50_HZ,
-          "Share of torque energy above 50 Hz",
           "Of the energy of the torque without its mean. The arm is asked for nothing that fast. "),
     Panel(
         "Chattering", "torque-spectra", "Torque by frequency", joints.torque_spectra,
@@ -202,11 +193,8 @@ _RUNS_PANELS: list[RunsPanel] = [
     ),
     _NETWORK_OUTPUT,
     *(
-        Panel(
-            "Timing", key.removesuffix("_us").replace("_", "-"), title,
-            partial(timeline.time_of_runs, key=key),
-            _PERCENTILES,
-        )
+        Panel("Timing", key.removesuffix("_us").replace("_", "-"), title,
+              partial(timeline.time_of_runs, key=key), _PERCENTILES)
         for key, title in quantities.TIMES.items()
     ),
 ]  # fmt: skip

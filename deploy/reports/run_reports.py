@@ -49,8 +49,6 @@ def write_report(
             Fact("Duration", f"{summary['duration_s']:g} s"),
             Fact("Smallest margin", margin_text(bounds["margin_min"]) + margin_place(bounds),
                  "1 − |e| / bound; negative outside the bounds"),
-            Fact("Margin at the start", margin_text(bounds["margin_start"]),
-                 "what the initial offset leaves of the bounds, whatever the law"),
             Fact("Steady margin", margin_text(bounds["margin_steady"]),
                  f"the smallest from {from_s:g} s on, once the bounds have narrowed"),
             Fact(quantities.DEADLINES_MET, percent(summary["timing"]["success_rate"]),

@@ -16,14 +16,14 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import spec_from_file_location
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 _PACKAGES = ("bus_schema", "controller", "plant_emulator", "deploy")
 _HERE = Path(__file__).resolve().parent
 _FOLDER = next(each for each in _HERE.parents if (each / "bus_schema" / "registry.py").is_file())
-_LIBRARIES = map(sysconfig.get_path, ("stdlib", "purelib", "platlib"))
-_NOT_OF_SCRIPT = tuple(
-    f"{folder}{os.sep}" for folder in (_HERE, *(_FOLDER / name for name in _PACKAGES), *_LIBRARIES)
-)
+_FOLDERS = (_HERE, *(_FOLDER / name for name in _PACKAGES), sysconfig.get_path("stdlib"))
+_NOT_OF_SCRIPT = tuple(f"{folder}{os.sep}" for folder in _FOLDERS)
+_INSTALLED = f"-packages{os.sep}"  # site-packages; dist-packages on Debian
 _import = builtins.__import__
 
 
@@ -33,13 +33,7 @@ class _OfTheScript:
     def __init__(self) -> None:
         elsewhere = [place for place in sys.path if Path(place).resolve() != _FOLDER]
         found = {name: PathFinder.find_spec(name, elsewhere) for name in _PACKAGES}
-        self._files = {
-            self.renamed(name): spec for name, spec in found.items() if spec and spec.has_location
-        }
-
-    def renamed(self, name: str) -> str:
-        """What the script's module of this name is called inside Python."""
-        return f"script_{name}"
+        self._files = {_renamed(name): it for name, it in found.items() if it and it.has_location}
 
     def install(self) -> None:
         """Take part in every import from now on, if any name is used twice."""
@@ -62,7 +56,7 @@ class _OfTheScript:
 
     def _rename(self, module: ModuleType, name: str) -> None:
         """Rename an imported module, or one that imports funnel_hil while it is imported."""
-        new = module.__name__ = self.renamed(name)
+        new = module.__name__ = _renamed(name)
         if module.__spec__ is not None:
             module.__spec__.name = new
             module.__package__ = module.__spec__.parent
@@ -72,24 +66,26 @@ class _OfTheScript:
         sys.modules[new] = sys.modules.pop(name)
 
     def _is_shared(self, name: str) -> bool:
-        return self.renamed(name.partition(".")[0]) in self._files
+        return _renamed(name.partition(".")[0]) in self._files
 
-    def _imported(
-        self,
-        name: str,
-        globals: Mapping[str, object] | None = None,  # noqa: A002  (Python calls it so)
-        locals: Mapping[str, object] | None = None,  # noqa: A002
-        fromlist: Sequence[str] | None = (),
-        level: int = 0,
-    ) -> ModuleType:
-        if level == 0 and self._is_shared(name) and _is_of_script(globals or {}):
-            name = self.renamed(name)
-        return _import(name, globals, locals, fromlist, level)
+    def _imported(self, name: str, *given: Any, **named: Any) -> ModuleType:
+        """What Python's own function of these arguments imports for the module that asks."""
+        more = dict(zip(("globals", "locals", "fromlist", "level"), given, strict=False)) | named
+        is_absolute = not more.get("level")
+        if is_absolute and self._is_shared(name) and _is_of_script(more.get("globals") or {}):
+            name = _renamed(name)
+        return _import(name, **more)
+
+
+def _renamed(name: str) -> str:
+    """What the script's module of this name is called inside Python."""
+    return f"script_{name}"
 
 
 def _is_of_script(names: Mapping[str, object]) -> bool:
     """Whether a module with these global names is part of neither funnel-hil nor a library."""
-    return not str(names.get("__file__")).startswith(_NOT_OF_SCRIPT)
+    file = str(names.get("__file__"))
+    return not file.startswith(_NOT_OF_SCRIPT) and _INSTALLED not in file
 
 
 _OfTheScript().install()

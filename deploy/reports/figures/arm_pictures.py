@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
@@ -30,8 +30,7 @@ _OVERSAMPLING = 1.5
 _RENDERED_PX = round(_OVERSAMPLING * _WIDTH_PX), round(_OVERSAMPLING * _HEIGHT_PX)
 _RIGHT_AND_DOWN = np.array([[0.81, 0.59, 0.0], [0.21, -0.29, -0.93]])
 """Axes of a skeleton's picture in the base frame, as Bullet's camera sees the arm."""
-_FILLED = 0.8
-_BONE_PX, _JOINT_PX = 16, 14
+_FILLED, _BONE_PX, _JOINT_PX = 0.8, 16, 14
 
 
 def arm_pictures(run: RunData) -> Callable[[], list[Picture] | None] | None:
@@ -49,17 +48,14 @@ def arm_pictures(run: RunData) -> Callable[[], list[Picture] | None] | None:
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    rendering = Rendering(run.setup.robot, positions, *_RENDERED_PX)
-    return partial(_drawn, rendering, run.setup.robot, positions, times_s[ticks])
+    return partial(_drawn, Rendering(run.setup.robot, positions, *_RENDERED_PX), times_s[ticks])
 
 
-def _drawn(
-    rendering: Rendering, robot: RobotDescription, positions: Matrix, times_s: Vector
-) -> list[Picture] | None:
+def _drawn(rendering: Rendering, times_s: Vector) -> list[Picture] | None:
     from plant_emulator.physics.bullet.render import RenderError
 
     try:
-        pictures = _pixels(rendering, robot, positions)
+        pictures = _pixels(rendering)
     except RenderError as error:
         print(f"warning: the report has no pictures of the arm: {error}", file=sys.stderr)
         return None
@@ -77,20 +73,19 @@ def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
     from plant_emulator.physics.bullet.render import RenderError, Rendering
 
     try:
-        positions = position_rad[np.newaxis]
-        (pixels,) = _pixels(Rendering(robot, positions, *_RENDERED_PX), robot, positions)
+        (pixels,) = _pixels(Rendering(robot, position_rad[np.newaxis], *_RENDERED_PX))
     except RenderError as error:
         raise InputError(f"--picture: {robot.path}: {error}") from error
     return _png(pixels)
 
 
-def _pixels(rendering: Rendering, robot: RobotDescription, positions: Matrix) -> NDArray[np.uint8]:
+def _pixels(rendering: Rendering) -> NDArray[np.uint8]:
     """What Bullet renders; for an arm without shapes that it can draw, a skeleton of the arm."""
     rendered = rendering.pictures()
     if (rendered < 255).any():
         return rendered
-    model = ManipulatorModel(robot)
-    bones = np.array([model.skeleton(position) for position in positions]) @ _RIGHT_AND_DOWN.T
+    model = ManipulatorModel(rendering.robot)
+    bones = np.array(list(map(model.skeleton, rendering.positions))) @ _RIGHT_AND_DOWN.T
     lower, upper = bones.min(axis=(0, 1, 2)), bones.max(axis=(0, 1, 2))
     scale = _FILLED * np.min(np.array(_RENDERED_PX) / np.maximum(upper - lower, 1e-6))
     return np.array([_skeleton(each) for each in scale * (bones - (lower + upper) / 2)])
