@@ -16,6 +16,8 @@ from deploy.judge.recorded_ticks import KnownTicks, tick_numbers
 from deploy.judge.run_data import RunData
 
 _COUNTED = ("ticks", "outside", "margin_min")
+_JUDGED = ("violation_fraction", "first_violation_s", "margin_min", "margin_min_joint",
+           "margin_min_s", "margin_start", "margin_steady")  # fmt: skip
 
 
 def bound_usage(run: RunData) -> Matrix:
@@ -32,16 +34,25 @@ def judge_bounds(run: RunData) -> dict[str, Any]:
     there is nothing to judge. `deploy.judge.verdict` decides what follows.
     """
     usage = bound_usage(run)
-    if len(usage) < 2:  # the first is the arm's position before any tick
-        return dict.fromkeys(("violation_fraction", "first_violation_s", "margin_min"))
-    outside = ~(usage < 1.0).all(axis=1)
-    largest = float(usage.max())
-    first = float(run.times_s(topics.PLANT_TRUTH)[np.argmax(outside)]) if outside.any() else None
+    if len(usage) < 2:  # the first is where the arm stood before any tick
+        return dict.fromkeys(_JUDGED)
+    outside, times_s = ~(usage < 1.0).all(axis=1), run.times_s(topics.PLANT_TRUTH)
+    tick, joint = np.unravel_index(usage.argmax(), usage.shape)
     return {
         "violation_fraction": float(outside.mean()),
-        "first_violation_s": first,
-        "margin_min": 1.0 - largest if np.isfinite(largest) else None,
+        "first_violation_s": float(times_s[np.argmax(outside)]) if outside.any() else None,
+        "margin_min": _margin(usage),
+        "margin_min_joint": run.setup.robot.joint_names[joint],
+        "margin_min_s": float(times_s[tick]),
+        "margin_start": _margin(usage[tick_numbers(run) == 0]),
+        "margin_steady": _margin(usage[times_s >= run.setup.scenario.metrics.from_s]),
     }
+
+
+def _margin(usage: Matrix) -> float | None:
+    """The smallest margin; None where there is no tick, or an error that is not a number."""
+    largest = float(usage.max()) if len(usage) else math.nan
+    return 1.0 - largest if math.isfinite(largest) else None
 
 
 def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> list[str]:

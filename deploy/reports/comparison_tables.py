@@ -40,8 +40,8 @@ def verdict_table(comparison: ComparedRuns) -> Table:
         f"{scenario.name} · {scenario.duration_s:g} s · worst joint of each law",
         [*names, *(column for column, _, _ in shown)],
         rows,
-        "The best of all laws that kept their bounds is set off. RMS errors from"
-        f" {scenario.metrics.from_s:g} s on; everything else over the whole run."
+        "The best of all laws that kept their bounds is set off. RMS errors and steady"
+        f" margins from {scenario.metrics.from_s:g} s on; everything else over the whole run."
         f" {quantities.SETTLED}",
     )
 

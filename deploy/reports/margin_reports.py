@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from deploy.reports import study_tables as tables
+from deploy.reports import study_texts as texts
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity, point_of
 from deploy.reports.page import Fact, Page, Panel
@@ -20,19 +20,19 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins."""
     summary = study.summary
     arms = _cases_by_arm(summary)
-    ceilings = {arm: next(filter(None, map(tables.ceiling_text, arms[arm])), None) for arm in arms}
+    ceilings = {arm: next(filter(None, map(texts.ceiling_text, arms[arm])), None) for arm in arms}
     return Page(
         f"margins of {summary['quantity']}",
         summary["name"],
         verdict=ReportHead(
             "mixed",
-            f"{tables.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
+            f"{texts.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
             " kept",
-            [*tables.headlines(summary), *tables.held_again(summary)],
+            texts.sentences(summary),
         ),
         facts=[
-            Fact("Resolution", tables.value_text(summary["resolution"], summary)),
-            Fact("Last value tried", tables.value_text(summary["limit"], summary)),
+            Fact("Resolution", texts.value_text(summary["resolution"], summary)),
+            Fact("Last value tried", texts.value_text(summary["limit"], summary)),
             Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
             _durations(summary),
             Fact("Held-arm ceiling",
@@ -55,16 +55,18 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins over uncertain plants."""
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
-    values = ", ".join(tables.value_text(value, summary) for value in summary["values"])
+    best, *others = texts.sentences(summary)
+    values = ", ".join(texts.value_text(value, summary) for value in summary["values"])
     return Page(
         f"margins of {summary['quantity']} over uncertain plants",
         summary["name"],
         verdict=ReportHead(
             "mixed",
-            f"Largest {summary['title']} at which {share} of {summary['plants']} plants are kept",
+            best,
             [
-                f"{tables.case_title(case)}: {tables.kept_text(case, summary)}{_there(case)}."
-                for case in sorted(cases, key=_kept_up_to, reverse=True)
+                *others,
+                f"At this {summary['title']}, and at each smaller one that was tried, at least"
+                f" {share} of the plants kept their bounds. The interval is Wilson's.",
             ],
         ),
         facts=[
@@ -98,7 +100,7 @@ def _margin_panels(study: DrawnStudy, arm: str) -> list[Panel[DrawnStudy]]:
         Panel(
             arm, f"margins-{arm}", f"Margins on {arm}", lambda study: _bars(study, arm),
             "The taller, the more a law takes. A click gives the command of the first value that"
-            " failed, from the start that fared worst. Dashed: the held-arm ceiling; no loop can be"
+            " failed, from the start that fared worst. Dotted: the held-arm ceiling; no loop can be"
             " started beyond it.",
             is_clickable=True,
         ),
@@ -117,23 +119,28 @@ def _margin_panels(study: DrawnStudy, arm: str) -> list[Panel[DrawnStudy]]:
 def _curves_panel(
     study: DrawnStudy, arm: str, name: str, title: str, quantity: StudyQuantity, caption: str
 ) -> Panel[DrawnStudy]:
-    """A line for each case of an arm: laws by colour, settings by dash; of one law by colour."""
+    """A line for each case of an arm: laws by colour, or of one law its settings.
+
+    Lines are dashed without compensation, and dash-dotted with feedback at the drives. Points
+    of loops that already run are hollow.
+    """
     cases = study.summary["cases"]
     laws = list(dict.fromkeys(case["law"] for case in cases))
-    settings = list(dict.fromkeys(map(tables.setting_text, cases)))[::-1]
+    settings = list(dict.fromkeys(map(texts.setting_text, cases)))
     lines = []
     for case in _cases_by_arm(study.summary)[arm]:
-        law, setting = laws.index(case["law"]), settings.index(tables.setting_text(case))
-        colour, dash = (law, setting) if len(laws) > 1 else (setting, 0)
+        law, setting = laws.index(case["law"]), settings.index(texts.setting_text(case))
+        dash = (case["compensation"] is False) + 2 * bool(case["drive_feedback"])
         tried = case["probes"] if "probes" in case else case["values"]
         points = [
             point_of(value["value"], value, _worst_point(value), study)
             for value in tried
             if value["runs"]
         ]
-        lines.append(Curve(tables.case_name(case), colour, dash, points))
+        colour = law if len(laws) > 1 else setting
+        lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"]))
     return study_figures.curves_panel(
-        arm, f"{name}-{arm}", title, lines, tables.value_title(study.summary), quantity, caption
+        arm, f"{name}-{arm}", title, lines, texts.value_title(study.summary), quantity, caption
     )
 
 
@@ -146,7 +153,7 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
     losses = case["losses"]
     bars = [(one["quantity"], one["effect"]) for one in losses["effects"] or []]
     return Panel(
-        "What lost plants have in common", f"losses-{index}", tables.case_title(case),
+        "What lost plants have in common", f"losses-{index}", texts.case_title(case),
         lambda _: study_figures.effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0),
         f"{losses['lost_plants']} plants were lost at some value. To the right: they had more of"
         " it. Grey bars lie within what chance alone may give the strongest of all quantities.",
@@ -156,26 +163,14 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
 def _bars(study: DrawnStudy, arm: str) -> Any:
     cases = _cases_by_arm(study.summary)[arm]
     probes = [
-        tables.probe_at(c, c["first_failure"]) or tables.probe_at(c, c["margin"]) for c in cases
+        texts.probe_at(c, c["first_failure"]) or texts.probe_at(c, c["margin"]) for c in cases
     ]
     reruns = [study.rerun(probe["worst_point"]) if probe else "" for probe in probes]
-    return study_figures.margin_bars(cases, reruns, tables.value_title(study.summary))
-
-
-def _there(case: Summary) -> str:
-    """How sure that is: the share where it is, with its interval."""
-    at = next((v for v in case["values"] if v["value"] == case["kept_up_to"]), None)
-    if at is None:
-        return ""
-    return f", where {tables.share_text(at)} were kept (95 % interval {tables.interval_text(at)})"
-
-
-def _kept_up_to(case: Summary) -> float:
-    return -1.0 if case["kept_up_to"] is None else float(case["kept_up_to"])
+    return study_figures.margin_bars(cases, reruns, texts.value_title(study.summary))
 
 
 def _value_name(case: Summary, tried: Summary, summary: Summary) -> str:
-    return f"{tables.case_title(case)}, {tables.value_text(tried['value'], summary)}"
+    return f"{texts.case_title(case)}, {texts.value_text(tried['value'], summary)}"
 
 
 def _durations(summary: Summary) -> Fact:

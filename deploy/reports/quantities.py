@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -77,14 +77,33 @@ TIMES = {
 }
 """Names of the times of ``timing`` in a summary."""
 SETTLED = "A joint has settled when its error has entered the bounds' steady state to stay."
+DEADLINES_MET = "Deadlines met"
+
+
+def margin_place(bounds: Mapping[str, Any]) -> str:
+    """At which joint and when the smallest margin was."""
+    joint, at_s = bounds["margin_min_joint"], bounds["margin_min_s"]
+    return "" if at_s is None else f" ({joint} at {at_s:.3f} s)"
+
+
+def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
+    """What the initial offset left of the bounds, and what is left once they have narrowed."""
+    margins = {
+        "at the start": bounds["margin_start"],
+        f"from {from_s:g} s on": bounds["margin_steady"],
+    }
+    return "".join(f", {margin_text(it)} {when}" for when, it in margins.items() if it is not None)
 
 
 RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
+    "Smallest margin, where": lambda s: margin_place(s["bounds"]).strip(" ()") or None,
+    "Margin at the start (%)": lambda s: margin_percent(s["bounds"]["margin_start"]),
+    "Steady margin": lambda s: margin_text(s["bounds"]["margin_steady"]),
     "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),
     "First outside (s)": lambda s: s["bounds"]["first_violation_s"],
     "Faults": lambda s: len(s["faults"]),
-    "Deadlines met": lambda s: percent(s["timing"]["success_rate"]),
+    DEADLINES_MET: lambda s: percent(s["timing"]["success_rate"]),
     "Deadlines missed": lambda s: s["timing"]["deadline_misses"],
     "Longest run of misses (ticks)": lambda s: s["timing"]["deadline_miss_longest_run"],
     "Saturated ticks (%)": lambda s: scaled(s["torque"]["saturated_fraction"], 100.0),
@@ -99,8 +118,9 @@ RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
 """What a summary has of a run as a whole, by its heading in tables of one run and of several."""
 OF_LAWS: list[tuple[Column, Callable[[Summary], Value], bool]] = [
     (Column("Ticks outside", "%", "Outside"), RUN_NUMBERS["Ticks outside (%)"], False),
-    (Column("Smallest margin", "", "Margin"), lambda s: margin_text(s["bounds"]["margin_min"]),
+    (Column("Smallest margin", brief=None), lambda s: margin_text(s["bounds"]["margin_min"]),
      False),
+    (Column("Steady margin", brief="Steady\nmargin"), RUN_NUMBERS["Steady margin"], False),
     (replace(RMS_ERROR.column, brief=None), RMS_ERROR.of_worst_joint, True),
     (TOTAL_VARIATION.column, TOTAL_VARIATION.of_worst_joint, True),
     (SHARE_ABOVE_50_HZ.column, SHARE_ABOVE_50_HZ.of_worst_joint, True),

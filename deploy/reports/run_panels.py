@@ -16,14 +16,6 @@ from deploy.study.comparison.comparison import ComparedRuns
 T = TypeVar("T")
 RunsPanel = Panel[ComparedRuns]
 
-_PATHS = (
-    "The path should lie on the grey reference, but for the way in from the start. Drag to turn,"
-    " scroll to zoom."
-)
-_NETWORK = (
-    "Coloured: output of the network. Grey: M q̈ + C q̇ + G of the true arm at the reference"
-    " acceleration, plus friction and disturbance."
-)
 _PERCENTILES = (
     "A line that climbs at the right has rare, long delays. Zeros have no place on this scale and"
     " are not drawn."
@@ -42,6 +34,49 @@ def _over_time(
     return Panel(section, name, title, timeline.with_faults(draw), caption, is_over_time=True)
 
 
+def _errors(section: str, whole: str, beginning: str) -> list[RunsPanel]:
+    """True errors inside their bounds, with the names of two of the panels."""
+    return [
+        _over_time(
+            section, whole, "True errors inside their bounds", joints.error_in_funnel,
+            "Lines should stay within the shaded band, the funnel of the first run. Red marks are"
+            " ticks outside it. The scale is that of the steady state. In all figures over time a"
+            " red shade is a scheduled fault.",
+        ),
+        _over_time(
+            section, beginning, "The first second", joints.error_first_second,
+            "Look for overshoot beyond the far bound, and for the room left while the bounds close"
+            " in.",
+        ),
+        _over_time(
+            section, "error-envelopes", "Size of the errors", joints.error_envelopes,
+            "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
+            " ones can be told apart. Dotted: the bounds in their steady state, of the first run.",
+        ),
+    ]  # fmt: skip
+
+
+def _tip_path(section: str, name: str) -> RunsPanel:
+    return Panel(
+        section, name, "Path of the end effector", space.tip_path,
+        "The path should lie on the grey reference, but for the way in from the start. Drag to"
+        " turn, scroll to zoom.",
+    )  # fmt: skip
+
+
+def _bars(section: str, name: str, of: quantities.JointQuantity, caption: str = "") -> RunsPanel:
+    draw = partial(several_runs.joint_bars, quantity=of)
+    return Panel(section, name, of.heading, draw, f"{caption}On a logarithmic scale.")
+
+
+_NETWORK_OUTPUT = _over_time(
+    "What the network learned", "network-output",
+    "Network output and the dynamics it stands in for", learned.network_output,
+    "Coloured: output of the network, of the first law that has one. Grey: M q̈ + C q̇ + G of the"
+    " true arm at the reference acceleration, plus friction and disturbance. The closer the two,"
+    " the less is left to the reaching terms.",
+)  # fmt: skip
+
 RUN_PANELS: list[RunsPanel] = [
     Panel(
         "What happened when", "timeline", "Modes of both sides", _of_run(timeline.timeline),
@@ -49,15 +84,7 @@ RUN_PANELS: list[RunsPanel] = [
         " are limits reached for the first time. What lasts an instant is drawn wider.",
         is_over_time=True,
     ),
-    _over_time(
-        "Tracking error", "error-in-funnel", "True error inside its bounds", joints.error_in_funnel,
-        "The line should stay within the shaded band; red marks are ticks outside it. The scale is"
-        " that of the steady state. In all figures over time a red shade is a scheduled fault.",
-    ),
-    _over_time(
-        "Tracking error", "error-first-second", "The first second", joints.error_first_second,
-        "Look for overshoot beyond the far bound, and for the room left while the bounds close in.",
-    ),
+    *_errors("Tracking error", "error-in-funnel", "error-first-second"),
     _over_time(
         "Control", "transformed-error", "Transformed error ε", _of_run(joints.transformed_error),
         "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
@@ -67,10 +94,7 @@ RUN_PANELS: list[RunsPanel] = [
         "Control", "torques", "Commanded torque", _of_run(joints.torques),
         "A solid block of colour is chatter. Dotted: limits of actuators that come near them.",
     ),
-    Panel(
-        "Motion", "tip-path", "Path of the end effector", space.tip_path,
-        _PATHS,
-    ),
+    _tip_path("Motion", "tip-path"),
     _over_time(
         "Motion", "tip-error", "Error of the end effector", _of_run(space.tip_error),
         "True minus reference position in the base frame, scaled to the steady state.",
@@ -85,11 +109,7 @@ RUN_PANELS: list[RunsPanel] = [
         "At the start, in the middle and at the end of the run, by one camera.",
         is_drawn_beside=True,
     ),
-    _over_time(
-        "What the network learned", "network-output",
-        "Network output and the dynamics it stands in for", learned.network_output,
-        _NETWORK + " The closer the two, the less is left to the reaching terms.",
-    ),
+    _NETWORK_OUTPUT,
     Panel(
         "What was learned", "learned-values", "Believed at the end, and true",
         _of_run(learned.learned_values),
@@ -98,13 +118,11 @@ RUN_PANELS: list[RunsPanel] = [
         " for the other, and only both together are right.",
     ),
     *(
-        _over_time(
-            "What was learned", name, title,
-            _of_run(partial(learned.learned_over_time, key=key)), caption,
-        )
+        _over_time("What was learned", name, title,
+                   _of_run(partial(learned.learned_over_time, key=key)), caption)
         for key, name, title, caption in (
             ("inertia_factor", "learned-inertia", "Inertia factor 1 + α",
-             "Masses and inertias over those of the nominal model. Dashed, in all these figures:"
+             "Masses and inertias over those of the nominal model. Grey, in all these figures:"
              " the truth."),
             ("payload_kg", "learned-payload", "Payload",
              "A point mass at the tip that the nominal model does not have."),
@@ -132,10 +150,7 @@ RUN_PANELS: list[RunsPanel] = [
 """The figures of a run, in order; another one is another entry."""
 
 _RUNS_PANELS: list[RunsPanel] = [
-    Panel(
-        "Precision", "rms", "RMS error of every joint",
-        partial(several_runs.joint_bars, quantity=quantities.RMS_ERROR), "On a logarithmic scale.",
-    ),
+    _bars("Precision", "rms", quantities.RMS_ERROR),
     Panel(
         "Precision", "settling", "Settling time", several_runs.settling,
         "When the error entered the bounds' steady state to stay. A stroke across, for laws that"
@@ -145,34 +160,18 @@ _RUNS_PANELS: list[RunsPanel] = [
     Panel(
         "Precision", "settling-from-afar", "Settling time from near and far",
         several_runs.settling_from_afar,
-        "The scenario from other starts: all joints off by as much. Dashed: the one bound that"
+        "The scenario from other starts: all joints off by as much. Dotted: the one bound that"
         " holds for every start, for laws that have one. A hollow circle left its funnel on"
         " the way; a cross at the top did not settle while it was watched.",
     ),
-    _over_time(
-        "Joint errors", "errors", "True errors inside their bounds", joints.error_in_funnel,
-        "The shaded band is the funnel of the first run. The scale is that of its steady state. A"
-        " click in the legend hides a run.",
-    ),
-    _over_time(
-        "Joint errors", "errors-first-second", "The first second", joints.error_first_second,
-        "Who overshoots the far bound, and who is still outside when the bounds have closed?",
-    ),
-    _over_time(
-        "Joint errors", "error-envelopes", "Size of the errors", joints.error_envelopes,
-        "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
-        " ones can be told apart. Dotted: the first run's bounds in their steady state.",
-    ),
+    *_errors("Joint errors", "errors", "errors-first-second"),
     _over_time(
         "Joint errors", "positions-apart", "How far positions are from those of the first run",
         joints.positions_apart,
         "At the same instant, on a logarithmic scale. Where a line is missing, the runs have the"
         " same bits.",
     ),
-    Panel(
-        "End effector", "tip-paths", "Path of the end effector", space.tip_path,
-        _PATHS,
-    ),
+    _tip_path("End effector", "tip-paths"),
     _over_time(
         "End effector", "tip-errors", "Cartesian errors", space.tip_error_envelopes,
         "Size of the true minus the reference position along each axis of the base frame: the"
@@ -183,33 +182,19 @@ _RUNS_PANELS: list[RunsPanel] = [
         "One column per run, one scale along each row. A thin line is smooth; a solid block of"
         " colour is chatter.",
     ),
-    Panel(
-        "Chattering", "total-variation", "Total variation of torque",
-        partial(several_runs.joint_bars, quantity=quantities.TOTAL_VARIATION),
-        "How far the torque travels up and down in a second, on a logarithmic scale.",
-    ),
-    Panel(
-        "Chattering", "chatter-share", "Share of torque energy above 50 Hz",
-        partial(several_runs.joint_bars, quantity=quantities.SHARE_ABOVE_50_HZ),
-        "Of the energy of the torque without its mean, on a logarithmic scale. Nothing that the"
-        " arm is asked to do is that fast.",
-    ),
+    _bars("Chattering", "total-variation", quantities.TOTAL_VARIATION,
+          "How far the torque travels up and down in a second. "),
+    _bars("Chattering", "chatter-share", quantities.SHARE_ABOVE_50_HZ,
+          "Of the energy of the torque without its mean. The arm is asked for nothing that fast. "),
     Panel(
         "Chattering", "torque-spectra", "Torque by frequency", joints.torque_spectra,
         "Amplitude in each hertz. To the right of the dotted line it counts as chatter; the"
         " further down a line runs there, the kinder it is to gears.",
     ),
-    _over_time(
-        "What the network learned", "network-output",
-        "Network output and the dynamics it stands in for", learned.network_output,
-        "Of the first law that has a network. " + _NETWORK,
-    ),
+    _NETWORK_OUTPUT,
     *(
-        Panel(
-            "Timing", key.removesuffix("_us").replace("_", "-"), title,
-            partial(timeline.time_of_runs, key=key),
-            _PERCENTILES,
-        )
+        Panel("Timing", key.removesuffix("_us").replace("_", "-"), title,
+              partial(timeline.time_of_runs, key=key), _PERCENTILES)
         for key, title in quantities.TIMES.items()
     ),
 ]  # fmt: skip

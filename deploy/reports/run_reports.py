@@ -16,6 +16,7 @@ from deploy.reports import comparison_tables as of_runs
 from deploy.reports import quantities
 from deploy.reports import run_tables as of_run
 from deploy.reports.page import Cards, Fact, Page, write_page
+from deploy.reports.quantities import margin_place
 from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
 from deploy.reports.tables import margin_text, number, percent
 from deploy.reports.verdict import verdict_on_laws, verdict_on_run, verdict_on_runs
@@ -38,7 +39,7 @@ def write_report(
         path: the HTML file to write.
         conditions: under which it came about.
     """
-    from_s = run.setup.scenario.metrics.from_s
+    from_s, bounds = run.setup.scenario.metrics.from_s, summary["bounds"]
     page = Page(
         "report of a run",
         f"{summary['scenario']} · {summary['law']}",
@@ -46,9 +47,11 @@ def write_report(
         [
             *(Fact(key.capitalize(), summary[key]) for key in ("scenario", "law", "clock", "link")),
             Fact("Duration", f"{summary['duration_s']:g} s"),
-            Fact("Smallest margin", margin_text(summary["bounds"]["margin_min"]),
+            Fact("Smallest margin", margin_text(bounds["margin_min"]) + margin_place(bounds),
                  "1 − |e| / bound; negative outside the bounds"),
-            Fact("Success rate", percent(summary["timing"]["success_rate"]),
+            Fact("Steady margin", margin_text(bounds["margin_steady"]),
+                 f"the smallest from {from_s:g} s on, once the bounds have narrowed"),
+            Fact(quantities.DEADLINES_MET, percent(summary["timing"]["success_rate"]),
                  "share of the ticks that met their deadline"),
             Fact("Digest", summary["digest"][:12], summary["digest"]),
         ],

@@ -16,7 +16,7 @@ from deploy.judge.conditions import conditions_line
 ABSENT = "–"
 _FAR_OUTSIDE = -1.0
 """Margin below which an error is told as a multiple of its bound."""
-
+_NEARLY_ALL = 0.99
 _ALL_DIGITS_FROM = 999.5
 _EXPONENT = re.compile(r"e-0*(\d+)")
 _RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -54,7 +54,9 @@ def margin_percent(margin: float | None) -> Value:
 
 
 def margin_text(margin: float | None) -> str:
-    """A margin with its unit, as `margin_percent`."""
+    """A margin with its unit, as `margin_percent`; near 100 % with more digits."""
+    if margin is not None and margin > _NEARLY_ALL:
+        return percent(margin)
     value = margin_percent(margin)
     return (
         value if isinstance(value, str) else number(value, unit=" %" if value is not None else "")

@@ -14,6 +14,7 @@ from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
 from deploy.judge.verdict import Verdict, verdict_of
+from deploy.reports.quantities import margin_place, other_margins
 from deploy.reports.tables import margin_text, number
 
 if TYPE_CHECKING:
@@ -151,15 +152,16 @@ def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) ->
     bounds, is_all = summary["bounds"], not known.missing and not run.damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
     where = f"the {known.known:,}{of_all} ticks at which it is known"
-    margin = bounds["margin_min"]
+    margin, place = bounds["margin_min"], margin_place(bounds)
     if not bounds["violation_fraction"]:
         ticks = f"all {known.ticks:,} ticks" if is_all else where
-        return f"inside its bounds at {ticks}, smallest margin {margin_text(margin)}"
+        others = other_margins(bounds, run.setup.scenario.metrics.from_s)
+        return f"inside its bounds at {ticks}, smallest margin {margin_text(margin)}{place}{others}"
     times = "an unknown multiple of" if margin is None else f"{number(1.0 - margin)} times"
     return (
         f"outside its bounds at {number(bounds['violation_fraction'], 100)} % of"
         f" {'the ticks' if is_all else where}, for the first time at"
-        f" {bounds['first_violation_s']:.3f} s, and at most {times} its bound"
+        f" {bounds['first_violation_s']:.3f} s, and at most {times} its bound{place}"
     )
 
 

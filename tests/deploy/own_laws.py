@@ -6,7 +6,7 @@ from pathlib import Path
 
 LAW = '''\
 import numpy as np
-from controller.control_law import Diagnostics
+from funnel_hil import Diagnostics
 
 
 class Own:

@@ -145,7 +145,8 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
         "limits", "identified", "digest", "recording", "commander", "verdict",
     }  # fmt: skip
     assert set(summary["bounds"]) == {
-        "kept", "violation_fraction", "first_violation_s", "margin_min"
+        "kept", "violation_fraction", "first_violation_s", "margin_min", "margin_min_joint",
+        "margin_min_s", "margin_start", "margin_steady",
     }  # fmt: skip
     assert set(summary["tracking"]) == {
         "joint_names", "rms_rad", "max_abs_rad", "settling_time_s", "settling_bound_s"

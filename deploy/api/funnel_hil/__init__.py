@@ -6,19 +6,29 @@
     (True, 0.4…)
 
 This is the one public name of the package. Whatever these functions refuse is an `InputError`,
-whose message names the key, the value and what is allowed.
+whose message names the key, the value and what is allowed. A law of your own needs nothing else:
+it has the methods of `ControlLaw`, gets `Tracking` and a `Dynamics`, and fills its `Diagnostics`.
 """
 
 from importlib.metadata import version as _version
 
-from funnel_hil import _own_modules  # noqa: F401  (first: whatever hides them is named)
+from funnel_hil import _own_modules  # noqa: F401  (first: it decides what imports find)
 from funnel_hil.results import Comparison, Diff, Run, Study
 from funnel_hil.runs import compare, diff, load_run, simulate
-from funnel_hil.scenarios import InputError, Scenario, scenarios
+from funnel_hil.scenarios import (
+    ControlLaw,
+    Diagnostics,
+    Dynamics,
+    InputError,
+    Scenario,
+    Tracking,
+    scenarios,
+)
 from funnel_hil.studies import margin, sweep
 
 __version__ = _version("funnel-hil")
 __all__ = [
-    "Comparison", "Diff", "InputError", "Run", "Scenario", "Study",
+    "Comparison", "ControlLaw", "Diagnostics", "Diff", "Dynamics", "InputError", "Run", "Scenario",
+    "Study", "Tracking",
     "compare", "diff", "load_run", "margin", "scenarios", "simulate", "sweep",
 ]  # fmt: skip

@@ -76,9 +76,21 @@ class _Table(_Drawn):
 class Run(_Drawn):
     """One run.
 
+    Names end in their unit: ``errors_rad``, ``times_s``, ``torques_nm``. Margins are fractions of
+    the bound: 1 at zero error, 0 at the bound, negative outside.
+
     Attributes:
         data: all that was recorded, as the program has it.
-        summary: the content of ``summary.json``; the page *Results* lists its keys and units.
+        summary: the content of ``summary.json``. Lists have one entry for each joint. Sections:
+            ``bounds`` (``margin_min``, ``margin_min_joint``, ``margin_min_s``, ``margin_start``,
+            ``margin_steady``, ``violation_fraction``, ``first_violation_s``);
+            ``tracking`` (``joint_names``, ``rms_rad``, ``max_abs_rad``, ``settling_time_s``,
+            ``settling_bound_s``);
+            ``torque`` (``rms_nm``, ``peak_nm``, ``total_variation_nm_per_s``,
+            ``share_above_50_hz``, ``saturated_fraction``);
+            ``timing`` (``success_rate``: share of deadlines met; ``deadline_misses``: ticks;
+            ``round_trip_us``, ``command_age_us`` and so on, each with ``p50`` to ``max``).
+            The page *Results* of the documentation lists all others.
         path: its folder or MCAP file; None where it was not written.
     """
 
@@ -110,6 +122,12 @@ class Run(_Drawn):
     def margin(self) -> float | None:
         """Smallest ``1 − |e| / bound`` of all joints and ticks; None if nothing was recorded."""
         smallest: float | None = self.summary["bounds"]["margin_min"]
+        return smallest
+
+    @property
+    def steady_margin(self) -> float | None:
+        """The same from ``metrics.from_s`` on; None if the run was over before."""
+        smallest: float | None = self.summary["bounds"]["margin_steady"]
         return smallest
 
     @property
@@ -226,6 +244,9 @@ class Study(_Table):
         drawn = DrawnStudy(summary, rerun)
         super().__init__(list(page_of(drawn).panels), drawn)
         self.summary, self.rows = summary, list(rows)
+
+    def __repr__(self) -> str:
+        return f"<Study {self.summary['name']}, {self.summary['kind']}: {len(self.rows)} runs>"
 
     @property
     def margins(self) -> dict[str, float | None]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.errors import InputError
-from controller.control_law import ControlLaw
+from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
 from controller.laws.custom import Maker, laws_given
 from deploy.scenario.effective import effective_values
 from deploy.scenario.referenced_files import data_files
@@ -22,7 +22,10 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, plain, set_value, to_yaml
 
-__all__ = ["InputError", "Law", "Scenario", "ScenarioLike", "named_law", "scenarios"]
+__all__ = [
+    "ControlLaw", "Diagnostics", "Dynamics", "InputError", "Law", "Scenario", "ScenarioLike",
+    "Tracking", "named_law", "scenarios",
+]  # fmt: skip
 
 Law = str | Maker | ControlLaw
 """A shipped law or a ``module:Class`` by name; a class or function that makes a law from the

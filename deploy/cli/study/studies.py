@@ -30,14 +30,13 @@ from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.results import judge_rows, write_comparison_results, write_study_results
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import (
-    headlines,
-    held_again,
     losses_table,
     margin_table,
     point_table,
     robustness_table,
     write_study_table,
 )
+from deploy.reports.study_texts import sentences
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import bounds_sentence, recording_sentences
@@ -260,8 +259,6 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     """The result as a table."""
     if summary["kind"] == "margin":
         print_table(console, margin_table(summary))
-        for sentence in [*headlines(summary), *held_again(summary)]:
-            console.print(sentence, markup=False)
     elif summary["kind"] == "robustness":
         for table in (robustness_table(summary), losses_table(summary)):
             print_table(console, table)
@@ -271,6 +268,8 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
         for keys in summary.get("without_effect", ()):
             said = f"warning: {keys}: none of its values changed any result of a run"
             console.print(said, markup=False, soft_wrap=True)
+    for sentence in sentences(summary):
+        console.print(sentence, markup=False)
     for table in confirmation_tables([summary]):
         print_table(console, table)
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS

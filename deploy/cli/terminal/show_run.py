@@ -76,7 +76,7 @@ def show_summary(
     factor, rate = summary["real_time_factor"], summary["timing"]["success_rate"]
     console.print(
         f"{summary['ticks']:,} ticks"
-        + (f", {percent(rate)} of the deadlines met" if rate is not None else "")
+        + (f", deadlines met {percent(rate)}" if rate is not None else "")
         + (f", real-time factor {factor:.2f}" if factor is not None else "")
         + f", digest {summary['digest'][:16]}"
     )

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
+from controller.manipulator_model import ManipulatorModel
 from deploy.judge.run_data import RunData
+from deploy.reports.figures import style
 from deploy.reports.page import Picture
 from plant_emulator.physics.engines import ENGINES
 
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _OVERSAMPLING = 1.5
 _RENDERED_PX = round(_OVERSAMPLING * _WIDTH_PX), round(_OVERSAMPLING * _HEIGHT_PX)
+_RIGHT_AND_DOWN = np.array([[0.81, 0.59, 0.0], [0.21, -0.29, -0.93]])
+"""Axes of a skeleton's picture in the base frame, as Bullet's camera sees the arm."""
+_FILLED, _BONE_PX, _JOINT_PX = 0.8, 16, 14
 
 
 def arm_pictures(run: RunData) -> Callable[[], list[Picture] | None] | None:
@@ -50,7 +55,7 @@ def _drawn(rendering: Rendering, times_s: Vector) -> list[Picture] | None:
     from plant_emulator.physics.bullet.render import RenderError
 
     try:
-        pictures = rendering.pictures()
+        pictures = _pixels(rendering)
     except RenderError as error:
         print(f"warning: the report has no pictures of the arm: {error}", file=sys.stderr)
         return None
@@ -68,10 +73,33 @@ def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
     from plant_emulator.physics.bullet.render import RenderError, Rendering
 
     try:
-        (pixels,) = Rendering(robot, position_rad[np.newaxis], *_RENDERED_PX).pictures()
+        (pixels,) = _pixels(Rendering(robot, position_rad[np.newaxis], *_RENDERED_PX))
     except RenderError as error:
         raise InputError(f"--picture: {robot.path}: {error}") from error
     return _png(pixels)
+
+
+def _pixels(rendering: Rendering) -> NDArray[np.uint8]:
+    """What Bullet renders; for an arm without shapes that it can draw, a skeleton of the arm."""
+    rendered = rendering.pictures()
+    if (rendered < 255).any():
+        return rendered
+    model = ManipulatorModel(rendering.robot)
+    bones = np.array(list(map(model.skeleton, rendering.positions))) @ _RIGHT_AND_DOWN.T
+    lower, upper = bones.min(axis=(0, 1, 2)), bones.max(axis=(0, 1, 2))
+    scale = _FILLED * np.min(np.array(_RENDERED_PX) / np.maximum(upper - lower, 1e-6))
+    return np.array([_skeleton(each) for each in scale * (bones - (lower + upper) / 2)])
+
+
+def _skeleton(bones_px: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Lines from joint to joint; ends of bones relative to the middle, shape (bones, 2, 2), px."""
+    image = Image.new("RGB", _RENDERED_PX, "white")
+    draw, ends = ImageDraw.Draw(image), bones_px + np.array(_RENDERED_PX) / 2
+    for bone in ends:
+        draw.line(list(map(tuple, bone)), style.palette(0), _BONE_PX)
+    for joint in ends.reshape(-1, 2):
+        draw.circle(tuple(joint), _JOINT_PX, style.INK)
+    return np.asarray(image)
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

@@ -28,6 +28,7 @@ _BAND_POINTS = 600
 _HEADROOM = 1.6
 _TORQUE_POINTS = 1500
 _ROW_PX = 150
+_TITLES_PX = 65
 _SPECTRUM_FLOOR = 1e-12
 _NEAR = 0.8
 
@@ -61,7 +62,8 @@ def error_envelopes(runs: ComparedRuns) -> go.Figure | None:
     if not runs.drawn:
         return None
     setup = runs.drawn[0].data.setup
-    figure = with_runs(style.joint_rows(setup.robot.joint_names, "mrad"))
+    rows = style.joint_rows(setup.robot.joint_names, "mrad")
+    figure = with_runs(rows) if len(runs.runs) > 1 else rows
     for run in runs.drawn:
         errors = style.MRAD * run.data.true_errors_rad
         add_envelopes(figure, runs, run.law, run.data.times_s(_TRUTH), errors)
@@ -159,7 +161,7 @@ def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
             figure.add_scatter(x=x, y=y, mode="lines", line=stroke, row=row, col=column)
     style.apply(figure, len(names) * _ROW_PX + 120)
     figure.update_layout(margin={"t": 64, "l": 84})
-    figure.update_annotations(font={"size": 13, "color": style.INK})
+    figure.update_annotations(font={"size": _TITLES_PX / max(5, len(shown)), "color": style.INK})
     figure.update_xaxes(title_text="time (s)", row=len(names))
     for row, name in enumerate(names, start=1):
         title = {"text": f"{style.plain(name)}<br>(N m)", "font": {"size": 11}}

@@ -20,7 +20,7 @@ from plant_emulator.faults.arm_faults import payload_steps
 
 _ROOM = 0.07
 _POINTS = 4000
-_TRUTH = {"color": style.INK, "width": 1.4, "dash": "dash", "shape": "hv"}
+_TRUTH = {**style.SHOULD_BE, "shape": "hv"}
 _UNITS = {
     "inertia_factor": ("Inertia factor 1 + α", ""),
     "payload_kg": ("Payload", "kg"),
@@ -68,7 +68,7 @@ def learned_over_time(run: RunData, key: str) -> go.Figure | None:
         x, y = zip(*known, (end_s, known[-1][1]), strict=True)
         true = go.Scatter(x=x, y=y, name="truth", mode="lines", line=_TRUTH)
         line = style.line(times_s, believed, style.palette(row - 1), name)
-        figure.add_traces([line, true], rows=row, cols=1)
+        figure.add_traces([true, line], rows=row, cols=1)
         figure.update_yaxes(range=_room(believed, np.array(y)), row=row)
     return figure
 
@@ -94,7 +94,9 @@ def _network_output(run: RunData) -> go.Figure | None:
     times_s, truth = unknown_dynamics_nm(run, _POINTS)
     late = times_s >= run.setup.scenario.metrics.from_s
     for row, values in enumerate(truth.T, start=1):
-        trace = style.line(times_s, values, "rgba(123,135,148,0.55)", "true dynamics", 4.5)
+        trace = style.line(times_s, values, style.MUTED, "true dynamics").update(
+            line=style.SHOULD_BE
+        )
         figure.add_trace(trace, row=row, col=1)
         if late.any():
             lowest, highest = values[late].min(), values[late].max()

@@ -130,7 +130,7 @@ def settling_from_afar(comparison: ComparedRuns) -> go.Figure | None:
             figure.add_scatter(
                 x=distances, y=[test.bound_s] * len(distances), mode="lines",
                 name=f"bound of {style.plain(test.law)}", legendgroup=group, showlegend=False,
-                line={"color": colour, "width": 1.6, "dash": "dash"},
+                line={"color": colour, "width": 1.6, "dash": "dot"},
                 hovertemplate="bound %{y:.3g} s",
             )  # fmt: skip
     style.apply(figure, 460)

@@ -13,10 +13,10 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.page import Panel
-from deploy.reports.study_tables import margin_figure, setting_text, shown_value
+from deploy.reports.study_texts import margin_figure, setting_text, shown_value
 from deploy.reports.tables import scaled
 
-_DASHES = ("solid", "dot", "dash", "dashdot")
+_DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
 _LETTER_PX, _NARROW_NAME = 7.5, 10
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
@@ -99,6 +99,7 @@ class Curve:
     colour: int
     dash: int
     points: Sequence[Point]
+    is_hollow: bool = False
 
 
 def curves_panel(
@@ -135,7 +136,7 @@ def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.
 
 
 def margin_bars(cases: Sequence[dict[str, Any]], reruns: Sequence[str], y_title: str) -> go.Figure:
-    """Margins as bars by law, side by side by setting, with a dashed line where a ceiling is.
+    """Margins as bars by law, side by side by setting, with a dotted line where a ceiling is.
 
     Args:
         cases: of one arm.
@@ -164,7 +165,7 @@ def margin_bars(cases: Sequence[dict[str, Any]], reruns: Sequence[str], y_title:
     figure.update_yaxes(title_text=style.plain(y_title), rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
     if ceilings:
-        figure.add_hline(y=min(ceilings), line={"dash": "dash", "width": 1}, opacity=0.6)
+        figure.add_hline(y=min(ceilings), line=style.DOTTED)
         highest = max(min(ceilings), *(case["margin"] or 0.0 for case in cases))
         figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
     return figure
@@ -236,7 +237,7 @@ def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
         values = (point.value(quantity, which) for point in line.points)
         return [None if v is None or (quantity.is_log and v <= 0.0) else v for v in values]
 
-    colour, group = style.palette(line.colour), f"{line.colour}-{line.dash}"
+    colour, group = style.palette(line.colour), style.plain(line.name)
     x = [point.x for point in line.points]
     ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
     known = [end for end in ends if end[1] is not None]
@@ -248,9 +249,10 @@ def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
             hoverinfo="skip", showlegend=False, legendgroup=group,
         )  # fmt: skip
     figure.add_scatter(
-        x=x, y=drawn("mean"), name=style.plain(line.name), legendgroup=group, mode="lines+markers",
+        x=x, y=drawn("mean"), name=group, legendgroup=group, mode="lines+markers",
         line={"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
-        marker={"size": 7}, customdata=[point.rerun for point in line.points],
+        marker={"size": 7, "symbol": "circle-open" if line.is_hollow else "circle"},
+        customdata=[point.rerun for point in line.points],
         hovertemplate="%{x}: %{y:.3g}",
     )  # fmt: skip
 

@@ -17,10 +17,13 @@ FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, s
 INK, MUTED, GRID, BAND, ALARM = "#1f2933", "#7b8794", "#e9edf1", "rgba(0,114,178,0.11)", "#c0392b"
 _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#5b5b5b")
 TOP_PX, BOTTOM_PX, _ROW_GAP_PX = 34, 50, 34
-_BUTTONS_PX, _LEGEND_ROW_PX = 27, 21  # plotly's buttons stand above the legend
+_BUTTONS_PX, _LEGEND_ROW_PX, _ROW_TITLE_PX = 27, 21, 18
 MAX_POINTS = 4000
 MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
+"""A limit, in all figures."""
+SHOULD_BE = {"color": "rgba(123,135,148,0.55)", "width": 4.5}
+"""What another line should lie on."""
 
 
 def palette(index: int) -> str:
@@ -43,7 +46,7 @@ def line(times_s: Vector, values: Vector, colour: str, name: str, width: float =
 
 def band(times_s: Vector, upper: Vector, lower: Vector) -> tuple[go.Scatter, go.Scatter]:
     """The bounds −lower < e < upper over time, as two traces with the shade between them."""
-    edge = {"color": "rgba(0,114,178,0.45)", "width": 1}
+    edge = {**DOTTED, "color": "rgba(0,114,178,0.45)"}
     return (
         go.Scatter(x=times_s, y=upper, name="upper bound", mode="lines", line=edge),
         go.Scatter(
@@ -119,22 +122,24 @@ def log_axis(figure: go.Figure, ticks: int = 3) -> None:
 
 
 def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:
-    """Make room above a figure for a legend, below the buttons in the corner.
+    """Put a legend on top of a figure, its blank title beside plotly's buttons in the corner.
+
+    Plotly gives the plot what the legend leaves of the height, at any width of the page.
 
     Args:
         figure: the figure, with its style.
-        rows: how many rows its legend takes.
+        rows: how many rows its legend takes on a narrow page.
         entries: layout of the legend's entries.
     """
-    added_px = _BUTTONS_PX + _LEGEND_ROW_PX * rows
-    height = figure.layout.height + added_px
+    plot_px = figure.layout.height - TOP_PX - BOTTOM_PX
+    room_px = _ROW_TITLE_PX if figure.layout.annotations else 0
     figure.update_layout(
-        height=height,
-        margin={"t": TOP_PX + added_px},
+        height=figure.layout.height + _BUTTONS_PX + _LEGEND_ROW_PX * rows,
         showlegend=True,
         legend={
-            "x": 0, "xanchor": "left", "y": 1.0 - _BUTTONS_PX / height, "yanchor": "top",
-            "yref": "container", "traceorder": "normal", **entries,
+            "x": 0, "xanchor": "left", "y": 1.0 + room_px / plot_px, "yanchor": "bottom",
+            "title": {"text": " ", "side": "top", "font": {"size": _BUTTONS_PX / 1.3}},
+            "traceorder": "normal", **entries,
         },
     )  # fmt: skip
 

@@ -35,6 +35,7 @@ class Rendering:
     def __init__(
         self, robot: RobotDescription, positions: Matrix, width_px: int, height_px: int
     ) -> None:
+        self.robot, self.positions = robot, positions
         self._shape = len(positions), height_px, width_px, 3
         order = pickle.dumps((robot, positions, width_px, height_px))
         self._process = LimitedProcess(__name__, order)

@@ -199,11 +199,52 @@ def test_bad_input_is_told_with_key_and_value(ask, told):
         ask()
 
 
-def test_module_of_the_user_in_the_place_of_a_package_is_named(tmp_path):
-    (tmp_path / "deploy.py").write_text("raise RuntimeError('run')\n")
+LAW_IN_CONTROLLER = """
+from funnel_hil import Diagnostics
+from deploy.gains import STIFFNESS
+
+class Pull:
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+    def reset(self):
+        pass
+    def torque(self, tracking):
+        return -STIFFNESS * tracking.error
+"""
+SCRIPT = """
+import IMPORTS
+import deploy.gains
+
+if __name__ == "__main__":
+    more = {"laws": [controller.Pull], "limit": 4, "resolution": 4, "seeds": 1, "workers": 1}
+    study = funnel_hil.margin("paper_arm", {"duration_s": 0.01}, **more)
+    print(study, deploy.gains.STIFFNESS)
+"""
+
+
+@pytest.mark.parametrize("imports", ["controller, funnel_hil", "funnel_hil, controller"])
+def test_script_and_its_workers_use_its_own_modules_named_like_our_packages(tmp_path, imports):
+    (tmp_path / "deploy").mkdir()
+    (tmp_path / "deploy" / "__init__.py").touch()
+    (tmp_path / "deploy" / "gains.py").write_text("STIFFNESS = 900.0\n")
+    (tmp_path / "controller.py").write_text(LAW_IN_CONTROLLER)
+    (tmp_path / "script.py").write_text(SCRIPT.replace("IMPORTS", imports))
     done = subprocess.run(
-        [sys.executable, "-c", "import funnel_hil"],
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "<Study margin, margin: 4 runs> 900.0\n", done.stderr
+
+
+def test_mypy_of_a_script_elsewhere_knows_the_types(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "import funnel_hil\nfrom funnel_hil import Diagnostics\n\n"
+        "reveal_type(funnel_hil.simulate('paper_arm').margin)\n"
+        "reveal_type(Diagnostics(3).network_output)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "mine.py"],
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    last = done.stderr.splitlines()[-1]
-    assert last.startswith(f"ImportError: {tmp_path / 'deploy.py'} hides the package deploy")
+    assert done.returncode == 0, done.stdout
+    assert 'Revealed type is "float | None"' in done.stdout
+    assert "numpy.float64" in done.stdout

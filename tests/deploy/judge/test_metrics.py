@@ -93,7 +93,20 @@ def test_errors_inside_leave_the_bounds_at_no_tick(setup: Setup) -> None:
         "first_violation_s": None,
         # 0.1 of 0.17 above leaves 41 %, 0.035 of 0.07 below leaves 50 %
         "margin_min": pytest.approx(1.0 - 0.1 / UPPER_RAD),
+        "margin_min_joint": "base_yaw",
+        "margin_min_s": 0.0,
+        "margin_start": pytest.approx(1.0 - 0.1 / UPPER_RAD),
+        "margin_steady": None,  # over before `metrics.from_s`
     }
+
+
+def test_margins_name_joint_and_time_and_tell_the_start_from_the_steady_state(setup: Setup) -> None:
+    errors = [at(0.05, 0.0, 0.0), at(0.0, 0.0, -0.04), *[at(0.0)] * 2998]
+    errors[2500] = at(0.0, 0.001, 0.0)
+    bounds = judged(setup, errors)["bounds"]
+    assert (bounds["margin_min_joint"], bounds["margin_min_s"]) == ("elbow", pytest.approx(0.001))
+    assert bounds["margin_start"] == pytest.approx(1.0 - 0.05 / UPPER_RAD)
+    assert bounds["margin_steady"] == pytest.approx(0.9, abs=1e-3)  # 1 of 10 mrad
 
 
 def test_each_side_of_the_funnel_has_its_own_width(setup: Setup) -> None:

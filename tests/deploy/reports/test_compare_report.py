@@ -68,7 +68,7 @@ def with_summary(run, summary):
 
 
 def with_bounds(run, *, kept, margin=-1.0):
-    bounds = {"kept": kept, "violation_fraction": 0.0 if kept else 0.25,
+    bounds = {**run.summary["bounds"], "kept": kept, "violation_fraction": 0.0 if kept else 0.25,
               "first_violation_s": None if kept else 0.125,
               "margin_min": 0.5 if kept else margin}  # fmt: skip
     summary = {**run.summary, "bounds": bounds}
@@ -153,7 +153,7 @@ def test_an_error_far_outside_is_told_as_a_multiple_of_its_bound(comparison):
     assert (
         verdict_on_laws(ComparedRuns([far, near]))
         .reasons[0]
-        .endswith("at most 15.1 times its bound")
+        .endswith("at most 15.1 times its bound (base_yaw at 0.005 s)")
     )
 
 

@@ -31,12 +31,12 @@ def drawn(run, name):
 
 @pytest.mark.parametrize("name", ["inertia", "payload", "lag"])
 def test_belief_is_drawn_beside_the_truth(run, name):
-    believed, truth = drawn(run, name).data
+    truth, believed = drawn(run, name).data  # the truth lies below
     field, factor = {"inertia": ("inertia_factor", 1.0), "payload": ("payload_kg", 1.0),
                      "lag": ("actuator_lag_s", 1e3)}[name]  # fmt: skip
     values = factor * run.tables["control_status"][field]
     np.testing.assert_array_equal(believed.y, values)
-    assert truth.line.dash == "dash"
+    assert truth.line.width > believed.line.width
     assert list(truth.y) == {"inertia": [1.0 / 0.9] * 2, "payload": [0.0, 2.0, 2.0],
                              "lag": [2.0] * 2}[name]  # fmt: skip
     lowest, highest = drawn(run, name).layout.yaxis.range

@@ -11,11 +11,12 @@ import pytest
 from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.robot_description import load_robot
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports import run_reports
 from deploy.reports.figures import style
-from deploy.reports.figures.arm_pictures import arm_pictures
+from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
 from deploy.reports.figures.joints import error_in_funnel, torques
 from deploy.reports.figures.learned import unknown_dynamics_nm
 from deploy.reports.figures.style import decimate
@@ -30,8 +31,9 @@ from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.comparison import ComparedRuns
 from tests.arms import INSTALLED
 
-FIGURES = ("timeline", "error-in-funnel", "error-first-second", "transformed-error", "torques",
-           "tip-path", "tip-error", "arm-motion", *(["arm"] if "bullet" in INSTALLED else []),
+FIGURES = ("timeline", "error-in-funnel", "error-first-second", "error-envelopes",
+           "transformed-error", "torques", "tip-path", "tip-error", "arm-motion",
+           *(["arm"] if "bullet" in INSTALLED else []),
            "network-output", "timing-percentiles")  # fmt: skip
 
 HOSTILE = "</script><script>alert(1)</script>"
@@ -229,6 +231,19 @@ def test_the_pictures_of_a_report_show_start_middle_and_end(run):
         image = Image.open(io.BytesIO(picture.png))
         assert (image.format, image.size) == ("PNG", (480, 420))
         assert 500 < (np.asarray(image) < 255).any(axis=2).sum() < 480 * 420 / 2
+
+
+@pytest.mark.skipif("bullet" not in INSTALLED, reason="needs Bullet, which draws arms")
+def test_arm_without_shapes_is_drawn_as_a_skeleton(run, tmp_path):
+    file = tmp_path / "bare.urdf"
+    text = run.setup.robot.path.read_text()
+    file.write_text(re.sub("<visual.*?</visual>", "", text, flags=re.DOTALL))
+    robot = load_robot(file)
+    image = np.asarray(Image.open(io.BytesIO(arm_picture(robot, np.array([0.2, -0.6, 0.9])))))
+    drawn = (image < 255).any(axis=2)
+    assert 2000 < drawn.sum() < 480 * 420 / 4
+    rows, columns = np.nonzero(drawn)
+    assert max(np.ptp(rows) / 420, np.ptp(columns) / 480) > 0.75  # it fills the picture
 
 
 def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monkeypatch):

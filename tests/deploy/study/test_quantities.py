@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.study_tables import margin_figure, margins_by_law
+from deploy.reports.study_tables import margins_by_law
+from deploy.reports.study_texts import margin_figure
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError

@@ -216,13 +216,16 @@ def test_a_study_of_plants_is_reported_again(funnel_hil, tmp_path):
     assert read_study(path).definition == study.definition
     code, output = funnel_hil("report", path)
     assert code == 0
-    assert "of 20 plants, kept their bounds, by round trip (ms)" in output
+    assert "plants of 20 that kept their bounds, by round trip (ms)" in output
     assert "+1.00" in output
     assert "…" not in output
     assert json.loads((path / "summary.json").read_text())["kind"] == "robustness"
     table = (path / "table.md").read_text().splitlines()
-    assert table[0].endswith("| 95 % kept up to | 8 | 16 | 32 |")
-    assert table[2].startswith("| paper_arm | smc | 123 ms | 8 ms | 20 |")
+    assert table[0].endswith("| 95 % of 20 kept up to (95 % interval there) | 8 | 16 | 32 |")
+    assert table[2].startswith("| paper_arm | smc | 123 ms | 8 ms (84–100 %) | 20 |")
+    headline = "20 of 20 plants kept their bounds up to 8 ms; of all such plants 84–100 %"
+    assert headline in output
+    assert headline in (path / "report.html").read_text()
 
 
 def test_an_unfinished_study_of_plants_has_a_report(tmp_path):
