@@ -76,16 +76,14 @@ class MitReply(NamedTuple):
     error: int = MitError.NONE
 
 
-def special(kind: Special) -> bytes:
+def special(kind: int) -> bytes:
     """Data of a frame that enters or leaves motor mode, or makes the position zero."""
     return _SPECIAL + bytes([kind])
 
 
-def special_of(data: bytes) -> Special | None:
-    """Which frame it is, None for a command."""
-    if data[:-1] != _SPECIAL or data[-1] not in Special._value2member_map_:
-        return None
-    return Special(data[-1])
+def ending_of(data: bytes) -> int | None:
+    """Last byte of eight that look like a special frame, known or not; None for a command."""
+    return data[-1] if data[:-1] == _SPECIAL else None
 
 
 class _Number(NamedTuple):
@@ -111,12 +109,16 @@ _STATE = (_POSITION, _VELOCITY, _TORQUE)
 
 
 def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:
-    """The eight bytes of a command; what is beyond its range is at its end."""
-    return _packed(command, _COMMAND, ranges).to_bytes(COMMAND_BYTES, "big")
+    """The eight bytes of a command; what is beyond its range is at its end.
+
+    With everything at its upper end it would be a special frame: the velocity is a step lower.
+    """
+    data = _packed(command, _COMMAND, ranges).to_bytes(COMMAND_BYTES, "big")
+    return data if ending_of(data) is None else data[:3] + b"\xef" + data[4:]
 
 
 def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
-    """What eight bytes that are not `special_of` command."""
+    """What eight bytes that have no `ending_of` a special frame command."""
     return MitCommand(*_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
 
 
@@ -157,8 +159,8 @@ def _unpacked(packed: int, numbers: Sequence[_Number], ranges: MitRanges) -> lis
 
 
 def is_command(frame: CanFrame) -> bool:
-    """Whether a frame has the form of a command or a special one."""
-    return is_data(frame, COMMAND_BYTES)
+    """Whether a frame is a command: one that looks like a special frame is none."""
+    return is_data(frame, COMMAND_BYTES) and ending_of(frame.data) is None
 
 
 def is_reply(frame: CanFrame) -> bool:
@@ -235,7 +237,7 @@ class MitCodec:
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of.get(frame.identifier)
-        if joint is None or not is_command(frame) or special_of(frame.data) is not None:
+        if joint is None or not is_command(frame):
             return None
         torque_nm[joint] = command_of(frame.data, self._ranges[joint]).torque_nm
         return joint
