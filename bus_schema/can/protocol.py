@@ -99,6 +99,7 @@ PROTOCOLS: Registry[DriveProtocol] = Registry(
         "cia402": "bus_schema.can.cia402.protocol:Cia402Protocol",
         "cansimple": "bus_schema.can.cansimple.protocol:CanSimpleProtocol",
         "mit": "bus_schema.can.mit.protocol:MitProtocol",
+        "damiao": "bus_schema.can.damiao.protocol:DamiaoProtocol",
     },
 )
 """A new protocol is one line here, and one in `plant_emulator.drives.commissioning.DRIVES`."""

@@ -177,6 +177,9 @@ class MitCodec:
         reply_identifier: identifier of all replies.
         reply_bytes: bytes of a reply.
         gains: of the loops that drives close around targets; None for torques alone.
+
+    Attributes:
+        ranges: as above.
     """
 
     def __init__(
@@ -188,7 +191,7 @@ class MitCodec:
         gains: DriveGains | None = None,
     ) -> None:
         self._gains = gains
-        self._node_ids, self._ranges = tuple(node_ids), tuple(ranges)
+        self._node_ids, self.ranges = tuple(node_ids), tuple(ranges)
         self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
         self._reply_identifier = reply_identifier
         self._sampling = self.special_frames(Special.ENTER)
@@ -200,7 +203,7 @@ class MitCodec:
     def sampling_frames(self) -> Sequence[CanFrame]:
         return self._sampling
 
-    def special_frames(self, kind: Special) -> Sequence[CanFrame]:
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:
         """A special frame to each drive."""
         return [CanFrame(node_id, special(kind)) for node_id in self._node_ids]
 
@@ -212,7 +215,7 @@ class MitCodec:
         if frame.identifier != self._reply_identifier or not is_reply(frame):
             return None
         joint = self._joint_of.get(frame.data[0])
-        return None if joint is None else (joint, reply_of(frame.data, self._ranges[joint]))
+        return None if joint is None else (joint, reply_of(frame.data, self.ranges[joint]))
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         found = self.reply(frame)
@@ -230,7 +233,7 @@ class MitCodec:
             _, stiffnesses, dampings = self._gains
             columns = (*target.tolist(), stiffnesses.tolist(), dampings.tolist(), torques)
             commands = [MitCommand(*row) for row in zip(*columns, strict=True)]
-        rows = zip(self._node_ids, commands, self._ranges, strict=True)
+        rows = zip(self._node_ids, commands, self.ranges, strict=True)
         return [
             CanFrame(node_id, packed_command(command, ranges)) for node_id, command, ranges in rows
         ]
@@ -239,5 +242,5 @@ class MitCodec:
         joint = self._joint_of.get(frame.identifier)
         if joint is None or not is_command(frame):
             return None
-        torque_nm[joint] = command_of(frame.data, self._ranges[joint]).torque_nm
+        torque_nm[joint] = command_of(frame.data, self.ranges[joint]).torque_nm
         return joint

@@ -82,15 +82,10 @@ class MitDrive(Drive):
             self._rest()
 
     def demand(self) -> JointDemand:
-        command = self._command
-        if command is None:
+        if self._command is None:
             return AT_REST
-        loop = JointLoop(
-            command.position_rad + self._zero_rad, command.velocity_rad_s,
-            command.stiffness_nm_rad, command.damping_nm_s, command.torque_nm,
-            self._step_rad, self._most_nm,
-        )  # fmt: skip
-        is_closed = command.stiffness_nm_rad > 0.0 or command.damping_nm_s > 0.0
+        loop = mit_loop(self._command, self._zero_rad, self._step_rad, self._most_nm)
+        is_closed = loop.stiffness_nm_rad > 0.0 or loop.damping_nm_s > 0.0
         torque_nm = loop.torque_nm(*self._reading[:2])
         return JointDemand(torque_nm, is_released=True, loop=loop if is_closed else None)
 
@@ -142,6 +137,21 @@ class MitDrive(Drive):
         )  # fmt: skip
         data = packed_reply(reply, self._ranges, self._own.reply_bytes)
         self._transmit(CanFrame(self._own.reply_identifier, data))
+
+
+def mit_loop(command: MitCommand, zero_rad: float, step_rad: float, most_nm: float) -> JointLoop:
+    """The loop that a command wants, at the joint.
+
+    Args:
+        command: the command.
+        zero_rad: where the drive's zero is.
+        step_rad: resolution of its encoder.
+        most_nm: the most torque there is.
+    """
+    return JointLoop(
+        command.position_rad + zero_rad, command.velocity_rad_s, command.stiffness_nm_rad,
+        command.damping_nm_s, command.torque_nm, step_rad, most_nm,
+    )  # fmt: skip
 
 
 def _special_of(frame: CanFrame) -> Special | None:
