@@ -35,7 +35,7 @@ class DamiaoProtocol(MitProtocol):
 
     title = "Damiao"
     has_fd_process_data = True
-    ranges_key = "link.can.damiao.motor"
+    range_key = "{name} of link.can.damiao.motor"
     master = DamiaoMaster
 
     def codec(

@@ -32,11 +32,11 @@ class MitProtocol(DriveProtocol):
     """Position, velocity, stiffness, damping and torque in one frame.
 
     Attributes:
-        ranges_key: what says how large the numbers in frames can be.
+        range_key: what says how large numbers in frames can be.
     """
 
     title = "MIT"
-    ranges_key = "link.can.mit"
+    range_key = "link.can.mit.{name}"
     takes_targets = True
     answers_torques = True
     master = MitMaster
@@ -87,9 +87,10 @@ class MitProtocol(DriveProtocol):
         ]
         if not cut_off:
             return []
+        key = self.range_key.format(name="torque_nm")
         return [
             f"frames of {self.title} drives cannot say all torques of {', '.join(cut_off)}: set"
-            f" {self.ranges_key} to as the drives are, or limits.torque_nm to what there is"
+            f" {key} to the range that the drives are set to, or limits.torque_nm to what there is"
         ]
 
     def _check_gains(self, gains: DriveGains | None, ranges: tuple[MitRanges, ...]) -> None:
@@ -97,7 +98,8 @@ class MitProtocol(DriveProtocol):
             wanted = getattr(gains, name)
             most = [getattr(each, name) for each in ranges]
             if (wanted > most).any():
+                key = self.range_key.format(name=name)
                 raise ConfigurationError(
                     f"plant.drive_feedback.{name}", wanted.tolist(),
-                    f"must be within what a frame can say, {self.ranges_key}: {name} = {most}",
+                    f"must be within what a frame can say, {key} = {most}",
                 )  # fmt: skip

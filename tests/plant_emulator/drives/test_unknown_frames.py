@@ -6,6 +6,7 @@ import struct
 
 import pytest
 
+from bus_schema.can.damiao.motors import MOTORS
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.mit.codec import MitCommand, MitRanges, ending_of, packed_command
 from bus_schema.can.mit.protocol import MitProtocol
@@ -13,6 +14,7 @@ from bus_schema.link.can_configuration import CanConfiguration
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive, load_database
 from plant_emulator.drives.cia402.drive import Cia402Drive
+from plant_emulator.drives.damiao.drive import DamiaoDrive
 from plant_emulator.drives.drive import DriveSettings
 from plant_emulator.drives.mit.drive import MitDrive
 from tests.arms import PAPER_ARM
@@ -58,7 +60,41 @@ def test_mit_takes_none_of_the_special_frames_that_it_does_not_have():
     assert bank.bank.rejections.counts == {"no_command": 253}
 
 
-@pytest.mark.parametrize("protocol", [mit])
+def damiao():
+    ready = packed_command(MitCommand(torque_nm=1.0), MOTORS["DM4310"].ranges)
+    return Bank(DamiaoDrive, (NODE, bytes([255] * 7 + [0xFC])), (NODE, ready))
+
+
+@pytest.mark.parametrize("offset", [0, 0x100, 0x200, 0x300])
+def test_damiao_takes_none_of_the_special_frames_that_it_does_not_have(offset):
+    bank = damiao()
+    for ending in sorted(set(range(256)) - {0xFB, 0xFC, 0xFD, 0xFE}):
+        bank.assert_refused(NODE + offset, bytes([255] * 7 + [ending]))
+    assert bank.bank.rejections.counts == {"no_command": 252}
+
+
+def test_damiao_refuses_requests_that_it_does_not_have():
+    bank = damiao()
+    for request in sorted(set(range(256)) - {0x33, 0x55, 0xAA, 0xCC}):
+        bank.assert_refused(0x7FF, bytes([NODE, 0, request, 0, 0, 0, 0, 0]))
+    for length in (*range(8), 12, 64):
+        bank.assert_refused(0x7FF, bytes([NODE, 0, 0xCC, *bytes(61)])[:length])
+
+
+@pytest.mark.parametrize("mode", [2, 3, 4])
+def test_damiao_refuses_targets_that_are_cut_short_or_no_numbers(mode):
+    bank = damiao()
+    bank.hear(0x7FF, struct.pack("<HBBI", NODE, 0x55, 10, mode))
+    offset, whole = (mode - 1) << 8, (4, 8) if mode == 3 else (8,)
+    bank.hear(NODE + offset, struct.pack("<f", 0.0) + bytes(max(whole) - 4))
+    bank.torque_nm = float(bank.bank.torque_nm[0])
+    for length in set(range(9)) - {*whole}:
+        bank.assert_refused(NODE + offset, bytes(length))
+    for number in (b"\x00\x00\xc0\x7f", b"\x00\x00\x80\x7f"):  # not a number, infinite
+        bank.assert_refused(NODE + offset, number + bytes(4))
+
+
+@pytest.mark.parametrize("protocol", [mit, damiao])
 def test_only_classical_data_frames_of_eight_bytes_are_commands(protocol):
     bank = protocol()
     for length in (*range(8), 12, 64):
@@ -132,10 +168,10 @@ def test_cia402_aborts_every_sdo_command_that_it_does_not_have():
             assert float(bank.bank.torque_nm[0]) == bank.torque_nm
 
 
-@pytest.mark.parametrize("protocol", [mit, cansimple, cia402])
+@pytest.mark.parametrize("protocol", [mit, damiao, cansimple, cia402])
 def test_frames_for_others_move_nothing(protocol):
     bank = protocol()
     own = {0, 0x080, 0x700, NODE, *range(NODE << 5, (NODE << 5) + 32)}
-    own |= {base + NODE for base in range(0x100, 0x800, 0x80)}
+    own |= {base + NODE for base in range(0x100, 0x800, 0x80)} | {0x100 + NODE, 0x7FF}
     for identifier in sorted(set(range(0x800)) - own):
         bank.assert_refused(identifier, b"\xff" * 8)
