@@ -1,7 +1,7 @@
-"""LeRobot's `DamiaoMotorsBus`, unmodified, moves an emulated OpenArm; what it says if it cannot.
+"""Clients of others, unmodified, move an emulated OpenArm; and what they say if they cannot.
 
-It waits for 1 ms for an answer, so on a busy machine it may miss some: what it does is repeated
-until it has worked.
+LeRobot's `DamiaoMotorsBus` waits for 1 ms for an answer, so on a busy machine it may miss some:
+what it does is repeated until it has worked.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import pytest
 from bus_schema.link.can_configuration import DamiaoConfiguration
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.drive import DriveFault
-from tests.plant_emulator.drives.lerobot_client import fetch_lerobot
-from tests.plant_emulator.drives.test_clients import Rig, until
+from tests.plant_emulator.drives.damiao_clients import DAMIAO_MOTOR, fetch_lerobot, fetch_wheel
+from tests.plant_emulator.drives.test_clients import PATIENCE_S, Rig, until
 
 SETUP = load_setup("openarm", [])
 START = np.array([0.3, 0.2, -0.2, 1.0, 0.1, 0.2, -0.3])
@@ -28,13 +28,14 @@ GAINS = {"Kp": [240, 240, 240, 240, 24, 31, 25], "Kd": [5, 5, 3, 5, 0.3, 0.3, 0.
 """Those of its `OpenArmFollowerConfig`."""
 
 FD = {"fd": True, "data_bitrate": 5_000_000, "fd_process_data": True}
+MODES = {"MIT": 1, "POS_VEL": 2, "VEL": 3, "FORCE_POS": 4}
 NAMES = [f"joint_{number}" for number in range(1, 8)]
 
 
 @pytest.fixture(scope="module")
 def motors(request):
     """LeRobot's package of motors."""
-    why_not = fetch_lerobot(request.config.cache.mkdir("lerobot"))
+    why_not = fetch_lerobot(request.config.cache.mkdir("wheels"))
     if why_not is not None:
         pytest.skip(why_not)
     from lerobot.motors import Motor, MotorNormMode
@@ -165,3 +166,56 @@ def test_lost_motor_shows_as_its_last_known_state(motors, caplog):
             return "did not respond: ['joint_5']" in str(failed.value)
 
         until(only_the_lost_one_is_missed)
+
+
+@contextmanager
+def motor_of_damiao_motor(request, rig):
+    """Joint 4 of the arm in the package damiao-motor, which takes classical frames alone."""
+    why_not = fetch_wheel("damiao-motor", DAMIAO_MOTOR, request.config.cache.mkdir("wheels"))
+    if why_not is not None:
+        pytest.skip(why_not)
+    from damiao_motor.core.controller import DaMiaoController
+
+    controller = DaMiaoController(channel=rig.channel, bustype="virtual")
+    try:
+        yield controller.add_motor(4, 0x14, "4340", v_max=8.0, v_min=-8.0)
+    finally:
+        controller.shutdown()
+
+
+def test_damiao_motor_reads_and_writes_registers_and_moves_in_every_mode(request):
+    with rig_of(tuned=SETUP.tuned_drive) as rig, motor_of_damiao_motor(request, rig) as motor:
+        assert motor.get_register(8, timeout=PATIENCE_S) == 4
+        assert motor.get_register(23, timeout=PATIENCE_S) == 28.0
+        drive = {
+            "POS_VEL": lambda to: motor.send_cmd_pos_vel(to, 0.8),
+            "FORCE_POS": lambda to: motor.send_cmd_force_pos(to, 0.8, 0.9),
+            "MIT": lambda to: motor.send_cmd_mit(to, 0.0, 300.0, 5.0, 0.0),
+            "VEL": lambda to: motor.send_cmd_vel(0.3 if to > motor.state["pos"] else -0.3),
+        }
+        motor.enable()
+        for number, (mode, send) in enumerate(drive.items()):
+            motor.write_register(10, MODES[mode])
+            motor.registers.pop(10, None)  # it keeps what it has read, so its own check must fail
+            assert motor.get_register(10, timeout=PATIENCE_S) == MODES[mode]
+            target = START[3] + (0.3 if number % 2 else 0.6)
+
+            def has_arrived(send=send, target=target):
+                send(target)
+                return abs(motor.state["pos"] - target) < 0.05
+
+            until(has_arrived)
+        assert motor.state["status"] == "ENABLED"
+        assert motor.state["t_rotor"] == 25.0
+
+
+def test_damiao_motor_shows_a_timeout_and_clears_it(request):
+    with rig_of() as rig, motor_of_damiao_motor(request, rig) as motor:
+        motor.set_can_timeout(20)
+        motor.enable()
+        motor.send_cmd_mit(START[3], 0.0, 100.0, 3.0, 0.0)
+        until(lambda: "LOST_COMMUNICATION" in rig.bank.statuses[3])
+        motor.request_motor_feedback()
+        until(lambda: motor.state["status"] == "LOST_COMM")
+        motor.clear_error()
+        until(lambda: motor.state["status"] == "DISABLED")

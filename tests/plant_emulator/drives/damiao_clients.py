@@ -1,7 +1,8 @@
-"""LeRobot's bus of Damiao motors, as its wheel has it.
+"""Clients of Damiao motors, as their wheels have them.
 
-LeRobot installs PyTorch and 60 packages more, none of which the bus uses. So its wheel alone is
-fetched, once, and the packages that its modules import without a use here are empty.
+LeRobot installs PyTorch and 60 packages more, and damiao-motor a web server, of which their motors'
+modules use none. So the wheels alone are fetched, once, and the packages that LeRobot's modules
+import without a use here are empty.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 
-VERSION = "0.6.1" if sys.version_info >= (3, 12) else "0.4.4"
+LEROBOT = "0.6.1" if sys.version_info >= (3, 12) else "0.4.4"
+DAMIAO_MOTOR = "1.0.6"
 _UNUSED = ("torch", "accelerate", "datasets", "draccus", "serial", "deepdiff")
 
 
@@ -45,23 +47,31 @@ class _EmptyPackages:
 
 
 def fetch_lerobot(folder: Path) -> str | None:
-    """Make `lerobot` importable; why it cannot be, if it cannot.
+    """Make `lerobot` importable, see `fetch_wheel`."""
+    why_not = fetch_wheel("lerobot", LEROBOT, folder)
+    sys.meta_path.append(_EmptyPackages())  # after those that find what is installed
+    return why_not
+
+
+def fetch_wheel(name: str, version: str, folder: Path) -> str | None:
+    """Make a package importable without what it depends on; why it cannot be, if it cannot.
 
     Args:
+        name: of the package in the registry.
+        version: which one.
         folder: where its wheel stays.
     """
-    if importlib.util.find_spec("lerobot") is not None:  # somebody has installed it
+    module, package = name.replace("-", "_"), folder / f"{name}-{version}"
+    if importlib.util.find_spec(module) is not None:  # somebody has installed it
         return None
-    package = folder / VERSION
     if not package.exists():
-        words = ["pip", "download", "--no-deps", "--only-binary=:all:", f"lerobot=={VERSION}"]
+        words = ["pip", "download", "--no-deps", "--only-binary=:all:", f"{name}=={version}"]
         fetched = subprocess.run(
             [sys.executable, "-m", *words, "--dest", str(folder)],
             capture_output=True, text=True, check=False, timeout=300,
         )  # fmt: skip
         if fetched.returncode:
-            return f"lerobot {VERSION} cannot be fetched: {fetched.stderr.strip()[-300:]}"
-        zipfile.ZipFile(next(folder.glob(f"lerobot-{VERSION}-*.whl"))).extractall(package)
+            return f"{name} {version} cannot be fetched: {fetched.stderr.strip()[-300:]}"
+        zipfile.ZipFile(next(folder.glob(f"{module}-{version}-*.whl"))).extractall(package)
     sys.path.append(str(package))
-    sys.meta_path.append(_EmptyPackages())  # after those that find what is installed
     return None
