@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
@@ -54,6 +56,22 @@ class DriveProtocol(ABC):
         Raises:
             ConfigurationError: one cannot be used.
         """
+
+    def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
+        """Frames that a drive answers and that change nothing; none if there are no such frames."""
+        return ()
+
+    def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:  # noqa: ARG002
+        """Who has answered a question: address, name and value; None if it is no answer."""
+        return None
+
+    def expected_answers(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
+        robot: RobotDescription,
+    ) -> Sequence[Mapping[str, float]]:
+        """What the drive of each joint must answer, as far as the scenario says so."""
+        return [{}] * robot.joints
 
     def oddities(
         self,

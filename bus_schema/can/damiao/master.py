@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from bus_schema.can.damiao.codec import DamiaoCodec, Mode, Special, Status
 from bus_schema.can.damiao.registers import (
+    RANGES,
     REGISTER_IDENTIFIER,
     TIMEOUT_STEP_NS,
     Register,
@@ -18,9 +19,6 @@ from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import POLL_S, DriveError
 from bus_schema.can.mit.master import MitMaster
 
-_RANGES = {
-    Register.PMAX: "position_rad", Register.VMAX: "velocity_rad_s", Register.TMAX: "torque_nm"
-}  # fmt: skip
 _MS = 1_000_000
 
 
@@ -65,7 +63,7 @@ class DamiaoMaster(MitMaster):
         ]
 
     def _check_ranges(self, joint: int) -> None:
-        for register, name in _RANGES.items():
+        for register, name in RANGES.items():
             expected = getattr(self._codec.ranges[joint], name)
             found = self._ask_register(joint, Request.READ, register)
             if abs(found - expected) > 1e-3 * expected:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from bus_schema.can.damiao.codec import DamiaoCodec, Mode
 from bus_schema.can.damiao.master import DamiaoMaster
 from bus_schema.can.damiao.motors import MOTORS, DamiaoMotor
-from bus_schema.can.damiao.registers import REGISTER_IDENTIFIER
-from bus_schema.can.mit.codec import MitRanges
+from bus_schema.can.damiao.registers import (
+    RANGES,
+    REGISTER_IDENTIFIER,
+    Register,
+    RegisterFrame,
+    Request,
+    register_frame,
+)
+from bus_schema.can.frame import CanFrame, is_data
+from bus_schema.can.mit.codec import COMMAND_BYTES, MitRanges
 from bus_schema.can.mit.protocol import MitProtocol
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
@@ -61,6 +70,25 @@ class DamiaoProtocol(MitProtocol):
                 f" 0x100, 0x200 and 0x300, and 0x7FF; {twice} are", ["link.can.node_ids"],
             )  # fmt: skip
         return node_ids
+
+    def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:
+        asked = (RegisterFrame(node_id, Request.READ, register).packed() for register in RANGES)
+        return [CanFrame(REGISTER_IDENTIFIER, each, is_fd=can.fd_process_data) for each in asked]
+
+    def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:
+        if not is_data(frame, COMMAND_BYTES, is_fd=frame.is_fd):
+            return None
+        node_id, request, register, value = register_frame(frame.data)
+        is_ours = frame.identifier != REGISTER_IDENTIFIER and request == Request.READ
+        return (node_id, Register(register).name, value) if is_ours and register in RANGES else None
+
+    def expected_answers(
+        self, can: CanConfiguration, robot: RobotDescription
+    ) -> Sequence[Mapping[str, float]]:
+        return [
+            {register.name: getattr(ranges, name) for register, name in RANGES.items()}
+            for ranges in self.ranges(can, robot.joints)
+        ]
 
     def own_settings(self, can: CanConfiguration, joints: int) -> tuple[DamiaoSettings, ...]:
         names = can.damiao.motor

@@ -44,6 +44,11 @@ class Register(IntEnum):
     XOUT = 81
 
 
+RANGES = {
+    Register.PMAX: "position_rad", Register.VMAX: "velocity_rad_s", Register.TMAX: "torque_nm"
+}  # fmt: skip
+"""Registers with the ranges of the numbers in frames, and their names in `MitRanges`."""
+
 TIMEOUT_STEP_NS = 50_000
 """Unit of register TIMEOUT."""
 
