@@ -22,6 +22,8 @@ from bus_schema.can.mit.codec import COMMAND_BYTES, MitCommand, MitReply, comman
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.damiao.motor import DamiaoAxis
 
+_MODES = {mode.offset: mode for mode in Mode}
+
 
 class DamiaoDrive(DamiaoAxis):
     """One motor, see `Drive`; position and torque are the joint's."""
@@ -61,11 +63,10 @@ class DamiaoDrive(DamiaoAxis):
         return f"drive {node_id} {mode.name}: {self._commanded(mode, frame.data) or 'no command'}"
 
     def _mode_at(self, identifier: int) -> Mode | None:
-        offset = identifier - self._node_id
-        return next((mode for mode in Mode if mode.offset == offset), None)
+        return _MODES.get(identifier - self._node_id)
 
     def _is_meant(self, data: bytes) -> bool:
-        return len(data) == COMMAND_BYTES and register_frame(data).node_id == self._node_id
+        return len(data) == COMMAND_BYTES and data[0] | data[1] << 8 == self._node_id
 
     def _obey(self, mode: Mode, data: bytes) -> None:
         """Take a special frame, in every mode, or a command of the mode that is set."""

@@ -43,6 +43,7 @@ class DamiaoAxis(Drive):
         self._registers = Registers(settings, own)
         ranges = own.motor.ranges
         self._gain_ranges = ranges.stiffness_nm_rad, ranges.damping_nm_s
+        self._note_registers()
         self._peak_nm = min(settings.max_torque_nm, own.motor.peak_nm)
         self._step_rad = _TURN_RAD / settings.counts_per_turn
         self._zero_rad = 0.0
@@ -71,16 +72,6 @@ class DamiaoAxis(Drive):
     def temperature_c(self) -> int:
         """Of power stage and coil."""
         return _HOT_C if self._is_hot else _USUAL_C
-
-    @property
-    def _node_id(self) -> int:
-        return int(self._registers[Register.ESC_ID])
-
-    @property
-    def _ranges(self) -> MitRanges:
-        values = self._registers
-        limits = values[Register.PMAX], values[Register.VMAX], values[Register.TMAX]
-        return MitRanges(*limits, *self._gain_ranges)
 
     @property
     def status(self) -> str:
@@ -115,8 +106,16 @@ class DamiaoAxis(Drive):
             InvalidMessageError: it cannot be written, or not with this value.
         """
         self._registers.write(register, value)
+        self._note_registers()
         if register in _RESTARTING:
             self._loop, self._integral = None, Integral()
+
+    def _note_registers(self) -> None:
+        """Keep what every frame needs of the registers."""
+        values = self._registers
+        limits = values[Register.PMAX], values[Register.VMAX], values[Register.TMAX]
+        self._ranges = MitRanges(*limits, *self._gain_ranges)
+        self._node_id = int(values[Register.ESC_ID])
 
     def advance(self, now_ns: int) -> None:
         timeout_ns = self._registers[Register.TIMEOUT] * TIMEOUT_STEP_NS
