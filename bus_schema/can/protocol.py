@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
@@ -55,6 +57,22 @@ class DriveProtocol(ABC):
             ConfigurationError: one cannot be used.
         """
 
+    def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
+        """Frames that a drive answers and that change nothing; none if there are no such frames."""
+        return ()
+
+    def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:  # noqa: ARG002
+        """Who has answered a question: address, name and value; None if it is no answer."""
+        return None
+
+    def expected_answers(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
+        robot: RobotDescription,
+    ) -> Sequence[Mapping[str, float]]:
+        """What the drive of each joint must answer, as far as the scenario says so."""
+        return [{}] * robot.joints
+
     def oddities(
         self,
         can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
@@ -99,6 +117,7 @@ PROTOCOLS: Registry[DriveProtocol] = Registry(
         "cia402": "bus_schema.can.cia402.protocol:Cia402Protocol",
         "cansimple": "bus_schema.can.cansimple.protocol:CanSimpleProtocol",
         "mit": "bus_schema.can.mit.protocol:MitProtocol",
+        "damiao": "bus_schema.can.damiao.protocol:DamiaoProtocol",
     },
 )
 """A new protocol is one line here, and one in `plant_emulator.drives.commissioning.DRIVES`."""

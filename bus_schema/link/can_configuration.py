@@ -75,6 +75,33 @@ class MitConfiguration(StrictModel):
     reply_bytes: Literal[6, 8] = 8
 
 
+DamiaoMotorName = Literal["DM4310", "DM4310_48V", "DM4340", "DM4340_48V", "DM8009"]
+
+
+class DamiaoConfiguration(StrictModel):
+    """Damiao motors.
+
+    Attributes:
+        motor: kind of motor of each joint, or of all: ``DM4310``, ``DM4310_48V``, ``DM4340``,
+            ``DM4340_48V``, ``DM8009``. It gives the ranges of the numbers in frames, and the most
+            torque.
+        feedback_ids: CAN identifiers of the motors' frames (MST_ID), in the order of the joints; by
+            default the address + 16, as LeRobot and OpenArm have them.
+    """
+
+    motor: Annotated[
+        tuple[DamiaoMotorName, ...],
+        BeforeValidator(lambda given: [given] if isinstance(given, str) else given),
+        Field(min_length=1),
+    ] = ("DM4310",)
+    feedback_ids: (
+        Annotated[
+            tuple[Annotated[Whole, Field(ge=1, le=0x7FE)], ...], AfterValidator(_check_node_ids)
+        ]
+        | None
+    ) = None
+
+
 class CanSimpleConfiguration(StrictModel):
     """ODrive axes; both sides of the bus must agree.
 
@@ -103,8 +130,9 @@ class CanConfiguration(StrictModel):
         fd: the bus carries CAN FD frames too.
         data_bitrate: bit rate of the data phase of FD frames.
         fd_process_data: with ``cia402``, states, torques and all other process data go in FD
-            frames; `fd` has to be true.
-        protocol: ``cia402`` on CANopen, ODrive's ``cansimple``, or the mini-cheetah's ``mit``.
+            frames, with ``damiao`` all frames; `fd` has to be true.
+        protocol: ``cia402`` on CANopen, ODrive's ``cansimple``, the mini-cheetah's ``mit``, or
+            ``damiao``, which OpenArm's motors speak.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
@@ -114,6 +142,7 @@ class CanConfiguration(StrictModel):
         heartbeat_timeout_ms: silence after which a node counts as lost.
         command_timeout_ms: time without a torque after which a drive stops by itself.
         mit: the drives of protocol ``mit``.
+        damiao: the motors of protocol ``damiao``.
         cansimple: the axes of protocol ``cansimple``.
         answer_timeout_s: wall time that the master waits for the answer to a request.
         faults: faults of an emulated bus and of the drives on it.
@@ -137,6 +166,7 @@ class CanConfiguration(StrictModel):
     command_timeout_ms: Annotated[Whole, Field(ge=2, le=65_000)] = 50
     answer_timeout_s: Positive = 2.0
     mit: MitConfiguration = MitConfiguration()
+    damiao: DamiaoConfiguration = DamiaoConfiguration()
     cansimple: CanSimpleConfiguration = CanSimpleConfiguration()
     faults: CanFaults = CanFaults()
 

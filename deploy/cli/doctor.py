@@ -12,26 +12,25 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 import bus_schema.runtime.compiled  # noqa: F401  (chooses where kernels are kept)
 import controller.external
 from bus_schema.arrays import Vector
 from bus_schema.runtime import kernel_cache, realtime
 from bus_schema.runtime.clock import MonotonicClock
+from deploy.cli.findings import Finding, Status, show
+from deploy.cli.options import Overrides
+from deploy.run.exit_codes import FAULT
 from deploy.run.processes.scheduling import remedy
+from deploy.scenario.scenario import load_setup
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engines import ENGINES, engine_name
-
-Status = Literal["ok", "limited", "missing"]
 
 _PROCESSES = 3  # controller, plant, recorder
 _LOW_DISK_BYTES = 1 << 30
@@ -39,24 +38,6 @@ _SLEEPS = 300
 _SLEEP_NS = 1_000_000
 _LOAD_TIMEOUT_S = 60.0
 _CAN_INTERFACE_TYPE = "280"  # ARPHRD_CAN in <linux/if_arp.h>
-_STYLES = {"ok": "green", "limited": "yellow", "missing": "red"}
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing a run can make use of.
-
-    Attributes:
-        name: what it is.
-        status: ``limited`` means that runs work, but less well or not all of them.
-        found: what there is.
-        cost: what it costs a run where the status is not ``ok``.
-    """
-
-    name: str
-    status: Status
-    found: str
-    cost: str
 
 
 def doctor(
@@ -64,12 +45,27 @@ def doctor(
         bool,
         typer.Option("--fix", help="Show commands to copy that allow real-time runs to this user."),
     ] = False,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig", metavar="SCENARIO", help="Ask the drives on its CAN bus, without any torque."
+        ),
+    ] = None,
+    overrides: Overrides = None,
 ) -> None:
     """Say what this machine grants, and what each missing thing costs; nothing is changed."""
     if fix:
         print(remedy())
         return
-    show(examine(), Console())
+    if rig is None:
+        show(examine(), Console())
+        return
+    from deploy.cli.rig import examine_rig  # loads the libraries of CAN
+
+    findings = examine_rig(load_setup(rig, overrides or []))
+    show(findings, Console())
+    if any(each.status == "missing" for each in findings):
+        raise typer.Exit(FAULT)
 
 
 def includes() -> None:
@@ -94,20 +90,6 @@ def examine() -> list[Finding]:
         _socketcan(),
         _display(),
     ]
-
-
-def show(findings: list[Finding], console: Console) -> None:
-    """Print the findings as a table, each that is not ok with its cost."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("Thing", min_width=max(len(finding.name) for finding in findings))
-    table.add_column("Status", min_width=max(map(len, _STYLES)))
-    table.add_column("Found, and what it costs", overflow="fold")
-    for finding in findings:
-        text = Text(finding.found)
-        if finding.status != "ok":
-            text.append(f"\n→ {finding.cost}", style="dim")
-        table.add_row(finding.name, Text(finding.status, style=_STYLES[finding.status]), text)
-    console.print(table)
 
 
 def _python() -> Finding:

@@ -11,11 +11,13 @@ from rich.console import Console
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.can.session import open_can_bus
+from bus_schema.can.survey import require_no_others
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.cli.common import say_oddities
 from deploy.cli.options import Overrides, ScenarioArgument
+from deploy.link_kinds.can import may_have_others
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.scenario import load_setup
@@ -64,7 +66,17 @@ def drives(
     with naming(setup.origin):
         bus = open_can_bus(can)
     with closing(bus):
+        if may_have_others(can):
+            _require_empty(bus, setup)
         raise typer.Exit(_serve(setup, bus, plan, duration_s, verbose=verbose))
+
+
+def _require_empty(bus: CanBus, setup: Setup) -> None:
+    can = setup.scenario.link.can
+    try:
+        require_no_others(bus, PROTOCOLS.build(can.protocol), can, ())
+    except BusError as error:
+        raise ScenarioError(str(error)) from error
 
 
 def _serve(
@@ -89,6 +101,7 @@ def _serve(
     place = f"{can.interface} {can.resolved_channel}"
     if can.interface == "udp_multicast":
         place += f", port {can.port}"
+    place += ", in frames of CAN FD" * can.fd_process_data
     monitor.print(f"{can.protocol} drives {nodes} on {place}")
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     try:

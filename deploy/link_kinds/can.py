@@ -17,6 +17,7 @@ from bus_schema.can.link import CanControllerLink, CanRun
 from bus_schema.can.medium import CandumpLog, CanMedium
 from bus_schema.can.protocol import PROTOCOLS, DriveProtocol
 from bus_schema.can.session import check_can_bus, open_can_bus
+from bus_schema.can.survey import require_no_others
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
@@ -118,6 +119,8 @@ class CanKind(LinkKind[DrivenArm]):
         can, bus, telemetry = run.link.can, _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
         protocol = PROTOCOLS.build(can.protocol)
         node_ids = protocol.node_ids(can, run.robot.joints)
+        if may_have_others(can):
+            require_no_others(bus, protocol, can, node_ids)
         master = protocol.master(bus, can, node_ids, _codec(run))
         clock: Clock = VirtualClock() if run.lockstep else MonotonicClock()
         link = partial(CanControllerLink, _can_run(run), master, bus, clock, telemetry)
@@ -131,6 +134,11 @@ def _codec(run: LinkRun) -> CanCodec:
 
 def _can_run(run: LinkRun) -> CanRun:
     return CanRun(run.robot.joint_names, run.link, run.grid, run.ticks, run.lockstep, run.drive)
+
+
+def may_have_others(can: CanConfiguration) -> bool:
+    """Whether drives that a scenario does not know may be on its bus."""
+    return can.interface != "virtual" and not _may_choose_place(can)
 
 
 def _may_choose_place(can: CanConfiguration) -> bool:

@@ -26,6 +26,7 @@ DRIVES: Registry[Drive] = Registry(
         "cia402": "plant_emulator.drives.cia402.drive:Cia402Drive",
         "cansimple": "plant_emulator.drives.cansimple.drive:CanSimpleDrive",
         "mit": "plant_emulator.drives.mit.drive:MitDrive",
+        "damiao": "plant_emulator.drives.damiao.drive:DamiaoDrive",
     },
 )
 """The drives of each protocol of `bus_schema.can.protocol.PROTOCOLS`."""

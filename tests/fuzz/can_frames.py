@@ -19,17 +19,21 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive
 from plant_emulator.drives.cia402.drive import Cia402Drive
+from plant_emulator.drives.damiao.drive import DamiaoDrive
 from plant_emulator.drives.drive import DriveSettings
 from plant_emulator.drives.mit.drive import MitDrive
 
 NODES = (1, 2, 3)
 RATED_NM, LIMIT_NM = 20.0, 60.0
-PROTOCOLS = {"cia402": Cia402Drive, "cansimple": CanSimpleDrive, "mit": MitDrive}
+PROTOCOLS = {
+    "cia402": Cia402Drive, "cansimple": CanSimpleDrive, "mit": MitDrive, "damiao": DamiaoDrive
+}  # fmt: skip
 _FROM_MASTER = {
     "cia402": re.compile(r"^(000|080|77F|[236]0[123])#"),
     # requests without data, and axis states, modes, torques and cleared errors
     "cansimple": re.compile(r"^\w{3}#R|^(0[246][7BE]|[035]\w8)#"),
     "mit": re.compile(r"^00[123]#"),  # replies have identifier 0
+    "damiao": re.compile(r"^(00[123]|7FF)#"),
 }
 _MS, _TRUE_FRAMES = 1_000_000, 4
 _FLAGS = ("is_extended", "is_remote", "is_error", "is_fd")
@@ -89,7 +93,7 @@ class CanTarget:
         after_nm = self._bank.torque_nm
         assert np.abs(after_nm).max() <= LIMIT_NM
         assert not after_nm[self._bank.braked].any()
-        if self._bank.closes_loops and self._protocol is not MitDrive:
+        if self._bank.closes_loops and self._protocol not in (MitDrive, DamiaoDrive):
             return  # a mutation has switched a drive to position: torques are its own
         changed = np.flatnonzero((after_nm != before_nm) & (after_nm != 0.0))
         if changed.size == 0:
@@ -132,22 +136,28 @@ def _of_cansimple(frame: CanFrame) -> float | None:
     return None
 
 
-def _of_mit(frame: CanFrame) -> float | None:
+def _of_mit(
+    frame: CanFrame, velocity_rad_s: float = 50.0, limit_nm: float = 18.0, most_nm: float = 18.0
+) -> float | None:
     """The loop's torque where these joints are, at 0 and at rest; ranges are the AK80-9's."""
     if len(frame.data) != 8 or frame.data[:7] == b"\xff" * 7:
         return None
     bits = "".join(f"{byte:08b}" for byte in frame.data)
-    places = ((0, 16, -12.5, 12.5), (16, 28, -50, 50), (28, 40, 0, 500), (40, 52, 0, 5),
-              (52, 64, -18, 18))  # fmt: skip
+    places = ((0, 16, -12.5, 12.5), (16, 28, -velocity_rad_s, velocity_rad_s), (28, 40, 0, 500),
+              (40, 52, 0, 5), (52, 64, -limit_nm, limit_nm))  # fmt: skip
     position, velocity, stiffness, damping, torque_nm = (
         low + int(bits[first:end], 2) / (2 ** (end - first) - 1) * (high - low)
         for first, end, low, high in places
     )
     wanted_nm = torque_nm + stiffness * position + damping * velocity
-    return min(max(wanted_nm, -18.0), 18.0)
+    return min(max(wanted_nm, -most_nm), most_nm)
 
 
-_TORQUES = {"cia402": _of_cia402, "cansimple": _of_cansimple, "mit": _of_mit}
+def _of_damiao(frame: CanFrame) -> float | None:
+    return _of_mit(frame, 30.0, 10.0, 7.0) if frame.identifier in NODES else None
+
+
+_TORQUES = {"cia402": _of_cia402, "cansimple": _of_cansimple, "mit": _of_mit, "damiao": _of_damiao}
 
 
 def frames_of_master(protocol: str, folder: Path) -> list[CanFrame]:

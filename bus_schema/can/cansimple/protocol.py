@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from bus_schema.can.cansimple.codec import CanSimpleCodec
+from collections.abc import Sequence
+
+from bus_schema.can.cansimple.codec import COMMAND_BITS, CanSimpleCodec, Command, identifier
 from bus_schema.can.cansimple.master import CanSimpleMaster
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.protocol import DriveProtocol
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
@@ -11,6 +14,7 @@ from bus_schema.link.can_configuration import CanConfiguration, CanSimpleConfigu
 from bus_schema.robot_description import RobotDescription
 
 _LARGEST_WORD = 32_767
+_BEAT_BYTES = 8
 
 
 class CanSimpleProtocol(DriveProtocol):
@@ -27,6 +31,14 @@ class CanSimpleProtocol(DriveProtocol):
         if gains is not None:
             _check_position_control(can, robot, gains)
         return CanSimpleCodec(self.node_ids(can, robot.joints), gains, can.cansimple)
+
+    def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
+        return [CanFrame(identifier(node_id, Command.HEARTBEAT), is_remote=True)]
+
+    def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:
+        node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
+        is_beat = command == Command.HEARTBEAT and is_data(frame, _BEAT_BYTES)
+        return (node_id, "heartbeat", 1.0) if is_beat and node_id else None
 
     def own_settings(
         self, can: CanConfiguration, joints: int

@@ -76,16 +76,14 @@ class MitReply(NamedTuple):
     error: int = MitError.NONE
 
 
-def special(kind: Special) -> bytes:
+def special(kind: int) -> bytes:
     """Data of a frame that enters or leaves motor mode, or makes the position zero."""
     return _SPECIAL + bytes([kind])
 
 
-def special_of(data: bytes) -> Special | None:
-    """Which frame it is, None for a command."""
-    if data[:-1] != _SPECIAL or data[-1] not in Special._value2member_map_:
-        return None
-    return Special(data[-1])
+def ending_of(data: bytes) -> int | None:
+    """Last byte of eight that look like a special frame, known or not; None for a command."""
+    return data[-1] if data[:-1] == _SPECIAL else None
 
 
 class _Number(NamedTuple):
@@ -111,12 +109,16 @@ _STATE = (_POSITION, _VELOCITY, _TORQUE)
 
 
 def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:
-    """The eight bytes of a command; what is beyond its range is at its end."""
-    return _packed(command, _COMMAND, ranges).to_bytes(COMMAND_BYTES, "big")
+    """The eight bytes of a command; what is beyond its range is at its end.
+
+    With everything at its upper end it would be a special frame: the velocity is a step lower.
+    """
+    data = _packed(command, _COMMAND, ranges).to_bytes(COMMAND_BYTES, "big")
+    return data if ending_of(data) is None else data[:3] + b"\xef" + data[4:]
 
 
 def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
-    """What eight bytes that are not `special_of` command."""
+    """What eight bytes that have no `ending_of` a special frame command."""
     return MitCommand(*_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
 
 
@@ -157,8 +159,8 @@ def _unpacked(packed: int, numbers: Sequence[_Number], ranges: MitRanges) -> lis
 
 
 def is_command(frame: CanFrame) -> bool:
-    """Whether a frame has the form of a command or a special one."""
-    return is_data(frame, COMMAND_BYTES)
+    """Whether a frame is a command: one that looks like a special frame is none."""
+    return is_data(frame, COMMAND_BYTES) and ending_of(frame.data) is None
 
 
 def is_reply(frame: CanFrame) -> bool:
@@ -175,6 +177,9 @@ class MitCodec:
         reply_identifier: identifier of all replies.
         reply_bytes: bytes of a reply.
         gains: of the loops that drives close around targets; None for torques alone.
+
+    Attributes:
+        ranges: as above.
     """
 
     def __init__(
@@ -186,7 +191,7 @@ class MitCodec:
         gains: DriveGains | None = None,
     ) -> None:
         self._gains = gains
-        self._node_ids, self._ranges = tuple(node_ids), tuple(ranges)
+        self._node_ids, self.ranges = tuple(node_ids), tuple(ranges)
         self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
         self._reply_identifier = reply_identifier
         self._sampling = self.special_frames(Special.ENTER)
@@ -198,7 +203,7 @@ class MitCodec:
     def sampling_frames(self) -> Sequence[CanFrame]:
         return self._sampling
 
-    def special_frames(self, kind: Special) -> Sequence[CanFrame]:
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:
         """A special frame to each drive."""
         return [CanFrame(node_id, special(kind)) for node_id in self._node_ids]
 
@@ -210,7 +215,7 @@ class MitCodec:
         if frame.identifier != self._reply_identifier or not is_reply(frame):
             return None
         joint = self._joint_of.get(frame.data[0])
-        return None if joint is None else (joint, reply_of(frame.data, self._ranges[joint]))
+        return None if joint is None else (joint, reply_of(frame.data, self.ranges[joint]))
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         found = self.reply(frame)
@@ -228,14 +233,14 @@ class MitCodec:
             _, stiffnesses, dampings = self._gains
             columns = (*target.tolist(), stiffnesses.tolist(), dampings.tolist(), torques)
             commands = [MitCommand(*row) for row in zip(*columns, strict=True)]
-        rows = zip(self._node_ids, commands, self._ranges, strict=True)
+        rows = zip(self._node_ids, commands, self.ranges, strict=True)
         return [
             CanFrame(node_id, packed_command(command, ranges)) for node_id, command, ranges in rows
         ]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of.get(frame.identifier)
-        if joint is None or not is_command(frame) or special_of(frame.data) is not None:
+        if joint is None or not is_command(frame):
             return None
-        torque_nm[joint] = command_of(frame.data, self._ranges[joint]).torque_nm
+        torque_nm[joint] = command_of(frame.data, self.ranges[joint]).torque_nm
         return joint

@@ -14,19 +14,6 @@ from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 
 
-def ranges_of(can: CanConfiguration, joints: int) -> tuple[MitRanges, ...]:
-    """The ranges of each joint's drive.
-
-    Raises:
-        ConfigurationError: there are not as many as joints.
-    """
-    columns = [
-        expand(getattr(can.mit, name), joints, f"link.can.mit.{name}").tolist()
-        for name in MitRanges._fields
-    ]
-    return tuple(MitRanges(*row) for row in zip(*columns, strict=True))
-
-
 class MitSettings(NamedTuple):
     """What both sides must agree on of one drive.
 
@@ -42,9 +29,14 @@ class MitSettings(NamedTuple):
 
 
 class MitProtocol(DriveProtocol):
-    """Position, velocity, stiffness, damping and torque in one frame."""
+    """Position, velocity, stiffness, damping and torque in one frame.
+
+    Attributes:
+        range_key: what says how large numbers in frames can be.
+    """
 
     title = "MIT"
+    range_key = "link.can.mit.{name}"
     takes_targets = True
     answers_torques = True
     master = MitMaster
@@ -52,10 +44,21 @@ class MitProtocol(DriveProtocol):
     def codec(
         self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains | None = None
     ) -> MitCodec:
-        node_ids, ranges = self.node_ids(can, robot.joints), ranges_of(can, robot.joints)
-        if gains is not None:
-            _check_gains(gains, ranges)
+        node_ids, ranges = self.node_ids(can, robot.joints), self.ranges(can, robot.joints)
+        self._check_gains(gains, ranges)
         return MitCodec(node_ids, ranges, can.mit.reply_identifier, can.mit.reply_bytes, gains)
+
+    def ranges(self, can: CanConfiguration, joints: int) -> tuple[MitRanges, ...]:
+        """The ranges of each joint's drive.
+
+        Raises:
+            ConfigurationError: there are not as many as joints.
+        """
+        columns = [
+            expand(getattr(can.mit, name), joints, f"link.can.mit.{name}").tolist()
+            for name in MitRanges._fields
+        ]
+        return tuple(MitRanges(*row) for row in zip(*columns, strict=True))
 
     def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
         node_ids = super().node_ids(can, joints)
@@ -66,17 +69,17 @@ class MitProtocol(DriveProtocol):
             )  # fmt: skip
         return node_ids
 
-    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[MitSettings, ...]:
+    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[object, ...]:
         mit = can.mit
         return tuple(
             MitSettings(ranges, mit.reply_identifier, mit.reply_bytes)
-            for ranges in ranges_of(can, joints)
+            for ranges in self.ranges(can, joints)
         )
 
     def oddities(
         self, can: CanConfiguration, robot: RobotDescription, most_nm: Vector
     ) -> list[str]:
-        rows = zip(robot.joint_names, ranges_of(can, robot.joints), most_nm.tolist(), strict=True)
+        rows = zip(robot.joint_names, self.ranges(can, robot.joints), most_nm.tolist(), strict=True)
         cut_off = [
             f"{name} ({most:g} N m, cut off at {ranges.torque_nm:g})"
             for name, ranges, most in rows
@@ -84,19 +87,19 @@ class MitProtocol(DriveProtocol):
         ]
         if not cut_off:
             return []
+        key = self.range_key.format(name="torque_nm")
         return [
             f"frames of {self.title} drives cannot say all torques of {', '.join(cut_off)}: set"
-            " link.can.mit.torque_nm to the range that the drives are set to, or limits.torque_nm"
-            " to what there is"
+            f" {key} to the range that the drives are set to, or limits.torque_nm to what there is"
         ]
 
-
-def _check_gains(gains: DriveGains, ranges: tuple[MitRanges, ...]) -> None:
-    for name in ("stiffness_nm_rad", "damping_nm_s"):
-        wanted = getattr(gains, name)
-        most = [getattr(each, name) for each in ranges]
-        if (wanted > most).any():
-            raise ConfigurationError(
-                f"plant.drive_feedback.{name}", wanted.tolist(),
-                f"must be within what a frame can say, link.can.mit.{name} = {most}",
-            )  # fmt: skip
+    def _check_gains(self, gains: DriveGains | None, ranges: tuple[MitRanges, ...]) -> None:
+        for name in ("stiffness_nm_rad", "damping_nm_s") if gains is not None else ():
+            wanted = getattr(gains, name)
+            most = [getattr(each, name) for each in ranges]
+            if (wanted > most).any():
+                key = self.range_key.format(name=name)
+                raise ConfigurationError(
+                    f"plant.drive_feedback.{name}", wanted.tolist(),
+                    f"must be within what a frame can say, {key} = {most}",
+                )  # fmt: skip

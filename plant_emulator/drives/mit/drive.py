@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from bus_schema.can.frame import CanFrame
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.mit.codec import (
+    COMMAND_BYTES,
     MitCommand,
     MitError,
     MitReply,
@@ -15,7 +16,6 @@ from bus_schema.can.mit.codec import (
     is_reply,
     packed_reply,
     reply_of,
-    special_of,
 )
 from bus_schema.can.mit.protocol import MitSettings
 from bus_schema.errors import InvalidMessageError
@@ -65,14 +65,13 @@ class MitDrive(Drive):
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or frame.identifier != self._settings.node_id:
             return False
-        if not is_command(frame):
-            raise InvalidMessageError("no_command", f"drives take eight bytes, not {frame}")
-        self._heard_ns = now_ns
-        kind = special_of(frame.data)
-        if kind is None:
+        if is_command(frame):
             self._take(command_of(frame.data, self._ranges))
-        else:
+        elif (kind := _special_of(frame)) is not None:
             self._change(kind)
+        else:
+            raise InvalidMessageError("no_command", f"drives have no use for {frame}")
+        self._heard_ns = now_ns
         self._reply()
         return True
 
@@ -83,15 +82,10 @@ class MitDrive(Drive):
             self._rest()
 
     def demand(self) -> JointDemand:
-        command = self._command
-        if command is None:
+        if self._command is None:
             return AT_REST
-        loop = JointLoop(
-            command.position_rad + self._zero_rad, command.velocity_rad_s,
-            command.stiffness_nm_rad, command.damping_nm_s, command.torque_nm,
-            self._step_rad, self._most_nm,
-        )  # fmt: skip
-        is_closed = command.stiffness_nm_rad > 0.0 or command.damping_nm_s > 0.0
+        loop = mit_loop(self._command, self._zero_rad, self._step_rad, self._most_nm)
+        is_closed = loop.stiffness_nm_rad > 0.0 or loop.damping_nm_s > 0.0
         torque_nm = loop.torque_nm(*self._reading[:2])
         return JointDemand(torque_nm, is_released=True, loop=loop if is_closed else None)
 
@@ -102,11 +96,11 @@ class MitDrive(Drive):
 
     def describe(self, frame: CanFrame) -> str | None:
         node_id = self._settings.node_id
-        if frame.identifier == node_id and is_command(frame):
-            kind = special_of(frame.data)
-            if kind is not None:
-                return f"drive {node_id} {kind.name.lower()}"
-            return f"drive {node_id} " + _in_words(command_of(frame.data, self._ranges))
+        if frame.identifier == node_id:
+            if is_command(frame):
+                return f"drive {node_id} " + _in_words(command_of(frame.data, self._ranges))
+            kind = _special_of(frame)
+            return f"drive {node_id} " + ("no command" if kind is None else kind.name.lower())
         is_answer = frame.identifier == self._own.reply_identifier and is_reply(frame)
         if is_answer and frame.data[0] == node_id:
             return "reply " + _in_words(reply_of(frame.data, self._ranges))
@@ -143,6 +137,27 @@ class MitDrive(Drive):
         )  # fmt: skip
         data = packed_reply(reply, self._ranges, self._own.reply_bytes)
         self._transmit(CanFrame(self._own.reply_identifier, data))
+
+
+def mit_loop(command: MitCommand, zero_rad: float, step_rad: float, most_nm: float) -> JointLoop:
+    """The loop that a command wants, at the joint.
+
+    Args:
+        command: the command.
+        zero_rad: where the drive's zero is.
+        step_rad: resolution of its encoder.
+        most_nm: the most torque there is.
+    """
+    return JointLoop(
+        command.position_rad + zero_rad, command.velocity_rad_s, command.stiffness_nm_rad,
+        command.damping_nm_s, command.torque_nm, step_rad, most_nm,
+    )  # fmt: skip
+
+
+def _special_of(frame: CanFrame) -> Special | None:
+    if not is_data(frame, COMMAND_BYTES) or is_command(frame):
+        return None
+    return next((kind for kind in Special if kind == frame.data[-1]), None)
 
 
 def _in_words(values: MitCommand | MitReply) -> str:

@@ -120,7 +120,7 @@ TOGETHER = [
         ("link.can.node_ids=[1, 2, 2]", "given more than once: [2]"),
         ("link.can.node_ids=[1, 2]", f"one for {ONE_EACH}"),
         ("link.can.rated_torque_nm=[1, 2]", f"one for {ONE_EACH}"),
-        ("link.can.protocol=canasta", "'cia402', 'cansimple' or 'mit'"),
+        ("link.can.protocol=canasta", "'cia402', 'cansimple', 'mit' or 'damiao'"),
         ("link.can.eds=/etc/hostname", "'/etc/hostname': must be a file that is an EDS"),
         ("link.can.faults.drives=['drive:9@1s']", "must name one of the nodes 1, 2, 3"),
         ("rate_hz=2000", "the nearest rate that fits is 1000 Hz"),
@@ -143,6 +143,17 @@ TOGETHER = [
         ("link.can.mit.reply_identifier=2", "mit.reply_identifier = 2: must be none"),
         (f"{FEEDBACK} & link.can.mit.stiffness_nm_rad=500", "link.can.mit.stiffness_nm_rad = "),
         ("rate_hz=1000", "3 × (request 8 bytes + command 8 bytes + 2 replies of 8 bytes)"))],
+    *[("openarm", setting, said) for setting, said in (
+        ("link.can.damiao.motor=DM9000", "'DM4310', 'DM4310_48V', 'DM4340', 'DM4340_48V' or 'DM8"),
+        ("link.can.damiao.motor=[DM4310, DM4340]", "one, or one for each of the 7 joints"),
+        ("link.can.damiao.feedback_ids=[17, 18]", "one for each of the 7 joints"),
+        ("link.can.damiao.feedback_ids=[17, 18, 18, 20, 21, 22, 23]", "more than once: [18]"),
+        ("link.can.damiao.feedback_ids=[17, 18, 19, 20, 21, 22, 258]", "commands go: the addresses,"
+         " those plus 0x100, 0x200 and 0x300, and 0x7FF; [258] are"),
+        ("link.can.node_ids=[1, 2, 3, 4, 5, 6, 17]", "[17] are"),
+        ("rate_hz=1000", "3220 of data with stuffing = 1568 µs at 1000 kbit/s and 5000 kbit/s"),
+        ("link.can.fd_process_data=false", "3780 µs at 1000 kbit/s"),
+        (FEEDBACK, "stiffness_nm_rad of link.can.damiao.motor = [500.0"))],
 ]  # fmt: skip
 IMPOSSIBLE = [
     # key, value as given, as the message shows it, what the message says is allowed

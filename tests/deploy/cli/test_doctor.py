@@ -12,7 +12,8 @@ import pytest
 from rich.console import Console
 
 from bus_schema.runtime import kernel_cache, realtime
-from deploy.cli.doctor import Finding, examine, show
+from deploy.cli.doctor import examine
+from deploy.cli.findings import Finding, show
 
 WIDTH = 80
 

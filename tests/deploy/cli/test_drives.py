@@ -2,10 +2,16 @@
 
 import signal
 import socket
+import time
+from contextlib import closing
 
 import canopen
 
 from bus_schema.can.frame import CanFrame
+from bus_schema.can.protocol import PROTOCOLS
+from bus_schema.can.session import open_can_bus
+from bus_schema.can.survey import ask_drives
+from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.runtime.clock import MonotonicClock
 from deploy.cli.drives import BusMonitor
 from deploy.scenario.scenario import load_setup
@@ -27,6 +33,10 @@ def on_bus(port):
         "--set", "link.can.interface=udp_multicast", "--set", f"link.can.channel={GROUP}",
         "--set", f"link.can.port={port}", "--set", "rate_hz=250",
     ]  # fmt: skip
+
+
+def bus_of(place):
+    return open_can_bus(load_setup("paper_arm", place[1::2]).scenario.link.can)
 
 
 def started(*options):
@@ -64,6 +74,24 @@ def test_a_client_in_another_process_hears_and_drives_them():
         "frames heard",
     ):
         assert words in said, words
+
+
+def test_other_drives_on_the_bus_are_refused():
+    place = on_bus(free_port())
+    first = started(*place)
+    try:
+        with closing(bus_of(place)) as bus:
+            protocol = PROTOCOLS.build("cia402")
+            give_up_s = time.monotonic() + HANG_S
+            while not ask_drives(bus, protocol, CanConfiguration(), (1, 2, 3)):
+                assert time.monotonic() < give_up_s
+        second = started(*place, "--duration", "1")
+        said, _ = second.communicate()
+        assert second.returncode == 2, said
+        assert "drives with addresses 1, 2, 3 answer on this bus" in " ".join(said.split())
+    finally:
+        first.send_signal(signal.SIGINT)
+        first.communicate()
 
 
 def test_it_ends_by_itself_after_a_fault_that_was_asked_for():

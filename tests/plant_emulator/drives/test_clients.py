@@ -61,17 +61,20 @@ class UnhurriedClock(MonotonicClock):
 class Rig:
     """Drives and physics on a thread, as `funnel-hil drives` runs them."""
 
-    def __init__(self, protocol, tuned=None, slower=1, **given):
+    def __init__(
+        self, protocol, tuned=None, slower=1, arm=(ROBOT, PLANT, START), faults=(), **given
+    ):
         self.channel = f"drives{next(_CHANNELS)}"
         options = {"interface": "virtual", "channel": self.channel, "protocol": protocol, **given}
         configuration = CanConfiguration.model_validate(options)
         self._bus = open_can_bus(configuration)
-        self.arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)
-        bank = build_bank(configuration, ROBOT, PLANT, self._bus.send, tuned=tuned)
+        robot, plant, start = arm
+        self.arm = ArmPlant(plant, robot, start, GRID, seed=1)
+        self.bank = build_bank(configuration, robot, plant, self._bus.send, tuned=tuned)
         self.events = []
         self._rig = DriveRig(
-            self.arm, bank, self._bus, UnhurriedClock(slower), GRID,
-            faults=[], on_frame=lambda frame: None, on_event=self.events.append,
+            self.arm, self.bank, self._bus, UnhurriedClock(slower), GRID,
+            faults=faults, on_frame=lambda frame: None, on_event=self.events.append,
         )  # fmt: skip
         self._thread = threading.Thread(target=self._rig.run, daemon=True)
 

@@ -1,0 +1,1 @@
+"""Damiao motors, such as those of OpenArm: their frames, registers and master."""

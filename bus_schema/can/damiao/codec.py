@@ -1,0 +1,186 @@
+"""Frames of Damiao motors, as LeRobot's `DamiaoMotorsBus` and OpenArm's `openarm_can` use them.
+
+Commands in MIT mode are those of the MIT protocol. Feedback has an identifier for each motor
+(MST_ID), an error in the high half of its first byte, and two temperatures in °C; so the manual of
+the DM-J8009P-2EC, V1.0, section "feedback frame". In the other modes commands go to the motor's
+address plus 0x100, 0x200 or 0x300.
+
+A motor answers every frame with its state. A cycle is, for each motor, the frame that asks for the
+state (0xCC to identifier 0x7FF), the answer, the command, and its answer, which nobody uses.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.damiao.registers import REGISTER_IDENTIFIER, RegisterFrame, Request
+from bus_schema.can.frame import CanFrame, is_data
+from bus_schema.can.frame_timing import CycleFrames
+from bus_schema.can.mit.codec import (
+    COMMAND_BYTES,
+    MitCodec,
+    MitRanges,
+    MitReply,
+    packed_reply,
+    reply_of,
+    special,
+)
+from bus_schema.drive_feedback import DriveGains
+
+_STATE_BYTES = 6
+_NIBBLE = 0xF
+
+
+class Special(IntEnum):
+    """Last byte of the frames FF … FF xx that are no commands."""
+
+    CLEAR_ERROR = 0xFB
+    ENABLE = 0xFC
+    DISABLE = 0xFD
+    ZERO = 0xFE
+
+
+class Mode(IntEnum):
+    """Register CTRL_MODE."""
+
+    MIT = 1
+    POS_VEL = 2
+    VEL = 3
+    POS_FORCE = 4
+
+    @property
+    def offset(self) -> int:
+        """What is added to the motor's address for commands of this mode."""
+        return (self - 1) << 8
+
+
+class Status(IntEnum):
+    """High half of the first byte of a feedback frame."""
+
+    DISABLED = 0x0
+    ENABLED = 0x1
+    OVER_VOLTAGE = 0x8
+    UNDER_VOLTAGE = 0x9
+    OVER_CURRENT = 0xA
+    MOSFET_HOT = 0xB
+    COIL_HOT = 0xC
+    LOST_COMMUNICATION = 0xD
+    OVERLOAD = 0xE
+
+
+class Target(NamedTuple):
+    """A command in any mode but MIT.
+
+    Attributes:
+        position_rad: where the motor is to be; of mode VEL, 0.
+        velocity_rad_s: how fast it may go there; of mode VEL, how fast it is to turn.
+        torque_share: the most torque, as a share of what there is.
+    """
+
+    position_rad: float = 0.0
+    velocity_rad_s: float = 0.0
+    torque_share: float = 1.0
+
+
+_PAIR, _SINGLE, _FORCE = struct.Struct("<ff"), struct.Struct("<f"), struct.Struct("<fHH")
+_VELOCITY_SCALE, _SHARE_SCALE = 100.0, 10_000.0
+_VEL_BYTES = (4, 8)
+"""`openarm_can` and the manual send four bytes, other clients fill them up to eight."""
+
+
+def packed_target(mode: Mode, target: Target) -> bytes:
+    """Data of a command in any mode but MIT."""
+    if mode is Mode.POS_VEL:
+        return _PAIR.pack(*target[:2])
+    if mode is Mode.VEL:
+        return _SINGLE.pack(target.velocity_rad_s)
+    speed, share = target.velocity_rad_s * _VELOCITY_SCALE, target.torque_share * _SHARE_SCALE
+    return _FORCE.pack(target.position_rad, int(speed), int(share))
+
+
+def target_of(mode: Mode, data: bytes) -> Target | None:
+    """What a frame of a mode other than MIT commands; None if it is no command."""
+    if len(data) not in (_VEL_BYTES if mode is Mode.VEL else (COMMAND_BYTES,)):
+        return None
+    if mode is Mode.VEL:
+        target = Target(0.0, *_SINGLE.unpack_from(data))
+    elif mode is Mode.POS_VEL:
+        target = Target(*_PAIR.unpack(data))
+    else:
+        position, speed, share = _FORCE.unpack(data)
+        target = Target(position, speed / _VELOCITY_SCALE, min(share / _SHARE_SCALE, 1.0))
+    return target if all(map(math.isfinite, target)) else None
+
+
+def packed_feedback(state: MitReply, ranges: MitRanges, mosfet_c: int) -> bytes:
+    """Data of a feedback frame; the state's error is a `Status`, its temperature the rotor's."""
+    first = state.error << 4 | state.node_id & _NIBBLE
+    packed = packed_reply(state._replace(node_id=first), ranges, _STATE_BYTES)
+    return packed + bytes([mosfet_c, state.temperature_c])
+
+
+def feedback_of(data: bytes, ranges: MitRanges) -> MitReply:
+    """State in a feedback frame, see `packed_feedback`."""
+    state = reply_of(data[:_STATE_BYTES], ranges)
+    return state._replace(
+        node_id=data[0] & _NIBBLE, temperature_c=data[COMMAND_BYTES - 1], error=data[0] >> 4
+    )
+
+
+class DamiaoCodec(MitCodec):
+    """Frames of one control cycle in MIT mode, see `CanCodec`.
+
+    Args:
+        node_ids: addresses of the motors (ESC_ID), one for each joint.
+        ranges: of the numbers of each motor.
+        feedback_ids: identifiers of their frames (MST_ID).
+        is_fd: all frames are those of CAN FD.
+        gains: of the loops that motors close around targets; None for torques alone.
+    """
+
+    def __init__(
+        self,
+        node_ids: Sequence[int],
+        ranges: Sequence[MitRanges],
+        feedback_ids: Sequence[int],
+        *,
+        is_fd: bool,
+        gains: DriveGains | None = None,
+    ) -> None:
+        self.is_fd = is_fd
+        super().__init__(node_ids, ranges, 0, COMMAND_BYTES, gains)
+        self._joint_at = {each: joint for joint, each in enumerate(feedback_ids)}
+        self._sampling = [
+            self.frame(REGISTER_IDENTIFIER, RegisterFrame(node_id, Request.REFRESH).packed())
+            for node_id in node_ids
+        ]
+        self.cycle = CycleFrames(
+            (), 4 * (COMMAND_BYTES,),
+            "{n} × (request + command + 2 states, 8 bytes each)", is_fd=is_fd,
+        )  # fmt: skip
+
+    def frame(self, identifier: int, data: bytes) -> CanFrame:
+        """A frame in the format of these motors."""
+        return CanFrame(identifier, data, is_fd=self.is_fd)
+
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:
+        return [self.frame(node_id, special(kind)) for node_id in self._node_ids]
+
+    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+        joint = self._joint_at.get(frame.identifier)
+        if joint is None or not is_data(frame, COMMAND_BYTES, is_fd=self.is_fd):
+            return None
+        return joint, feedback_of(frame.data, self.ranges[joint])
+
+    def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
+        frames = super().command_frames(torque_nm, target)
+        return [frame._replace(is_fd=self.is_fd) for frame in frames]
+
+    def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
+        is_ours = frame.is_fd == self.is_fd
+        return super().read_torque(frame._replace(is_fd=False), torque_nm) if is_ours else None

@@ -1,0 +1,44 @@
+"""What `doctor` finds, and how it shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+Status = Literal["ok", "limited", "missing"]
+_STYLES = {"ok": "green", "limited": "yellow", "missing": "red"}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing a run can make use of.
+
+    Attributes:
+        name: what it is.
+        status: ``limited`` means that runs work, but less well or not all of them.
+        found: what there is.
+        cost: what it costs a run where the status is not ``ok``.
+    """
+
+    name: str
+    status: Status
+    found: str
+    cost: str
+
+
+def show(findings: list[Finding], console: Console) -> None:
+    """Print the findings as a table, each that is not ok with its cost."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("Thing", min_width=max(len(finding.name) for finding in findings))
+    table.add_column("Status", min_width=max(map(len, _STYLES)))
+    table.add_column("Found, and what it costs", overflow="fold")
+    for finding in findings:
+        text = Text(finding.found)
+        if finding.status != "ok":
+            text.append(f"\n→ {finding.cost}", style="dim")
+        table.add_row(finding.name, Text(finding.status, style=_STYLES[finding.status]), text)
+    console.print(table)

@@ -1,0 +1,1 @@
+"""Damiao motors: modes, registers, errors."""

@@ -1,0 +1,77 @@
+"""Clients of Damiao motors, as their wheels have them.
+
+LeRobot installs PyTorch and 60 packages more, and damiao-motor a web server, of which their motors'
+modules use none. So the wheels alone are fetched, once, and the packages that LeRobot's modules
+import without a use here are empty.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import zipfile
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
+
+LEROBOT = "0.6.1" if sys.version_info >= (3, 12) else "0.4.4"
+DAMIAO_MOTOR = "1.0.6"
+_UNUSED = ("torch", "accelerate", "datasets", "draccus", "serial", "deepdiff")
+
+
+class _EmptyModule(ModuleType):
+    """A module of which everything can be imported."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.__path__: list[str] = []
+
+    def __getattr__(self, name: str) -> type:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return type(name, (), {})
+
+
+class _EmptyPackages:
+    """Finds the packages that are not installed."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        return ModuleSpec(name, self) if name.split(".")[0] in _UNUSED else None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        return _EmptyModule(spec.name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        pass
+
+
+def fetch_lerobot(folder: Path) -> str | None:
+    """Make `lerobot` importable, see `fetch_wheel`."""
+    why_not = fetch_wheel("lerobot", LEROBOT, folder)
+    sys.meta_path.append(_EmptyPackages())  # after those that find what is installed
+    return why_not
+
+
+def fetch_wheel(name: str, version: str, folder: Path) -> str | None:
+    """Make a package importable without what it depends on; why it cannot be, if it cannot.
+
+    Args:
+        name: of the package in the registry.
+        version: which one.
+        folder: where its wheel stays.
+    """
+    module, package = name.replace("-", "_"), folder / f"{name}-{version}"
+    if importlib.util.find_spec(module) is not None:  # somebody has installed it
+        return None
+    if not package.exists():
+        words = ["pip", "download", "--no-deps", "--only-binary=:all:", f"{name}=={version}"]
+        fetched = subprocess.run(
+            [sys.executable, "-m", *words, "--dest", str(folder)],
+            capture_output=True, text=True, check=False, timeout=300,
+        )  # fmt: skip
+        if fetched.returncode:
+            return f"{name} {version} cannot be fetched: {fetched.stderr.strip()[-300:]}"
+        zipfile.ZipFile(next(folder.glob(f"{module}-{version}-*.whl"))).extractall(package)
+    sys.path.append(str(package))
+    return None

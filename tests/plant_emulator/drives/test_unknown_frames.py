@@ -1,0 +1,177 @@
+"""A frame that is no command of a drive's dialect is counted, and moves nothing."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from bus_schema.can.damiao.motors import MOTORS
+from bus_schema.can.frame import CanFrame
+from bus_schema.can.mit.codec import MitCommand, MitRanges, ending_of, packed_command
+from bus_schema.can.mit.protocol import MitProtocol
+from bus_schema.link.can_configuration import CanConfiguration
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.cansimple.drive import CanSimpleDrive, load_database
+from plant_emulator.drives.cia402.drive import Cia402Drive
+from plant_emulator.drives.damiao.drive import DamiaoDrive
+from plant_emulator.drives.drive import DriveSettings
+from plant_emulator.drives.mit.drive import MitDrive
+from tests.arms import PAPER_ARM
+
+NODE, LIMIT_NM = 5, 9.0
+FULL = MitCommand(1e9, 1e9, 1e9, 1e9, 1e9)
+
+
+class Bank:
+    """One drive that follows a torque, and its bank, which counts what it refuses."""
+
+    def __init__(self, protocol, *enabling):
+        self.sent = []
+        self.bank = DriveBank(protocol, [DriveSettings(NODE, 1.0, LIMIT_NM)], self.sent.append)
+        self.bank.advance(0)
+        for identifier, data in enabling:
+            self.hear(identifier, data)
+        self.torque_nm = float(self.bank.torque_nm[0])
+        assert 0.0 < self.torque_nm < LIMIT_NM
+        self.bank.rejections.counts.clear()
+
+    def hear(self, identifier, data=b"", **flags):
+        """Whether it takes the frame."""
+        before = sum(self.bank.rejections.counts.values())
+        self.bank.receive(CanFrame(identifier, data, **flags), 0)
+        return sum(self.bank.rejections.counts.values()) == before
+
+    def assert_refused(self, identifier, data=b"", **flags):
+        assert not self.hear(identifier, data, **flags), (hex(identifier), data, flags)
+        assert float(self.bank.torque_nm[0]) == self.torque_nm
+        assert not self.bank.braked[0]
+
+
+def mit():
+    ready = packed_command(MitCommand(torque_nm=1.0), MitRanges())
+    return Bank(MitDrive, (NODE, bytes([255] * 7 + [0xFC])), (NODE, ready))
+
+
+def test_mit_takes_none_of_the_special_frames_that_it_does_not_have():
+    bank = mit()
+    for ending in sorted(set(range(256)) - {0xFC, 0xFD, 0xFE}):
+        bank.assert_refused(NODE, bytes([255] * 7 + [ending]))
+    assert bank.bank.rejections.counts == {"no_command": 253}
+
+
+def damiao():
+    ready = packed_command(MitCommand(torque_nm=1.0), MOTORS["DM4310"].ranges)
+    return Bank(DamiaoDrive, (NODE, bytes([255] * 7 + [0xFC])), (NODE, ready))
+
+
+@pytest.mark.parametrize("offset", [0, 0x100, 0x200, 0x300])
+def test_damiao_takes_none_of_the_special_frames_that_it_does_not_have(offset):
+    bank = damiao()
+    for ending in sorted(set(range(256)) - {0xFB, 0xFC, 0xFD, 0xFE}):
+        bank.assert_refused(NODE + offset, bytes([255] * 7 + [ending]))
+    assert bank.bank.rejections.counts == {"no_command": 252}
+
+
+def test_damiao_refuses_requests_that_it_does_not_have():
+    bank = damiao()
+    for request in sorted(set(range(256)) - {0x33, 0x55, 0xAA, 0xCC}):
+        bank.assert_refused(0x7FF, bytes([NODE, 0, request, 0, 0, 0, 0, 0]))
+    for length in (*range(8), 12, 64):
+        bank.assert_refused(0x7FF, bytes([NODE, 0, 0xCC, *bytes(61)])[:length])
+
+
+@pytest.mark.parametrize("mode", [2, 3, 4])
+def test_damiao_refuses_targets_that_are_cut_short_or_no_numbers(mode):
+    bank = damiao()
+    bank.hear(0x7FF, struct.pack("<HBBI", NODE, 0x55, 10, mode))
+    offset, whole = (mode - 1) << 8, (4, 8) if mode == 3 else (8,)
+    bank.hear(NODE + offset, struct.pack("<f", 0.0) + bytes(max(whole) - 4))
+    bank.torque_nm = float(bank.bank.torque_nm[0])
+    for length in set(range(9)) - {*whole}:
+        bank.assert_refused(NODE + offset, bytes(length))
+    for number in (b"\x00\x00\xc0\x7f", b"\x00\x00\x80\x7f"):  # not a number, infinite
+        bank.assert_refused(NODE + offset, number + bytes(4))
+
+
+@pytest.mark.parametrize("protocol", [mit, damiao])
+def test_only_classical_data_frames_of_eight_bytes_are_commands(protocol):
+    bank = protocol()
+    for length in (*range(8), 12, 64):
+        bank.assert_refused(NODE, bytes(length), is_fd=length > 8)
+    for flag in ("is_extended", "is_remote", "is_fd"):
+        bank.assert_refused(NODE, bytes(8), **{flag: True})
+
+
+def test_mit_command_at_all_its_upper_ends_is_no_special_frame():
+    data = packed_command(FULL, MitRanges())
+    assert ending_of(data) is None
+    codec = MitProtocol().codec(CanConfiguration(protocol="mit"), PAPER_ARM)
+    torque_nm = [0.0, 0.0, 0.0]
+    assert codec.read_torque(CanFrame(1, data), torque_nm) == 0
+    assert torque_nm == [18.0, 0.0, 0.0]
+
+
+def test_mit_codec_reads_no_torque_from_a_special_frame():
+    codec = MitProtocol().codec(CanConfiguration(protocol="mit"), PAPER_ARM)
+    torque_nm = [0.0, 0.0, 0.0]
+    for ending in range(256):
+        assert codec.read_torque(CanFrame(1, bytes([255] * 7 + [ending])), torque_nm) is None
+    assert torque_nm == [0.0, 0.0, 0.0]
+
+
+def cansimple():
+    numbers = struct.pack("<II", 1, 1), struct.pack("<I", 8), struct.pack("<f", 1.0)
+    return Bank(CanSimpleDrive, *zip((0x0AB, 0x0A7, 0x0AE), numbers, strict=True))
+
+
+def test_cansimple_refuses_commands_that_it_does_not_have_and_those_cut_short():
+    bank = cansimple()
+    known = {each.frame_id for each in load_database().messages}
+    unused = {0x04, 0x05, 0x11, 0x12, 0x13, 0x1F}  # SDO, trajectories, DFU
+    for command in sorted(set(range(32)) - known | unused):
+        for length in range(9):
+            bank.assert_refused(NODE << 5 | command, b"\xff" * length)
+    for command, needed in ((7, 4), (11, 8), (12, 8), (13, 8), (14, 4), (15, 8), (26, 4), (27, 8)):
+        for length in range(needed):
+            bank.assert_refused(NODE << 5 | command, bytes(length))
+        bank.assert_refused(NODE << 5 | command, is_remote=True)
+    for text in (b"\x00\x00\xc0\x7f", b"\x00\x00\x80\x7f"):  # not a number, infinite
+        bank.assert_refused(NODE << 5 | 14, text)
+
+
+def cia402():
+    enabling = [(0, b"\x01\x00"), (0x600 + NODE, struct.pack("<BHBI", 0x2F, 0x6060, 0, 10))]
+    words = [(0x200 + NODE, struct.pack("<Hh", word, 1000)) for word in (6, 7, 15)]
+    return Bank(Cia402Drive, *enabling, *words)
+
+
+def test_cia402_refuses_what_is_no_command():
+    bank = cia402()
+    for length in range(4):
+        bank.assert_refused(0x200 + NODE, b"\xff" * length)  # RPDO 1 has four bytes
+    for length in (0, 1, 3, 8):
+        bank.assert_refused(0, b"\x02" * length)  # NMT has two
+    for command in sorted(set(range(256)) - {1, 2, 128, 129, 130}):
+        bank.assert_refused(0, bytes([command, 0]))
+    for length in range(8):
+        bank.assert_refused(0x600 + NODE, b"\x2f" * length)
+
+
+def test_cia402_aborts_every_sdo_command_that_it_does_not_have():
+    bank = cia402()
+    for specifier in range(7, 8):
+        for rest in range(32):
+            bank.sent.clear()
+            assert bank.hear(0x600 + NODE, bytes([specifier << 5 | rest]) + b"\xff" * 7)
+            assert [frame.data[0] for frame in bank.sent] == [0x80]
+            assert float(bank.bank.torque_nm[0]) == bank.torque_nm
+
+
+@pytest.mark.parametrize("protocol", [mit, damiao, cansimple, cia402])
+def test_frames_for_others_move_nothing(protocol):
+    bank = protocol()
+    own = {0, 0x080, 0x700, NODE, *range(NODE << 5, (NODE << 5) + 32)}
+    own |= {base + NODE for base in range(0x100, 0x800, 0x80)} | {0x100 + NODE, 0x7FF}
+    for identifier in sorted(set(range(0x800)) - own):
+        bank.assert_refused(identifier, b"\xff" * 8)
