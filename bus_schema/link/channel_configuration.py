@@ -112,8 +112,8 @@ class ChannelConfiguration(StrictModel):
         distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and
             ``pareto`` (of shape 3, shifted to mean zero): standard deviation jitter_ms;
             ``empirical``: a delay drawn from `distribution_file`. A negative sum is no delay.
-        distribution_file: delays in ms, one per line or in the first column; a path relative to
-            the scenario file.
+        distribution_file: delays in ms, in a column ``delay_ms`` or one per line; a path from the
+            scenario file, or from the current folder where a command sets it.
         jitter_ms: scale of the distribution.
         correlation: correlation of the jitter of neighbouring messages.
         loss: probability that a message is lost, independent of the others.

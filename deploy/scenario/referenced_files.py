@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from bus_schema.user_files import is_file
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.definition import ScenarioConfiguration
+from deploy.scenario.explanation import Origin
 from plant_emulator.channel.jitter import read_delays_ms
 
 DIRECTIONS = ("uplink", "downlink")
@@ -21,13 +24,22 @@ ROBOTS = Path(str(resources.files("deploy").joinpath("robots")))
 _PYBULLET_DATA = "pybullet_data:"
 
 
-def find_urdf(name: str, base: Path) -> Path:
+def folders_of(key: str, origin: Origin) -> tuple[Path, Path]:
+    """Where a relative path of a scenario may start, the likelier folder first.
+
+    That of the scenario's file, or the current one for what was set beside the file.
+    """
+    folders = (origin.file.parent, Path.cwd())
+    return folders[::-1] if origin.is_set(key) else folders
+
+
+def find_urdf(name: str, *bases: Path) -> Path:
     """The URDF file that a scenario names.
 
     Args:
-        name: a path relative to `base`, the name of a shipped robot, or ``pybullet_data:`` with a
-            path inside that package.
-        base: folder of the scenario.
+        name: a path relative to one of `bases`, the name of a shipped robot, or ``pybullet_data:``
+            with a path inside that package.
+        bases: folders, the likelier ones first.
 
     Raises:
         RobotDescriptionError: there is no such file.
@@ -39,23 +51,23 @@ def find_urdf(name: str, base: Path) -> Path:
                 "the package pybullet_data is not installed; pip install 'funnel-hil[bullet]'"
             )
     else:
-        candidates = [base / name, ROBOTS / f"{name}.urdf"]
+        candidates = [*(base / name for base in bases), ROBOTS / f"{name}.urdf"]
     for candidate in candidates:
         if is_file(candidate):
             return candidate.resolve()
     shipped = sorted(path.stem for path in ROBOTS.glob("*.urdf"))
     raise RobotDescriptionError(
-        f"no such file; allowed are a path from {base}, a shipped robot ({', '.join(shipped)}), or"
-        f" {_PYBULLET_DATA}<path in the package pybullet_data>{did_you_mean(name, shipped)}"
+        f"no such file; allowed are a path from {bases[0]}, a shipped robot ({', '.join(shipped)}),"
+        f" or {_PYBULLET_DATA}<path in the package pybullet_data>{did_you_mean(name, shipped)}"
     )
 
 
-def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
+def find_delay_files(link: LinkConfiguration, origin: Origin) -> LinkConfiguration:
     """The link with absolute paths to its files of delays, which are known to be usable.
 
     Args:
         link: the section.
-        base: folder of the scenario.
+        origin: of the scenario's values.
 
     Raises:
         ConfigurationError: a file is not there or holds something else.
@@ -64,34 +76,50 @@ def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
         channel = getattr(link, direction)
         if channel.distribution_file is None:
             continue
-        try:
-            path = (base / channel.distribution_file).resolve()
+        key = f"link.{direction}.distribution_file"
+        path = _find(channel.distribution_file, key, origin)
+        with _refusing(key, channel.distribution_file):
             read_delays_ms(path)
-        except (ValueError, OSError, RuntimeError) as error:  # the last for links in a circle
-            key = f"link.{direction}.distribution_file"
-            raise ConfigurationError(key, channel.distribution_file, str(error)) from error
         found = channel.model_copy(update={"distribution_file": str(path)})
         link = link.model_copy(update={direction: found})
     return link
 
 
-def find_reference_file(reference: ReferenceConfiguration, base: Path) -> ReferenceConfiguration:
+def find_reference_file(
+    reference: ReferenceConfiguration, origin: Origin
+) -> ReferenceConfiguration:
     """The reference with an absolute path to its file, if it has one.
 
     Args:
         reference: the section.
-        base: folder of the scenario; a path may also start at the current one.
+        origin: of the scenario's values.
 
     Raises:
         ConfigurationError: there is no such file.
     """
     if not isinstance(reference, CsvConfiguration):
         return reference
-    for candidate in (base / reference.file, Path(reference.file)):
-        if is_file(candidate):
-            return reference.model_copy(update={"file": str(candidate.resolve())})
-    allowed = f"no such file; must be a path from {base} or from the current folder"
-    raise ConfigurationError(REFERENCE_KEY, reference.file, allowed)
+    path = _find(reference.file, REFERENCE_KEY, origin)
+    if not is_file(path):
+        allowed = f"no such file; must be a path from {path.parent} or from the current folder"
+        raise ConfigurationError(REFERENCE_KEY, reference.file, allowed)
+    return reference.model_copy(update={"file": str(path)})
+
+
+def _find(name: str, key: str, origin: Origin) -> Path:
+    """The absolute path that a key names: the first one that is there."""
+    candidates = [folder / name for folder in folders_of(key, origin)]
+    with _refusing(key, name):
+        return next(filter(is_file, candidates), candidates[0]).resolve()
+
+
+@contextmanager
+def _refusing(key: str, value: str) -> Iterator[None]:
+    """What is wrong with a file is told with the key that names it."""
+    try:
+        yield
+    except (ValueError, OSError, RuntimeError) as error:  # the last for links in a circle
+        raise ConfigurationError(key, value, str(error)) from error
 
 
 def data_files(scenario: ScenarioConfiguration) -> dict[str, Path]:
