@@ -74,7 +74,7 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     rotors = scenario.plant.actuator.rotor_inertia(robot.joints)
     _check_gears(scenario, robot, sized_by, grid)
     inertia = scenario.controller.nominal_model(robot, rotors).governing_inertia(sized_by)
-    link = find_delay_files(scenario.link, origin)
+    link = find_delay_files(scenario, origin)
     return Setup(
         scenario=scenario.model_copy(update={"link": link, "reference": reference_section}),
         source=origin.file,

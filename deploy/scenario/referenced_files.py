@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError, did_you_mean
+from bus_schema.link.channel_configuration import ChannelConfiguration, TraceConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.urdf.resolved import pybullet_data
 from bus_schema.user_files import is_file
@@ -17,10 +18,16 @@ from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from plant_emulator.channel.jitter import read_delays_ms
+from plant_emulator.channel.trace_file import read_trace
 
 DIRECTIONS = ("uplink", "downlink")
-DELAY_KEYS = tuple(f"link.{direction}.distribution_file" for direction in DIRECTIONS)
+DELAY_KEYS = tuple(
+    f"link.{direction}.{name}"
+    for name in ("distribution_file", "trace.file")
+    for direction in DIRECTIONS
+)
 ROBOTS = Path(str(resources.files("deploy").joinpath("robots")))
+TRACES = Path(str(resources.files("deploy").joinpath("traces")))
 _PYBULLET_DATA = "pybullet_data:"
 
 
@@ -62,27 +69,54 @@ def find_urdf(name: str, *bases: Path) -> Path:
     )
 
 
-def find_delay_files(link: LinkConfiguration, origin: Origin) -> LinkConfiguration:
+def find_delay_files(scenario: ScenarioConfiguration, origin: Origin) -> LinkConfiguration:
     """The link with absolute paths to its files of delays, which are known to be usable.
 
     Args:
-        link: the section.
+        scenario: whose link it is.
         origin: of the scenario's values.
 
     Raises:
         ConfigurationError: a file is not there or holds something else.
     """
+    link = scenario.link
     for direction in DIRECTIONS:
-        channel = getattr(link, direction)
-        if channel.distribution_file is None:
-            continue
-        key = f"link.{direction}.distribution_file"
-        path = _find(channel.distribution_file, key, origin)
-        with _refusing(key, channel.distribution_file):
-            read_delays_ms(path)
-        found = channel.model_copy(update={"distribution_file": str(path)})
-        link = link.model_copy(update={direction: found})
+        channel, section = getattr(link, direction), f"link.{direction}"
+        if channel.distribution_file is not None:
+            key = f"{section}.distribution_file"
+            path = _find(channel.distribution_file, key, origin)
+            with _refusing(key, channel.distribution_file):
+                read_delays_ms(path)
+            channel = channel.model_copy(update={"distribution_file": str(path)})
+        if channel.trace is not None:
+            path = _find_trace(channel.trace, f"{section}.trace", origin, scenario.duration_s)
+            found = channel.trace.model_copy(update={"file": str(path)})
+            channel = channel.model_copy(update={"trace": found})
+        link = link.model_copy(update={direction: channel})
     return link
+
+
+def _find_trace(given: TraceConfiguration, key: str, origin: Origin, duration_s: float) -> Path:
+    """The file of a trace, which is usable and long enough."""
+    path = _find(given.file, f"{key}.file", origin)
+    if not is_file(path):
+        names = sorted(each.stem for each in TRACES.glob("*.parquet"))
+        if given.file not in names:
+            allowed = f"no such file, nor one of the shipped traces {', '.join(names)}"
+            hint = did_you_mean(given.file, names)
+            raise ConfigurationError(f"{key}.file", given.file, allowed + hint)
+        path = TRACES / f"{given.file}.parquet"
+    with _refusing(f"{key}.file", given.file):
+        length_s = read_trace(path).length_ns * 1e-9
+    if (start_s := given.start_s) is None:
+        return path
+    if start_s >= length_s:
+        allowed = f"must be below the trace's {length_s:g} s"
+        raise ConfigurationError(f"{key}.start_s", start_s, allowed, [f"{key}.file"])
+    if not given.loop and start_s + duration_s > length_s:
+        allowed = f"must be true: from start_s on, the trace lasts {length_s - start_s:g} s"
+        raise ConfigurationError(f"{key}.loop", given.loop, allowed, ["duration_s"])
+    return path
 
 
 def find_reference_file(
@@ -124,7 +158,12 @@ def _refusing(key: str, value: str) -> Iterator[None]:
 
 def data_files(scenario: ScenarioConfiguration) -> dict[str, Path]:
     """The files of a checked scenario but for its arm, by dotted key."""
-    named = {key: getattr(scenario.link, key.split(".")[1]).distribution_file for key in DELAY_KEYS}
+    named: dict[str, str | None] = {}
+    for direction in DIRECTIONS:
+        channel: ChannelConfiguration = getattr(scenario.link, direction)
+        named[f"link.{direction}.distribution_file"] = channel.distribution_file
+        trace = channel.trace
+        named[f"link.{direction}.trace.file"] = None if trace is None else trace.file
     if isinstance(scenario.reference, CsvConfiguration):
         named[REFERENCE_KEY] = scenario.reference.file
     return {key: Path(file) for key, file in named.items() if file is not None}
