@@ -137,16 +137,20 @@ class Channel(Generic[Item]):
         self._delivered = 0
         self.next_due_ns = NEVER_NS
 
-    def send(self, item: Item, now_ns: int, size_bytes: int) -> None:  # noqa: ARG002 (for others)
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:  # noqa: ARG002 (for others)
         """Put `item` on its way at `now_ns`, which must not be earlier than that of the last one.
 
         Args:
             item: what goes in.
             now_ns: when it does so.
             size_bytes: what it takes of a limited bandwidth.
+
+        Returns:
+            whether it comes out; otherwise it is lost.
         """
         self._in_flight.append((now_ns + self._delay_ns, item))
         self.next_due_ns = self._in_flight[0][0]
+        return True
 
     def receive(self) -> tuple[int, Item]:
         """The next item to come out and when it does so.
@@ -189,17 +193,18 @@ class TracedChannel(Channel[Item]):
         self._replay, self._latest_due_ns = replay, 0
         self._sent_ns, self._delays_ns = array("q"), array("q")
 
-    def send(self, item: Item, now_ns: int, size_bytes: int) -> None:  # noqa: ARG002 (for others)
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:  # noqa: ARG002 (for others)
         traced_ns = self._replay.delay_ns(now_ns)
         self._sent_ns.append(now_ns)
         if traced_ns is None:
             self._delays_ns.append(LOST_NS)
-            return
+            return False
         due_ns = max(now_ns, now_ns + self._delay_ns + traced_ns, self._latest_due_ns)
         self._latest_due_ns = due_ns
         self._delays_ns.append(due_ns - now_ns)
         self._in_flight.append((due_ns, item))
         self.next_due_ns = self._in_flight[0][0]
+        return True
 
     def statistics(self) -> TransportStatistics:
         """What became of the items; counted now, as it would take time when they are sent."""

@@ -94,7 +94,7 @@ class ImpairedChannel(Channel[Item]):
         mean_ns = 0 if self._trace is None else self._trace.mean_delay_ns
         self.mean_delay_ns = round(mean_ns + start.delay_ns + self._jitter.mean * start.jitter_ns)
 
-    def send(self, item: Item, now_ns: int, size_bytes: int) -> None:
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:
         conditions, statistics = self._schedule.at(now_ns), self._statistics
         jitter = self._jitter.draw(conditions.correlation)
         is_lost = self._loss.loses_next(conditions)
@@ -108,7 +108,7 @@ class ImpairedChannel(Channel[Item]):
         statistics.note_sent(is_lost=is_lost)
         if is_lost:
             statistics.note_delay(now_ns, LOST_NS)
-            return
+            return False
         due_ns = self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
         statistics.note_delay(now_ns, due_ns - now_ns)
         self._dispatch(item, transit, due_ns)
@@ -117,6 +117,7 @@ class ImpairedChannel(Channel[Item]):
             copy = transit._replace(is_copy=True)
             due_ns = self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
             self._dispatch(item, copy, due_ns)
+        return True
 
     def receive(self) -> tuple[int, Item]:
         due_ns, transit, item = heapq.heappop(self._under_way)
@@ -165,7 +166,7 @@ def open_uplink(
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    return _open(link.uplink, seed, _UPLINK, faults)
+    return open_channel(link.uplink, seed, UPLINK, faults)
 
 
 def open_downlink(
@@ -181,13 +182,27 @@ def open_downlink(
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    channel: Channel[Command] = _open(link.downlink, seed, _DOWNLINK, faults)
+    channel: Channel[Command] = open_channel(link.downlink, seed, DOWNLINK, faults)
     return PlayoutBuffer(channel, link.playout_ns) if link.playout_ns else channel
 
 
-def _open(
-    configuration: ChannelConfiguration, seed: int, stream: int, faults: Sequence[ConditionFault]
+def open_channel(
+    configuration: ChannelConfiguration,
+    seed: int,
+    stream: int,
+    faults: Sequence[ConditionFault] = (),
 ) -> Channel[Item]:
+    """The channel of a direction, no more of it than its configuration asks for.
+
+    Args:
+        configuration: a section ``link.uplink`` or ``link.downlink``.
+        seed: the scenario's seed.
+        stream: `UPLINK` or `DOWNLINK`.
+        faults: scheduled faults of this direction.
+
+    Raises:
+        ValueError: its file of delays cannot be used.
+    """
     if configuration.is_constant and not faults:
         return Channel(configuration.delay_ns)
     seeds = np.random.SeedSequence(seed, spawn_key=(stream,))
@@ -205,5 +220,5 @@ def _replay(configuration: ChannelConfiguration, random: np.random.Generator) ->
     return None if trace is None else TraceReplay(trace, random)
 
 
-_UPLINK, _DOWNLINK = 100, 101
+UPLINK, DOWNLINK = 100, 101
 """Keys that keep the random streams of the directions apart from each other and from the arm's."""
