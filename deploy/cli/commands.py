@@ -31,6 +31,7 @@ COMMANDS = {
     "plant": "processes:plant",
     "record": "processes:record",
     "relay": "processes:relay",
+    "link": "link:link",
     "trace": "trace:app",
     "keys": "keys:app",
     "compare": "study.experiments:compare",

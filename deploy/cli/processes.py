@@ -87,7 +87,7 @@ def relay(
     """Be a relay between two programs, which does to their messages what an emulated link does.
 
     Messages to CONNECT meet link.downlink, answers link.uplink: delay, jitter, loss, traces and the
-    rest. Over TCP, what is lost comes 200 ms later.
+    rest. Over TCP, what is lost is sent again, and what follows waits.
     """
     delays = []
     if delay_ms is not None:

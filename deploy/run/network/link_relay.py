@@ -67,8 +67,7 @@ class LinkRelay:
             for direction in self._directions:
                 direction.let_go(self._now_ns)
             for stream in self._streams:
-                if stream.resend_ns <= self._now_ns():
-                    stream.send(self._now_ns())
+                stream.resend(self._now_ns())
                 if stream.sink in writable:
                     stream.flush()
                 if stream.source in readable and stream.wants_more:
@@ -150,7 +149,10 @@ class LinkRelay:
                 each.setblocking(False)
                 each.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             far.connect_ex(self._target)
-            self._streams += [Stream(near, far, self._there), Stream(far, near, self._back)]
+            there_ns, back_ns = (way.channel.mean_delay_ns for way in self._directions)
+            self._streams += [
+                Stream(near, far, self._there, back_ns), Stream(far, near, self._back, there_ns)
+            ]  # fmt: skip
 
     def _forget_ended(self) -> None:
         """Close connections of which both directions have ended."""

@@ -1,7 +1,8 @@
 """Bytes on their way through a relay: one direction of it, datagrams, and streams of connections.
 
-Datagrams can be lost, doubled, and overtake each other. A stream of bytes cannot: a chunk that is
-lost is sent again some time later, and what came after it waits, as with TCP.
+Datagrams can be lost, doubled, and overtake each other. A stream of bytes cannot, as with TCP: what
+came after a lost chunk waits at the receiver until that is sent again. It is so after some time, or
+once three later ones have arrived and the receiver has had time to say so.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ MOST_BYTES = 1 << 22
 """A receiver that does not read holds up its sender beyond so much."""
 RESEND_NS = 200_000_000
 """TCP of Linux sends again what was not acknowledged, after so much time or more."""
+_DUPLICATE_ANSWERS = 3
 
 
 class Sink(Protocol):
     """Where bytes leave."""
 
-    def pass_on(self, chunk: Chunk) -> None:
-        """Send what is due."""
+    def pass_on(self, chunk: Chunk, now_ns: int) -> None:
+        """Send what is due now."""
 
 
 class Chunk(NamedTuple):
@@ -60,7 +62,7 @@ class Direction:
         """Send on what is due."""
         while self.channel.next_due_ns <= now_ns():
             due_ns, chunk = self.channel.receive()
-            chunk.sink.pass_on(chunk)
+            chunk.sink.pass_on(chunk, now_ns())
             self.lateness_us[(now_ns() - due_ns) // 1000] += 1
 
 
@@ -70,7 +72,7 @@ class DatagramSink:
     def __init__(self, sink: socket.socket, address: tuple[str, int] | None) -> None:
         self._sink, self._address = sink, address
 
-    def pass_on(self, chunk: Chunk) -> None:
+    def pass_on(self, chunk: Chunk, now_ns: int) -> None:  # noqa: ARG002 (for streams)
         with contextlib.suppress(OSError):  # nobody is there: as on any network, it is gone
             if self._address is None:
                 self._sink.send(chunk.data)
@@ -81,18 +83,26 @@ class DatagramSink:
 class Stream:
     """One direction of a connection; both sockets do not block.
 
+    Args:
+        source: where bytes come from.
+        sink: where they go.
+        direction: what happens to them between.
+        answer_ns: how long the receiver takes to say that something is missing.
+
     Attributes:
-        resend_ns: when a chunk that was lost is sent again; `NEVER_NS` if none was.
         has_ended: whether the end was passed on.
     """
 
-    def __init__(self, source: socket.socket, sink: socket.socket, direction: Direction) -> None:
+    def __init__(
+        self, source: socket.socket, sink: socket.socket, direction: Direction, answer_ns: int
+    ) -> None:
         self.source, self.sink, self._direction = source, sink, direction
-        self._waiting: deque[bytes] = deque()  # lost, or behind what was lost
+        self._answer_ns = answer_ns
+        self._lost: dict[int, tuple[int, bytes]] = {}  # when to send again, and what
+        self._early: dict[int, bytes] = {}  # arrived before what was sent earlier
         self._leaving: deque[bytes] = deque()  # due, but the receiver does not read
         self._held_bytes, self._sent, self._passed = 0, 0, 0
         self._is_read_out = self.has_ended = False
-        self.resend_ns = NEVER_NS
 
     @property
     def wants_more(self) -> bool:
@@ -104,6 +114,11 @@ class Stream:
         """Whether it waits for the receiver to read."""
         return bool(self._leaving)
 
+    @property
+    def resend_ns(self) -> int:
+        """When a chunk that was lost is sent again; `NEVER_NS` if none was."""
+        return min((due_ns for due_ns, _ in self._lost.values()), default=NEVER_NS)
+
     def take_in(self, now_ns: int) -> None:
         """Read a chunk; a broken connection ends as one that is closed."""
         try:
@@ -114,26 +129,31 @@ class Stream:
             data = b""
         self._is_read_out = not data
         self._held_bytes += len(data)
-        self._waiting.append(data)
-        if self.resend_ns == NEVER_NS:
-            self.send(now_ns)
+        self._send(self._sent, data, now_ns)
+        self._sent += 1
 
-    def send(self, now_ns: int) -> None:
-        """Put chunks on their way until one is lost."""
-        self.resend_ns = NEVER_NS
-        while self._waiting:
-            data = self._waiting[0]
-            if not self._direction.channel.send(Chunk(self, data, self._sent), now_ns, len(data)):
-                self.resend_ns = now_ns + RESEND_NS
-                return
-            self._waiting.popleft()
-            self._sent += 1
+    def resend(self, now_ns: int) -> None:
+        """Send again what was lost long enough ago."""
+        for number, (due_ns, data) in list(self._lost.items()):
+            if due_ns <= now_ns:
+                del self._lost[number]
+                self._send(number, data, now_ns)
 
-    def pass_on(self, chunk: Chunk) -> None:
-        if chunk.number == self._passed:  # no copy of what was passed on
+    def _send(self, number: int, data: bytes, now_ns: int) -> None:
+        if not self._direction.channel.send(Chunk(self, data, number), now_ns, len(data)):
+            self._lost[number] = now_ns + RESEND_NS, data
+
+    def pass_on(self, chunk: Chunk, now_ns: int) -> None:
+        if chunk.number < self._passed:  # a copy
+            return
+        self._early[chunk.number] = chunk.data
+        while self._passed in self._early:
+            self._leaving.append(self._early.pop(self._passed))
             self._passed += 1
-            self._leaving.append(chunk.data)
-            self.flush()
+        if len(self._early) >= _DUPLICATE_ANSWERS and self._passed in self._lost:
+            due_ns, data = self._lost[self._passed]
+            self._lost[self._passed] = min(due_ns, now_ns + self._answer_ns), data
+        self.flush()
 
     def flush(self) -> None:
         """Send what the receiver takes; if it is gone, nothing more is read."""
