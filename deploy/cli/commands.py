@@ -33,6 +33,7 @@ COMMANDS = {
     "relay": "processes:relay",
     "link": "link:link",
     "trace": "trace:app",
+    "latency": "latency:latency",
     "keys": "keys:app",
     "compare": "study.experiments:compare",
     "sweep": "study.studies:sweep",
