@@ -150,9 +150,11 @@ class Stream:
         while self._passed in self._early:
             self._leaving.append(self._early.pop(self._passed))
             self._passed += 1
-        if len(self._early) >= _DUPLICATE_ANSWERS and self._passed in self._lost:
-            due_ns, data = self._lost[self._passed]
-            self._lost[self._passed] = min(due_ns, now_ns + self._answer_ns), data
+        if self._lost and len(self._early) >= _DUPLICATE_ANSWERS:
+            third_newest = sorted(self._early)[-_DUPLICATE_ANSWERS]
+            for number, (due_ns, data) in self._lost.items():
+                if number < third_newest:
+                    self._lost[number] = min(due_ns, now_ns + self._answer_ns), data
         self.flush()
 
     def flush(self) -> None:
