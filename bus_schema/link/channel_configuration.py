@@ -104,16 +104,48 @@ class Outage(StrictModel):
 ScheduleEntry = Annotated[Step | Ramp | Outage, Field(discriminator="kind")]
 
 
+class TraceConfiguration(StrictModel):
+    """A measured network, replayed in time order.
+
+    Attributes:
+        file: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
+            ``lost`` and ``size``; a path as for `distribution_file`, or the name of a shipped
+            trace.
+        start_s: where in the trace a run begins; null for a place drawn from the scenario's seed.
+        loop: begin again at the end, where the trace resembles its end; otherwise the run must not
+            last longer, and `start_s` is given.
+        interpolation: ``hold`` gives a message the delay of the last one in the trace that was
+            sent before it, ``linear`` one between those of its neighbours.
+        scale: factor on the delays of the trace.
+        offset_ms: added to them.
+    """
+
+    file: str
+    start_s: NonNegative | None = None
+    loop: bool = True
+    interpolation: Literal["hold", "linear"] = "hold"
+    scale: NonNegative = 1.0
+    offset_ms: Number = 0.0
+
+    @field_validator("loop")
+    @classmethod
+    def _check_loop(cls, loop: bool, info: ValidationInfo) -> bool:
+        if not loop and "start_s" in info.data and info.data["start_s"] is None:
+            raise ValueError("true unless start_s is given")
+        return loop
+
+
 class ChannelConfiguration(StrictModel):
     """One direction of the link.
 
     Attributes:
         delay_ms: delay of every message.
-        distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and ``pareto``
-            (of shape 3, shifted to mean zero): standard deviation jitter_ms; ``empirical``: a delay
-            drawn from `distribution_file`. A negative sum counts as no delay.
-        distribution_file: delays in ms, one per line or in the first column; a path relative to
-            the scenario file.
+        distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and
+            ``pareto`` (of shape 3, shifted to mean zero): standard deviation jitter_ms;
+            ``empirical``: a delay drawn from `distribution_file`. A negative sum is no delay.
+        distribution_file: delays in ms, in a column ``delay_ms`` or one per line; a path from the
+            scenario file, or from the current folder where a command sets it.
+        trace: a measured network, whose delays and losses come on top of the others.
         jitter_ms: scale of the distribution.
         correlation: correlation of the jitter of neighbouring messages.
         loss: probability that a message is lost, independent of the others.
@@ -127,6 +159,7 @@ class ChannelConfiguration(StrictModel):
     delay_ms: NonNegative = 0.0
     distribution: Distribution = "uniform"
     distribution_file: Annotated[str | None, Field(validate_default=True)] = None
+    trace: TraceConfiguration | None = None
     jitter_ms: NonNegative = 0.0
     correlation: Probability = 0.0
     loss: Probability = 0.0
@@ -145,7 +178,7 @@ class ChannelConfiguration(StrictModel):
         """Whether this direction does nothing but delay all messages equally."""
         return not (
             self.jitter_ms or self.loss or self.burst_loss or self.duplicate or self.rate_kbit_s
-            or self.schedule or self.distribution == "empirical"
+            or self.schedule or self.distribution == "empirical" or self.trace
         )  # fmt: skip
 
     @field_validator("distribution_file")

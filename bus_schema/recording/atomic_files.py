@@ -60,8 +60,8 @@ def naming_file(path: Path) -> Iterator[None]:
         raise OSError(error.errno or errno.EIO, reason, str(path)) from error
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file, text in UTF-8; whatever happens, there is all of it or none.
 
     Raises:
         OSError: it cannot be written; the message names the file.
@@ -69,7 +69,9 @@ def write_whole(path: Path, text: str) -> None:
     partial = partial_path(path)
     try:
         with naming_file(path):
-            new_partial(path).write_text(text, encoding="utf-8")
+            new_partial(path).write_bytes(
+                content if isinstance(content, bytes) else content.encode()
+            )
         complete(path)
     except OSError:
         partial.unlink(missing_ok=True)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
-from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.cli.options import Overrides, ScenarioArgument
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.time_series import SERIES, series
+from deploy.measure.trace_output import write_table
 from deploy.reports.verdict import PARTIAL, damaged, missing_ticks_sentence
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import load_run
@@ -82,19 +81,8 @@ def export_series(
         columns = series(run, name)
         for kind in formats:
             files.append(folder / f"{name}.{kind}")
-            _write(columns, files[-1], kind)
+            write_table(columns, files[-1], is_parquet=kind == "parquet")
     return files
-
-
-def _write(columns: Mapping[str, NDArray[np.generic]], file: Path, kind: Format) -> None:
-    """Write a table; a file that is there is replaced as a whole."""
-    import pyarrow as pa  # heavy, and needed by few commands
-    from pyarrow import csv, parquet
-
-    table = pa.table({name: pa.array(values) for name, values in columns.items()})
-    with naming_file(file):
-        {"csv": csv.write_csv, "parquet": parquet.write_table}[kind](table, str(new_partial(file)))
-    complete(file)
 
 
 def _missing(run: RunData) -> list[str]:
@@ -119,7 +107,7 @@ def reference(
     setup = load_setup(scenario, overrides or [])
     kind: Format = "csv" if as_csv else "parquet"
     path = out or Path(f"{setup.scenario.name}_reference.{kind}")
-    _write(reference_columns(setup), path, kind)
+    write_table(reference_columns(setup), path, is_parquet=as_parquet)
     print(path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from deploy.cli.options import OneRunOptions, Out, Overrides, Overwrite, Scenari
 from deploy.run.execute import recorded
 from deploy.run.exit_codes import FINISHED
 from deploy.run.network.links import require_keys
-from deploy.run.network.real_delay import RELAY, RelayOptions
+from deploy.run.network.real_delay import LONGEST_MS, RELAY, RelayOptions, host_and_port
 from deploy.run.processes import relay as relaying
 from deploy.run.processes import roles
 from deploy.run.processes.child import RunOutcome
@@ -24,6 +25,7 @@ from deploy.run.processes.status import StatusReporter
 from deploy.run.run_folder import RunFolder
 from deploy.run.stop_signals import StopRequest
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
 
 AwaitRecorder = Annotated[
     bool, typer.Option("--await-recorder", help="Start only once a recorder listens.")
@@ -68,11 +70,32 @@ def record(
 
 
 def relay(
-    listen: Annotated[str, typer.Argument(help="HOST:PORT where connections come in.")],
+    listen: Annotated[str, typer.Argument(help="HOST:PORT where messages come in.")],
     connect: Annotated[str, typer.Argument(help="HOST:PORT that they are passed on to.")],
     delay_ms: Annotated[
-        float, typer.Option("--delay", metavar="MS", help="Hold bytes back for so long, each way.")
-    ],
+        float | None, typer.Option("--delay", metavar="MS", help="Delay messages, each way.")
+    ] = None,
+    scenario: Annotated[
+        str, typer.Option(help="Whose link.uplink, link.downlink and seed are taken.")
+    ] = "paper_arm",
+    overrides: Overrides = None,
+    is_udp: Annotated[bool, typer.Option("--udp", help="Relay UDP in place of TCP.")] = False,
+    duration_s: Annotated[
+        float, typer.Option("--duration", metavar="S", help="Stop after this time.")
+    ] = math.inf,
 ) -> None:
-    """Be a relay between two TCP peers: hold back every byte between controller and plant."""
-    raise typer.Exit(relaying.relay(RelayOptions(listen, connect, delay_ms), StatusReporter(RELAY)))
+    """Be a relay between two programs, which does to their messages what an emulated link does.
+
+    Messages to CONNECT meet link.downlink, answers link.uplink: delay, jitter, loss, traces and the
+    rest. Over TCP, what is lost is sent again, and what follows waits.
+    """
+    delays = []
+    if delay_ms is not None:
+        if not 0.0 <= delay_ms <= LONGEST_MS:
+            raise ScenarioError(f"--delay {delay_ms:g}: must be 0 to {LONGEST_MS:g} ms")
+        delays = [f"link.{way}.delay_ms={delay_ms}" for way in ("uplink", "downlink")]
+    for each in (listen, connect):
+        host_and_port(each)
+    given = load_setup(scenario, [*delays, *(overrides or [])]).scenario
+    options = RelayOptions(listen, connect, given.link, given.seed, is_udp, duration_s)
+    raise typer.Exit(relaying.relay(options, StatusReporter(RELAY)))

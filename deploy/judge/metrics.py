@@ -217,6 +217,8 @@ def _transport(run: RunData) -> dict[str, Any]:
         "loss_burst": dict.fromkeys(("mean", "longest")),
     }
     channels = {name: always | (counts.get(name) or unknown) for name in ("uplink", "downlink")}
+    for channel in channels.values():
+        channel.pop("curves", None)  # for the report alone
     return channels | ({"can": counts["can"]} if "can" in counts else {})
 
 

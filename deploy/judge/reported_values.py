@@ -26,11 +26,17 @@ _COUNTS = TypeAdapter(dict[str, Annotated[int, Field(strict=True, ge=0, lt=1 << 
 _TEXT = TypeAdapter(Annotated[str, Field(max_length=100)])
 _ANY = TypeAdapter(dict[str, Any])
 
+_CURVE = TypeAdapter(
+    Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=100)]
+)
+_CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
+
 _CHANNEL = {
     **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered"), _COUNT),
     "rejected": _COUNTS,
     "delay_ms": dict.fromkeys(("mean", *PERCENTILES), _MAYBE),
     "loss_burst": {"mean": _MAYBE, "longest": _COUNT},
+    "curves": {"did": _CURVES, "trace": _CURVES},
 }
 _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from deploy.judge.run_data import RunData
 from deploy.reports import quantities
-from deploy.reports.figures import joints, learned, several_runs, space, timeline
+from deploy.reports.figures import joints, learned, link, several_runs, space, timeline
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.page import Panel
 from deploy.study.comparison.comparison import ComparedRuns
@@ -145,6 +145,18 @@ RUN_PANELS: list[RunsPanel] = [
         "Timing", "deadline-misses", "Missed deadlines", _of_run(timeline.deadline_misses),
         "Share of the ticks at which the torque in force answered a state that was too old. A full"
         " block is a link that is slower than the deadline allows.",
+    ),
+    Panel(
+        "The link beside its trace", "trace-percentiles", "Delays by percentile",
+        _of_run(link.trace_percentiles),
+        "Solid: what the channel did to this run's messages. Dashed: the whole trace. A short run"
+        " sees a part of its trace, and messages that wait for each other are delayed longer.",
+    ),
+    Panel(
+        "The link beside its trace", "trace-autocorrelation", "Autocorrelation of the delay",
+        _of_run(link.trace_autocorrelation),
+        "How much the delay of a message says of the delay of a later one. Independent draws fall"
+        " to zero at once; slow waves of a network do not.",
     ),
 ]  # fmt: skip
 """The figures of a run, in order; another one is another entry."""

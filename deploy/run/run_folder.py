@@ -180,8 +180,9 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         overrides = [f"robot.urdf={robot}"]
         for key, name in DATA_ATTACHMENTS.items():
             if name in contents.attachments:
-                (Path(folder) / name).write_bytes(contents.attachments[name])
-                overrides.append(f"{key}={name}")
+                copy = Path(folder) / name
+                copy.write_bytes(contents.attachments[name])
+                overrides.append(f"{key}={copy}")
         try:
             with custom_laws_left_out():
                 setup = load_setup(str(scenario), overrides)

@@ -19,7 +19,12 @@ from controller.reference import Reference, sample_positions
 from deploy.link_kinds.kind import LINK_KINDS
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
-from deploy.scenario.referenced_files import find_delay_files, find_reference_file, find_urdf
+from deploy.scenario.referenced_files import (
+    find_delay_files,
+    find_reference_file,
+    find_urdf,
+    folders_of,
+)
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import naming, plain
@@ -50,12 +55,12 @@ def check(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
 
 
 def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
-    source = origin.file
     link_kind = LINK_KINDS.build(scenario.link.kind)
     PROTOCOLS.check(scenario.link.can.protocol)
     given = scenario.robot
-    robot = load_robot(find_urdf(given.urdf, source.parent), given.joints, repair=given.repair)
-    reference_section = find_reference_file(scenario.reference, source.parent)
+    urdf = find_urdf(given.urdf, *folders_of("robot.urdf", origin))
+    robot = load_robot(urdf, given.joints, repair=given.repair)
+    reference_section = find_reference_file(scenario.reference, origin)
     reference = reference_section.build(robot)
     grid = _grid(scenario)
     motion = _reachable_motion(reference, robot, scenario)
@@ -69,10 +74,10 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     rotors = scenario.plant.actuator.rotor_inertia(robot.joints)
     _check_gears(scenario, robot, sized_by, grid)
     inertia = scenario.controller.nominal_model(robot, rotors).governing_inertia(sized_by)
-    link = find_delay_files(scenario.link, source.parent)
+    link = find_delay_files(scenario, origin)
     return Setup(
         scenario=scenario.model_copy(update={"link": link, "reference": reference_section}),
-        source=source,
+        source=origin.file,
         robot=robot,
         reference=reference,
         funnel=scenario.funnel.build(offset),

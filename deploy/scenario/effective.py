@@ -84,28 +84,27 @@ def write_scenario(setup: Setup, path: Path) -> None:
     Raises:
         OSError: a file cannot be written.
     """
-    texts = _texts(setup)
-    for name, text in texts.values():
+    for name, content in _copies(setup).values():
         if not (path.parent / name).exists():
-            write_whole(path.parent / name, text)
+            write_whole(path.parent / name, content)
     write_whole(path, portable_scenario(setup))
 
 
 def portable_scenario(setup: Setup) -> str:
-    """Return the scenario in force as `write_scenario` writes it, and as recordings contain it."""
-    return effective_scenario(setup, {key: name for key, (name, _) in _texts(setup).items()})
+    """The scenario in force as `write_scenario` writes it, and as recordings hold it."""
+    return effective_scenario(setup, {key: name for key, (name, _) in _copies(setup).items()})
 
 
-def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
-    """Return name and text of a copy of each file that a scenario refers to, by its key."""
+def _copies(setup: Setup) -> dict[str, tuple[str, bytes]]:
+    """Name and content of a copy of each file that a scenario refers to, by its key."""
     robot = setup.robot
     arm = robot.path
     if arm.suffix in (".xacro", ".xml"):  # the copy replaces it
         arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
-    found = {"robot.urdf": (arm, robot.portable_urdf())}
+    found = {"robot.urdf": (arm, robot.portable_urdf().encode())}
     for key, file in data_files(setup.scenario).items():
-        found[key] = (file, file.read_text(encoding="utf-8"))
-    return {key: (_name(file, text), text) for key, (file, text) in found.items()}
+        found[key] = (file, file.read_bytes())
+    return {key: (_name(file, content), content) for key, (file, content) in found.items()}
 
 
 def is_copy(file: Path) -> bool:
@@ -116,9 +115,9 @@ def is_copy(file: Path) -> bool:
     return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] == digest[1:]
 
 
-def _name(original: Path, text: str) -> str:
-    digest = hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
-    stem = original.stem.removesuffix(f"-{digest}")  # it may be a copy itself
+def _name(original: Path, content: bytes) -> str:
+    digest = hashlib.sha256(content).hexdigest()[:_DIGITS]
+    stem = original.stem.removesuffix(f"-{digest}")  # it may itself be such a copy
     return f"{stem}-{digest}{original.suffix}"
 
 
@@ -173,8 +172,16 @@ def values_in_common(
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)
     for key, file in data_files(setup.scenario).items():
-        values[key] = recorded[key] if key in recorded else file.read_text(encoding="utf-8")
+        values[key] = recorded[key] if key in recorded else _text_of(file)
     return values
+
+
+def _text_of(file: Path) -> str:
+    """The content of a file, whatever way its lines end; a digest where it is no text."""
+    try:
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _leaves(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:

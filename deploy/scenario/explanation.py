@@ -50,6 +50,10 @@ class Origin:
         others = [other for each in beside if (other := self._set(each)) is not None]
         return ", ".join([str(self.file), *dict.fromkeys(f"with {other}" for other in others)])
 
+    def is_set(self, key: str) -> bool:
+        """Whether it was set beside the file."""
+        return self._set(key) is not None
+
     def _set(self, key: str) -> str | None:
         for override in reversed(self.overrides):
             given = override.partition("=")[0]

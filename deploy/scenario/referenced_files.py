@@ -2,32 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError, did_you_mean
+from bus_schema.link.channel_configuration import ChannelConfiguration, TraceConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.urdf.resolved import pybullet_data
 from bus_schema.user_files import is_file
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.definition import ScenarioConfiguration
+from deploy.scenario.explanation import Origin
 from plant_emulator.channel.jitter import read_delays_ms
+from plant_emulator.channel.trace_file import read_trace
 
 DIRECTIONS = ("uplink", "downlink")
-DELAY_KEYS = tuple(f"link.{direction}.distribution_file" for direction in DIRECTIONS)
+DELAY_KEYS = tuple(
+    f"link.{direction}.{name}"
+    for name in ("distribution_file", "trace.file")
+    for direction in DIRECTIONS
+)
 ROBOTS = Path(str(resources.files("deploy").joinpath("robots")))
+TRACES = Path(str(resources.files("deploy").joinpath("traces")))
 _PYBULLET_DATA = "pybullet_data:"
 
 
-def find_urdf(name: str, base: Path) -> Path:
-    """Return the URDF file that a scenario names.
+def folders_of(key: str, origin: Origin) -> tuple[Path, Path]:
+    """Where a relative path of a scenario may start, the likelier folder first.
+
+    That of the scenario's file, or the current one for what was set beside the file.
+    """
+    folders = (origin.file.parent, Path.cwd())
+    return folders[::-1] if origin.is_set(key) else folders
+
+
+def find_urdf(name: str, *bases: Path) -> Path:
+    """The URDF file that a scenario names.
 
     Args:
-        name: a path relative to `base`, the name of a shipped robot, or ``pybullet_data:`` with a
-            path inside that package.
-        base: folder of the scenario.
+        name: a path relative to one of `bases`, the name of a shipped robot, or ``pybullet_data:``
+            with a path inside that package.
+        bases: folders, the likelier ones first.
 
     Raises:
         RobotDescriptionError: there is no such file.
@@ -39,64 +58,112 @@ def find_urdf(name: str, base: Path) -> Path:
                 "the package pybullet_data is not installed; pip install 'funnel-hil[bullet]'"
             )
     else:
-        candidates = [base / name, ROBOTS / f"{name}.urdf"]
+        candidates = [*(base / name for base in bases), ROBOTS / f"{name}.urdf"]
     for candidate in candidates:
         if is_file(candidate):
             return candidate.resolve()
     shipped = sorted(path.stem for path in ROBOTS.glob("*.urdf"))
     raise RobotDescriptionError(
-        f"no such file; allowed are a path from {base}, a shipped robot ({', '.join(shipped)}), or"
-        f" {_PYBULLET_DATA}<path in the package pybullet_data>{did_you_mean(name, shipped)}"
+        f"no such file; allowed are a path from {bases[0]}, a shipped robot ({', '.join(shipped)}),"
+        f" or {_PYBULLET_DATA}<path in the package pybullet_data>{did_you_mean(name, shipped)}"
     )
 
 
-def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
-    """Return the link with absolute paths to its files of delays, after checking them.
+def find_delay_files(scenario: ScenarioConfiguration, origin: Origin) -> LinkConfiguration:
+    """The link with absolute paths to its files of delays, which are known to be usable.
 
     Args:
-        link: the section.
-        base: folder of the scenario.
+        scenario: whose link it is.
+        origin: of the scenario's values.
 
     Raises:
         ConfigurationError: a file does not exist or is invalid.
     """
+    link = scenario.link
     for direction in DIRECTIONS:
-        channel = getattr(link, direction)
-        if channel.distribution_file is None:
-            continue
-        try:
-            path = (base / channel.distribution_file).resolve()
-            read_delays_ms(path)
-        except (ValueError, OSError, RuntimeError) as error:  # the last for circular links
-            key = f"link.{direction}.distribution_file"
-            raise ConfigurationError(key, channel.distribution_file, str(error)) from error
-        found = channel.model_copy(update={"distribution_file": str(path)})
-        link = link.model_copy(update={direction: found})
+        channel, section = getattr(link, direction), f"link.{direction}"
+        if channel.distribution_file is not None:
+            key = f"{section}.distribution_file"
+            path = _find(channel.distribution_file, key, origin)
+            with _refusing(key, channel.distribution_file):
+                read_delays_ms(path)
+            channel = channel.model_copy(update={"distribution_file": str(path)})
+        if channel.trace is not None:
+            path = _find_trace(channel.trace, f"{section}.trace", origin, scenario.duration_s)
+            found = channel.trace.model_copy(update={"file": str(path)})
+            channel = channel.model_copy(update={"trace": found})
+        link = link.model_copy(update={direction: channel})
     return link
 
 
-def find_reference_file(reference: ReferenceConfiguration, base: Path) -> ReferenceConfiguration:
-    """Return the reference with an absolute path to its file, if it has one.
+def _find_trace(given: TraceConfiguration, key: str, origin: Origin, duration_s: float) -> Path:
+    """The file of a trace, which is usable and long enough."""
+    path = _find(given.file, f"{key}.file", origin)
+    if not is_file(path):
+        names = sorted(each.stem for each in TRACES.glob("*.parquet"))
+        if given.file not in names:
+            allowed = f"no such file, nor one of the shipped traces {', '.join(names)}"
+            hint = did_you_mean(given.file, names)
+            raise ConfigurationError(f"{key}.file", given.file, allowed + hint)
+        path = TRACES / f"{given.file}.parquet"
+    with _refusing(f"{key}.file", given.file):
+        length_s = read_trace(path).length_ns * 1e-9
+    if (start_s := given.start_s) is None:
+        return path
+    if start_s >= length_s:
+        allowed = f"must be below the trace's {length_s:g} s"
+        raise ConfigurationError(f"{key}.start_s", start_s, allowed, [f"{key}.file"])
+    if not given.loop and start_s + duration_s > length_s:
+        allowed = f"must be true: from start_s on, the trace lasts {length_s - start_s:g} s"
+        raise ConfigurationError(f"{key}.loop", given.loop, allowed, ["duration_s"])
+    return path
+
+
+def find_reference_file(
+    reference: ReferenceConfiguration, origin: Origin
+) -> ReferenceConfiguration:
+    """The reference with an absolute path to its file, if it has one.
 
     Args:
         reference: the section.
-        base: folder of the scenario; a path may also start at the current one.
+        origin: of the scenario's values.
 
     Raises:
         ConfigurationError: there is no such file.
     """
     if not isinstance(reference, CsvConfiguration):
         return reference
-    for candidate in (base / reference.file, Path(reference.file)):
-        if is_file(candidate):
-            return reference.model_copy(update={"file": str(candidate.resolve())})
-    allowed = f"no such file; must be a path from {base} or from the current folder"
-    raise ConfigurationError(REFERENCE_KEY, reference.file, allowed)
+    path = _find(reference.file, REFERENCE_KEY, origin)
+    if not is_file(path):
+        allowed = f"no such file; must be a path from {path.parent} or from the current folder"
+        raise ConfigurationError(REFERENCE_KEY, reference.file, allowed)
+    return reference.model_copy(update={"file": str(path)})
+
+
+def _find(name: str, key: str, origin: Origin) -> Path:
+    """The absolute path that a key names: the first one that is there."""
+    candidates = [folder / name for folder in folders_of(key, origin)]
+    with _refusing(key, name):
+        return next(filter(is_file, candidates), candidates[0]).resolve()
+
+
+@contextmanager
+def _refusing(key: str, value: str) -> Iterator[None]:
+    """What is wrong with a file is told with the key that names it."""
+    try:
+        yield
+    except (ValueError, OSError, RuntimeError) as error:  # the last for links in a circle
+        raise ConfigurationError(key, value, str(error)) from error
 
 
 def data_files(scenario: ScenarioConfiguration) -> dict[str, Path]:
-    """Return the files of a checked scenario except its arm's, by dotted key."""
-    named = {key: getattr(scenario.link, key.split(".")[1]).distribution_file for key in DELAY_KEYS}
+    """The files of a checked scenario but for its arm, by dotted key."""
+    named: dict[str, str | None] = {}
+    for direction in DIRECTIONS:
+        channel: ChannelConfiguration = getattr(scenario.link, direction)
+        named[f"link.{direction}.distribution_file"] = channel.distribution_file
+        trace = channel.trace
+        named[f"link.{direction}.trace.file"] = None if trace is None else trace.file
     if isinstance(scenario.reference, CsvConfiguration):
         named[REFERENCE_KEY] = scenario.reference.file
     return {key: Path(file) for key, file in named.items() if file is not None}

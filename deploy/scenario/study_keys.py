@@ -125,8 +125,13 @@ def is_random(setup: Setup) -> bool:
 def _draws(channel: ChannelConfiguration) -> bool:
     stages: list[ChannelConfiguration | ChangeableConditions] = [channel]
     stages += [entry for entry in channel.schedule if isinstance(entry, ChangeableConditions)]
-    return channel.distribution == "empirical" or any(
-        stage.jitter_ms or stage.loss or stage.burst_loss or stage.duplicate for stage in stages
+    is_drawn = channel.trace is not None and channel.trace.start_s is None
+    return (
+        is_drawn
+        or channel.distribution == "empirical"
+        or any(
+            stage.jitter_ms or stage.loss or stage.burst_loss or stage.duplicate for stage in stages
+        )
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -9,6 +10,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from bus_schema.percentiles import percentiles
+from plant_emulator.channel.trace import TraceReplay, curves
+from plant_emulator.channel.trace_file import LOST_NS
+
+_FEWEST_IN_CURVES = 10
 
 
 @dataclass
@@ -24,6 +29,7 @@ class TransportStatistics:
         loss_bursts: unbroken runs of lost messages.
         longest_loss_burst: messages in the longest of them.
         delays_us: number of deliveries by delay, in whole µs.
+        trace: the trace that the channel replays, if it has one.
     """
 
     sent: int = 0
@@ -34,6 +40,9 @@ class TransportStatistics:
     loss_bursts: int = 0
     longest_loss_burst: int = 0
     delays_us: Counter[int] = field(default_factory=Counter)
+    trace: TraceReplay | None = None
+    _sent_ns: array[int] = field(default_factory=lambda: array("q"))
+    _delays_ns: array[int] = field(default_factory=lambda: array("q"))
     _burst: int = 0
     _newest: int = -1
 
@@ -47,6 +56,12 @@ class TransportStatistics:
         self.loss_bursts += self._burst == 0
         self._burst += 1
         self.longest_loss_burst = max(self.longest_loss_burst, self._burst)
+
+    def note_delay(self, sent_ns: int, delay_ns: int) -> None:
+        """Keep the delay of a message, `LOST_NS` for a loss, where it is compared with a trace."""
+        if self.trace is not None:
+            self._sent_ns.append(sent_ns)
+            self._delays_ns.append(delay_ns)
 
     def note_delivered(self, delay_ns: int, number: int, *, is_copy: bool) -> None:
         """Count a message that came out.
@@ -67,7 +82,8 @@ class TransportStatistics:
     def summary(self) -> dict[str, Any]:
         """The section of ``summary.json`` on this direction; null where there is nothing.
 
-        ``delay_ms`` is the time from entering the channel to coming out of it.
+        ``delay_ms`` is the time from entering the channel to coming out of it. A channel with a
+        trace also has `curves` of what it did, and of what the trace says.
         """
         mean_burst = self.lost / self.loss_bursts if self.loss_bursts else None
         counts = ("sent", "delivered", "lost", "duplicated", "reordered")
@@ -75,7 +91,18 @@ class TransportStatistics:
             **{name: getattr(self, name) for name in counts},
             "delay_ms": self._delay_ms(),
             "loss_burst": {"mean": mean_burst, "longest": self.longest_loss_burst},
+            **self._beside_trace(),
         }
+
+    def _beside_trace(self) -> dict[str, Any]:
+        if self.trace is None or len(self._sent_ns) < _FEWEST_IN_CURVES:
+            return {}
+        span_ns = self._sent_ns[-1] - self._sent_ns[0]
+        period_ns = max(1, round(span_ns / (len(self._sent_ns) - 1)))
+        did = np.array(self._delays_ns, dtype=np.int64)
+        series = {"did": did, "trace": self.trace.sampled(period_ns)}
+        found = {name: curves(delays, period_ns * 1e-9) for name, delays in series.items()}
+        return {"curves": found}
 
     def _delay_ms(self) -> dict[str, float | None]:
         delays_us = np.array(list(self.delays_us))
@@ -110,16 +137,20 @@ class Channel(Generic[Item]):
         self._delivered = 0
         self.next_due_ns = NEVER_NS
 
-    def send(self, item: Item, now_ns: int, size_bytes: int) -> None:  # noqa: ARG002 (for others)
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:  # noqa: ARG002 (for others)
         """Put `item` on its way at `now_ns`, which must not be earlier than that of the last one.
 
         Args:
             item: what goes in.
             now_ns: when it does so.
             size_bytes: what it takes of a limited bandwidth.
+
+        Returns:
+            whether it comes out; otherwise it is lost.
         """
         self._in_flight.append((now_ns + self._delay_ns, item))
         self.next_due_ns = self._in_flight[0][0]
+        return True
 
     def receive(self) -> tuple[int, Item]:
         """The next item to come out and when it does so.
@@ -146,3 +177,44 @@ class Channel(Generic[Item]):
             delivered=self._delivered,
             delays_us=Counter({(self._delay_ns + 500) // 1000: self._delivered}),
         )
+
+
+class TracedChannel(Channel[Item]):
+    """A direction that gives messages the delays and losses of a trace, and keeps their order.
+
+    Args:
+        delay_ns: added to all delays.
+        replay: of the trace.
+    """
+
+    def __init__(self, delay_ns: int, replay: TraceReplay) -> None:
+        super().__init__(delay_ns)
+        self.mean_delay_ns += replay.mean_delay_ns
+        self._replay, self._latest_due_ns = replay, 0
+        self._sent_ns, self._delays_ns = array("q"), array("q")
+
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:  # noqa: ARG002 (for others)
+        traced_ns = self._replay.delay_ns(now_ns)
+        self._sent_ns.append(now_ns)
+        if traced_ns is None:
+            self._delays_ns.append(LOST_NS)
+            return False
+        due_ns = max(now_ns, now_ns + self._delay_ns + traced_ns, self._latest_due_ns)
+        self._latest_due_ns = due_ns
+        self._delays_ns.append(due_ns - now_ns)
+        self._in_flight.append((due_ns, item))
+        self.next_due_ns = self._in_flight[0][0]
+        return True
+
+    def statistics(self) -> TransportStatistics:
+        """What became of the items; counted now, as it would take time when they are sent."""
+        found = TransportStatistics(trace=self._replay)
+        left = self._delivered
+        for number, sent_ns in enumerate(self._sent_ns):
+            delay_ns = self._delays_ns[number]
+            found.note_sent(is_lost=delay_ns < 0)
+            found.note_delay(sent_ns, delay_ns)
+            if delay_ns >= 0 and left:
+                found.note_delivered(delay_ns, number, is_copy=False)
+                left -= 1
+        return found

@@ -15,10 +15,18 @@ import numpy as np
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
-from plant_emulator.channel.channel import NEVER_NS, Channel, Item, TransportStatistics
+from plant_emulator.channel.channel import (
+    NEVER_NS,
+    Channel,
+    Item,
+    TracedChannel,
+    TransportStatistics,
+)
 from plant_emulator.channel.conditions import ConditionFault, Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter, endless
 from plant_emulator.channel.playout import PlayoutBuffer
+from plant_emulator.channel.trace import TraceReplay
+from plant_emulator.channel.trace_file import LOST_NS
 from plant_emulator.command_gate import Command
 
 
@@ -72,32 +80,44 @@ class ImpairedChannel(Channel[Item]):
         faults: Sequence[ConditionFault] = (),
     ) -> None:
         super().__init__(configuration.delay_ns)
-        randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
+        randoms = [np.random.default_rng(child) for child in seed.spawn(6)]
         self._jitter, self._copy_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
         self._duplicate_numbers = endless(randoms[4].random)
+        self._trace = _replay(configuration, randoms[5])
         self._schedule = ConditionsSchedule(configuration, faults)
         self._may_overtake = configuration.reorder
         self._under_way: list[tuple[int, _Transit, Item]] = []
         self._latest_due_ns = self._bandwidth_free_ns = 0
-        self._statistics = TransportStatistics()
+        self._statistics = TransportStatistics(trace=self._trace)
         start = self._schedule.at(0)
-        self.mean_delay_ns = round(start.delay_ns + self._jitter.mean * start.jitter_ns)
+        mean_ns = 0 if self._trace is None else self._trace.mean_delay_ns
+        self.mean_delay_ns = round(mean_ns + start.delay_ns + self._jitter.mean * start.jitter_ns)
 
-    def send(self, item: Item, now_ns: int, size_bytes: int) -> None:
-        conditions = self._schedule.at(now_ns)
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:
+        conditions, statistics = self._schedule.at(now_ns), self._statistics
         jitter = self._jitter.draw(conditions.correlation)
         is_lost = self._loss.loses_next(conditions)
         is_doubled = next(self._duplicate_numbers) < conditions.duplicate
-        transit = _Transit(self._statistics.sent, now_ns, is_copy=False)
-        self._statistics.note_sent(is_lost=is_lost)
+        traced_ns = 0
+        if self._trace is not None:
+            found_ns = self._trace.delay_ns(now_ns)
+            is_lost = is_lost or found_ns is None
+            traced_ns = found_ns or 0
+        transit = _Transit(statistics.sent, now_ns, is_copy=False)
+        statistics.note_sent(is_lost=is_lost)
         if is_lost:
-            return
-        self._dispatch(item, transit, self._due_ns(conditions, jitter, now_ns, size_bytes))
+            statistics.note_delay(now_ns, LOST_NS)
+            return False
+        due_ns = self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
+        statistics.note_delay(now_ns, due_ns - now_ns)
+        self._dispatch(item, transit, due_ns)
         if is_doubled:
             jitter = self._copy_jitter.draw(0.0)
             copy = transit._replace(is_copy=True)
-            self._dispatch(item, copy, self._due_ns(conditions, jitter, now_ns, size_bytes))
+            due_ns = self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
+            self._dispatch(item, copy, due_ns)
+        return True
 
     def receive(self) -> tuple[int, Item]:
         due_ns, transit, item = heapq.heappop(self._under_way)
@@ -113,12 +133,20 @@ class ImpairedChannel(Channel[Item]):
         heapq.heappush(self._under_way, (due_ns, transit, item))
         self.next_due_ns = self._under_way[0][0]
 
-    def _due_ns(self, conditions: Conditions, jitter: float, now_ns: int, size_bytes: int) -> int:
+    def _due_ns(
+        self,
+        conditions: Conditions,
+        jitter: float,
+        traced_ns: int,
+        now_ns: int,
+        size_bytes: int,
+    ) -> int:
         """When a message comes out; it passes the limited bandwidth first, then it is delayed."""
         passed_ns = max(now_ns, self._bandwidth_free_ns)
         passed_ns += round(size_bytes * conditions.ns_per_byte)
         self._bandwidth_free_ns = passed_ns
-        delay_ns = max(0, round(conditions.delay_ns + conditions.jitter_ns * jitter))
+        added_ns = conditions.jitter_ns * jitter
+        delay_ns = max(0, round(conditions.delay_ns + added_ns + traced_ns))
         due_ns = passed_ns + delay_ns
         if not self._may_overtake:
             due_ns = self._latest_due_ns = max(due_ns, self._latest_due_ns)
@@ -138,7 +166,7 @@ def open_uplink(
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    return _open(link.uplink, seed, _UPLINK, faults)
+    return open_channel(link.uplink, seed, UPLINK, faults)
 
 
 def open_downlink(
@@ -154,17 +182,43 @@ def open_downlink(
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    channel: Channel[Command] = _open(link.downlink, seed, _DOWNLINK, faults)
+    channel: Channel[Command] = open_channel(link.downlink, seed, DOWNLINK, faults)
     return PlayoutBuffer(channel, link.playout_ns) if link.playout_ns else channel
 
 
-def _open(
-    configuration: ChannelConfiguration, seed: int, stream: int, faults: Sequence[ConditionFault]
+def open_channel(
+    configuration: ChannelConfiguration,
+    seed: int,
+    stream: int,
+    faults: Sequence[ConditionFault] = (),
 ) -> Channel[Item]:
+    """The channel of a direction, no more of it than its configuration asks for.
+
+    Args:
+        configuration: a section ``link.uplink`` or ``link.downlink``.
+        seed: the scenario's seed.
+        stream: `UPLINK` or `DOWNLINK`.
+        faults: scheduled faults of this direction.
+
+    Raises:
+        ValueError: its file of delays cannot be used.
+    """
     if configuration.is_constant and not faults:
         return Channel(configuration.delay_ns)
-    return ImpairedChannel(configuration, np.random.SeedSequence(seed, spawn_key=(stream,)), faults)
+    seeds = np.random.SeedSequence(seed, spawn_key=(stream,))
+    without = configuration.model_copy(update={"trace": None})
+    if without.is_constant and not (faults or configuration.reorder):
+        replay = _replay(configuration, np.random.default_rng(seeds.spawn(6)[5]))
+        assert replay is not None  # or it were constant
+        return TracedChannel(configuration.delay_ns, replay)
+    return ImpairedChannel(configuration, seeds, faults)
 
 
-_UPLINK, _DOWNLINK = 100, 101
+def _replay(configuration: ChannelConfiguration, random: np.random.Generator) -> TraceReplay | None:
+    """The trace of a direction, if it has one."""
+    trace = configuration.trace
+    return None if trace is None else TraceReplay(trace, random)
+
+
+UPLINK, DOWNLINK = 100, 101
 """Keys that keep the random streams of the directions apart from each other and from the arm's."""

@@ -17,9 +17,11 @@ import numpy as np
 
 from bus_schema.arrays import Vector, elementwise
 from bus_schema.link.channel_configuration import ChannelConfiguration
-from bus_schema.user_files import read_text
+from bus_schema.user_files import read_bytes
+from plant_emulator.channel.columns import MOST_BYTES, PARQUET, read_columns
 
 _BLOCK = 256
+_HEADER_BYTES = 1000
 
 
 def endless(draw: Callable[[int], Vector]) -> Iterator[float]:
@@ -41,32 +43,71 @@ _WEIGHTS = _DENSITY / _DENSITY.sum()
 
 
 def read_delays_ms(path: Path) -> Vector:
-    """Delays from a text file: one per line, or the first column; shape (delays,), ascending.
+    """Delays from a file with a column ``delay_ms``, or of one number a line; shape (delays,).
 
-    Empty lines and what follows a ``#`` do not count, nor does a first line of titles. Columns
-    are separated by commas, semicolons or blanks.
+    In a file without names, empty lines and what follows a ``#`` do not count, and behind the
+    number a line may have words.
+
+    Returns:
+        The delays, ascending.
 
     Raises:
-        ValueError: there is no such file, or it holds something else.
+        ValueError: there is no such file, or it holds something else, or more than that.
     """
     try:
-        lines = read_text(path).splitlines()
+        content = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
-    delays: list[float] = []
-    for number, line in enumerate(lines, start=1):
-        cells = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        try:
-            delays += [float(cell) for cell in cells[:1]]
-        except ValueError:
-            if number > 1:
-                raise ValueError(f"{path}, line {number}: {cells[0]!r} is no number") from None
-            continue
-        if delays and not 0.0 <= delays[-1] < math.inf:
-            raise ValueError(f"{path}, line {number}: a delay is at least 0 and finite")
+    if content.startswith(PARQUET) or b"delay_ms" in content[:_HEADER_BYTES]:
+        return np.sort(_named_delays_ms(path))
+    try:
+        lines = content.decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    delays = [delay for number, line in enumerate(lines, 1) for delay in _delay(path, number, line)]
     if not delays:
         raise ValueError(f"{path} holds no delay")
     return np.sort(delays)
+
+
+def _named_delays_ms(path: Path) -> Vector:
+    """The column of delays; where messages were lost, there is none."""
+    columns = read_columns(path, ["delay_ms"], ["time_s", "lost", "size"])
+    delays_ms = columns.values["delay_ms"]
+    columns.refuse_where(
+        ~((delays_ms >= 0.0) & (delays_ms < math.inf)), "delay_ms",
+        "a delay is at least 0 and finite; link.uplink.trace also knows lost messages",
+    )  # fmt: skip
+    if not columns.rows:
+        raise ValueError(f"{path} holds no delay")
+    return delays_ms
+
+
+def _delay(path: Path, number: int, line: str) -> Iterator[float]:
+    """The delay of a line without names; none where it has nothing but a comment."""
+    cells = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+    numbers = list(map(_number, cells))
+    if not cells:
+        return
+    if numbers[0] is None:
+        allowed = "a file with names has a column delay_ms"
+        raise ValueError(f"{path}, line {number}: {cells[0]!r} is no number; {allowed}")
+    for place, second in enumerate(numbers[1:], start=2):
+        if second is not None:
+            raise ValueError(
+                f"{path}, line {number}, column {place} = {cells[place - 1]}: a second number, and"
+                " nothing says which is the delay; a first line with delay_ms in it does"
+            )
+    if not 0.0 <= numbers[0] < math.inf:
+        raise ValueError(f"{path}, line {number}: a delay is at least 0 and finite")
+    yield numbers[0]
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
 
 
 class Jitter:

@@ -11,6 +11,7 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from deploy.run.network.links import free_ports
 from deploy.scenario.setup import Setup
@@ -28,14 +29,32 @@ class RelayOptions(NamedTuple):
     """Options of a relay.
 
     Attributes:
-        listen: HOST:PORT that accepts connections.
-        connect: HOST:PORT that they are forwarded to.
-        delay_ms: delay of the bytes, each way.
+        listen: HOST:PORT where connections or datagrams come in.
+        connect: HOST:PORT that they are passed on to.
+        link: what it does to them: ``downlink`` on the way there, ``uplink`` on the way back.
+        seed: of all that is random.
+        is_udp: whether it relays UDP, and not TCP.
+        duration_s: how long, unless it is stopped before.
     """
 
     listen: str
     connect: str
-    delay_ms: float
+    link: LinkConfiguration
+    seed: int = 0
+    is_udp: bool = False
+    duration_s: float = math.inf
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """Host and port of HOST:PORT.
+
+    Raises:
+        ScenarioError: it is something else.
+    """
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and 0 < int(port) < 1 << 16):
+        raise ScenarioError(f"{text!r}: must be HOST:PORT such as 127.0.0.1:7453")
+    return host.strip("[]"), int(port)
 
 
 class RealDelay(NamedTuple):
@@ -55,7 +74,8 @@ class RealDelay(NamedTuple):
     def options(self) -> RelayOptions:
         """Options of the relay."""
         here, there = (each.partition("/")[2] for each in (self.endpoint, self.plant_endpoint))
-        return RelayOptions(here, there, 0.5 * self.round_trip_ms)
+        each_way = ChannelConfiguration(delay_ms=0.5 * self.round_trip_ms)
+        return RelayOptions(here, there, LinkConfiguration(uplink=each_way, downlink=each_way))
 
     @property
     def override(self) -> str:

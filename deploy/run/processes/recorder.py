@@ -34,7 +34,13 @@ logger = logging.getLogger(__name__)
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
 DATA_ATTACHMENTS = {
-    **dict(zip(DELAY_KEYS, ("uplink_delays.txt", "downlink_delays.txt"), strict=True)),
+    **dict(
+        zip(
+            DELAY_KEYS,
+            ("uplink_delays.txt", "downlink_delays.txt", "uplink_trace", "downlink_trace"),
+            strict=True,
+        )
+    ),
     reference_file.KEY: "reference.csv",
 }
 """Names, in a recording, of the files that a scenario refers to, by dotted key."""

@@ -10,6 +10,7 @@ import pytest
 
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario, effective_values
+from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.yaml_files import ScenarioError, plain
 
@@ -88,3 +89,33 @@ def test_effective_scenario_says_all_that_was_in_force(name: str, tmp_path: Path
     assert plain(again.gains) == plain(setup.gains)
     assert effective_scenario(again) == effective_scenario(setup)
     assert simulate(again).data().digest == simulate(setup).data().digest
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "link.uplink={distribution: empirical, distribution_file: delays.csv}",
+        "reference={kind: csv, file: motion.csv}",
+        "robot.urdf=arm.urdf",
+    ],
+)
+def test_path_that_is_set_starts_in_current_folder(
+    setting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load_setup("paper_arm").robot
+    names = ",".join(f"{name}.position_rad" for name in robot.joint_names)
+    files = {
+        "delays.csv": "1\n",
+        "motion.csv": f"time_s,{names}\n" + "".join(f"{row},0.1,0.1,0.1\n" for row in range(3)),
+        "arm.urdf": robot.path.read_text(),
+        "mine.yaml": "name: mine\nextends: paper_arm\n",
+    }
+    for folder in ("here", "beside"):
+        (tmp_path / folder).mkdir()
+        for name, text in files.items():
+            (tmp_path / folder / name).write_text(text)
+    monkeypatch.chdir(tmp_path / "here")
+    for scenario in ("paper_arm", "../beside/mine.yaml"):
+        setup = load_setup(scenario, [setting, "duration_s=1"])
+        paths = [setup.robot.path, *data_files(setup.scenario).values()]
+        assert tmp_path / "here" in {path.parent for path in paths}

@@ -97,8 +97,15 @@ def test_file_of_one_delay_is_a_constant(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["0.5\n2\n1e0\n", "delay_ms\n2\n0.5\n1\n", "2,x\n0.5,y\n1,z\n", "# ping\n\n1 a\n2 b\n0.5\n"],
-    ids=["lines", "title", "columns", "comments"],
+    [
+        "0.5\n2\n1e0\n",
+        "delay_ms\n2\n0.5\n1\n",
+        "2,x\n0.5,y\n1,z\n",
+        "# ping\n\n1 a\n2 b\n0.5\n",
+        "time_s,delay_ms\n0.000,2\n0.001,0.5\n0.002,1\n",
+        "# of a network\ndelay_ms; time_s\n2; 0\n1; 0.1\n0.5; 0.2\n",
+    ],
+    ids=["lines", "title", "columns", "comments", "named", "semicolons"],
 )
 def test_files_of_delays_are_read(tmp_path, text):
     file = tmp_path / "delays.txt"
@@ -115,8 +122,31 @@ def test_files_of_delays_are_read(tmp_path, text):
         (b"1\n-2\n", "line 2: a delay is at least 0"),
         (b"nan\n", "line 1: a delay is at least 0"),
         (b"\xff\xfe", "cannot be read"),
+        (b"0.1,2\n0.2,3\n", "line 1, column 2 = 2: a second number"),
+        (b"1\n1,5\n", "line 2, column 2 = 5: a second number"),
+        (b"time_s,delay_us\n0,2000\n", "line 1: 'time_s' is no number; a file with names has"),
+        (b"delay_ms,rtt_ms\n1,2\n", "line 1, column 2 'rtt_ms' is unknown"),
+        (b"delay_ms,delay_ms\n1,2\n", "line 1, column 1 'delay_ms' is there twice"),
+        (b"time_s,delay_ms\n0,2\n\n1,\n", "line 4, column delay_ms = empty: a delay is at least 0"),
+        (b"time_s,delay_ms\n0,2\n1,two\n", "line 3, column delay_ms = 'two': is no number"),
+        (b"time_s,delay_ms\n0,2\n1,2,5\n", "line 3 has 3 cells, the first line names 2 columns"),
     ],
-    ids=["empty", "title", "word", "negative", "nan", "binary"],
+    ids=[
+        "empty",
+        "title",
+        "word",
+        "negative",
+        "nan",
+        "binary",
+        "no names",
+        "decimal comma",
+        "other unit",
+        "unknown column",
+        "column twice",
+        "lost message",
+        "named word",
+        "ragged",
+    ],
 )
 def test_file_of_something_else_is_refused(tmp_path, content, complaint):
     file = tmp_path / "delays.txt"

@@ -28,5 +28,7 @@ def test_controller_alone_is_sent_to_the_relay() -> None:
 
 def test_relay_and_controller_are_given_each_others_place() -> None:
     delay = RealDelay(9.0, "tcp/127.0.0.1:7453", "tcp/127.0.0.1:7451")
-    assert delay.options == ("127.0.0.1:7453", "127.0.0.1:7451", 4.5)
+    assert delay.options[:2] == ("127.0.0.1:7453", "127.0.0.1:7451")
+    assert delay.options.link.uplink == delay.options.link.downlink
+    assert delay.options.link.uplink.delay_ms == 4.5
     assert delay.override == "link.plant_endpoint=tcp/127.0.0.1:7453"

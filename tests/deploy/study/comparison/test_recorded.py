@@ -225,7 +225,7 @@ def test_files_are_compared_as_they_were_recorded(tmp_path, funnel_hil):
     names = load_setup("paper_arm").robot.joint_names
     columns = ",".join(["time_s", *(f"{name}.position_rad" for name in names)])
     delays = tmp_path / "delays.txt"
-    delays.write_text("0.1 0.2")
+    delays.write_text("0.1\n0.2\n")
     for run, angle, end in (("a", "0.1", "\r\n"), ("b", "0.1", "\n"), ("c", "0.2", "\n")):
         rows = [",".join([time, *[angle] * len(names)]) for time in ("0", "0.5", "1")]
         (tmp_path / "reference.csv").write_bytes(end.join([columns, *rows, ""]).encode())

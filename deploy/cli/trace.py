@@ -1,0 +1,104 @@
+"""Traces of networks: import what other programs measured."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from bus_schema.errors import InputError
+from deploy.measure import trace_import
+from deploy.measure.trace_output import Measured, scenario_lines, write_trace
+
+app = typer.Typer(help=__doc__, no_args_is_help=True)
+
+
+class Kind(StrEnum):
+    """What a file may be."""
+
+    PING = "ping"
+    CANDUMP = "candump"
+    CSV = "csv"
+    MCAP = "mcap"
+
+
+class Unit(StrEnum):
+    """Units of times."""
+
+    S = "s"
+    MS = "ms"
+    US = "us"
+    NS = "ns"
+
+
+@app.callback()
+def trace() -> None:
+    """Traces of networks: import what other programs measured."""
+
+
+@app.command("import")
+def import_trace(
+    kind: Annotated[Kind, typer.Argument(help="What wrote the file.")],
+    file: Annotated[Path, typer.Argument(help="Output of ping or candump, or a CSV or MCAP file.")],
+    sent: Annotated[
+        str | None,
+        typer.Option("--from", help="Requests: CAN identifier (hex), CSV column or MCAP topic."),
+    ] = None,
+    received: Annotated[
+        str | None,
+        typer.Option("--to", help="Answers, likewise; MCAP without it: header stamp to log time."),
+    ] = None,
+    delay: Annotated[
+        str | None, typer.Option(help="CSV column of delays, in place of --to.")
+    ] = None,
+    unit: Annotated[Unit, typer.Option(help="Of times in CSV.")] = Unit.S,
+    interval_s: Annotated[
+        float, typer.Option("--interval", metavar="S", help="Between requests of ping without -D.")
+    ] = 1.0,
+    least_ms: Annotated[
+        float | None,
+        typer.Option("--least", metavar="MS", help="What the least delay is, if clocks differ."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The trace, .csv or .parquet; by default <file>_trace.csv.")
+    ] = None,
+) -> None:
+    """Make a trace of what another program measured, and say how a scenario replays it.
+
+    Of ping, a half of each round trip counts.
+    """
+    measured = _read(kind, file, sent, received, delay, unit, interval_s)
+    if least_ms is not None:
+        delays_ms = measured.delays_ms + (least_ms - np.nanmin(measured.delays_ms))
+        measured = measured._replace(delays_ms=delays_ms)
+    path = out or Path(f"{file.stem}_trace.csv")
+    write_trace(measured, path)
+    print(measured.summary())
+    print("\n".join(scenario_lines({"uplink": path, "downlink": path})))
+
+
+def _read(
+    kind: Kind,
+    file: Path,
+    sent: str | None,
+    received: str | None,
+    delay: str | None,
+    unit: Unit,
+    interval_s: float,
+) -> Measured:
+    if kind is Kind.PING:
+        return trace_import.from_ping(file, interval_s)
+    if sent is None:
+        raise InputError(f"trace import {kind}: --from must be given")
+    if kind is Kind.MCAP:
+        return trace_import.from_mcap(file, sent, received)
+    if kind is Kind.CSV:
+        if (received is None) == (delay is None):
+            raise InputError("trace import csv: give one of --to and --delay")
+        return trace_import.from_csv(file, sent, received, delay, unit)
+    if received is None:
+        raise InputError("trace import candump: --to must be given")
+    return trace_import.from_candump(file, sent, received)

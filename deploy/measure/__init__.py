@@ -1,0 +1,1 @@
+"""Measures networks and systems of others, and writes what the emulated link replays."""

@@ -1,0 +1,191 @@
+"""Dead time and first-order lag of a recorded system, from a command and a response.
+
+The model is τ ẏ = k u(t − d) + b − y. For each d and τ the filtered command is exact between rows,
+and k and b follow by least squares; a grid finds the best d and τ, and ever smaller steps refine
+them. Confidence intervals allow for residuals that resemble their neighbours (Newey and West,
+"A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
+matrix", 1987).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.runtime.compiled import compiled
+
+_FEWEST_ROWS = 50
+_DEAD_TIMES, _LAGS = 40, 10
+_SHORTEST_LAG_S, _FINEST_S = 1e-5, 1e-6
+_LEAST_EXPLAINED = 0.5
+_WIDEST_S, _WIDEST_SHARE = 2e-3, 0.1
+_Z_95 = 1.96
+_NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+
+
+@dataclass(frozen=True)
+class Latency:
+    """What a system does to its commands; each value with half of its 95 % interval.
+
+    Attributes:
+        dead_time_s: before anything happens.
+        lag_s: time constant of what happens then.
+        gain: response per command, in the end.
+        explained: share of the response's variance that the model explains.
+    """
+
+    dead_time_s: tuple[float, float]
+    lag_s: tuple[float, float]
+    gain: tuple[float, float]
+    explained: float
+
+
+class _Fit:
+    """The model on some rows.
+
+    Args:
+        times_s: increasing, shape (rows,).
+        command: shape (rows,).
+        response: shape (rows,).
+        longest_s: of a dead time; rows before it only lead in.
+        is_held: whether a command stays until the next, or is on a line to it.
+    """
+
+    def __init__(
+        self, times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool
+    ) -> None:
+        self._times_s, self._command = times_s, command
+        slopes = np.diff(command) / np.diff(times_s)
+        self._slopes = np.append(slopes * (not is_held), 0.0)
+        self._first = int(np.searchsorted(times_s, times_s[0] + 2.0 * longest_s))
+        self.response = response[self._first :]
+
+    def regressors(self, dead_time_s: float, lag_s: float) -> Matrix:
+        """The filtered command and a constant, shape (rows, 2)."""
+        columns = np.ones((len(self.response), 2))
+        _filter(
+            self._times_s, self._command, self._slopes, self._first, dead_time_s,
+            max(lag_s, _SHORTEST_LAG_S), columns[:, 0],
+        )  # fmt: skip
+        return columns
+
+    def solve(self, dead_time_s: float, lag_s: float) -> tuple[Vector, Vector]:
+        """Gain and constant, and what they leave."""
+        filtered = self.regressors(dead_time_s, lag_s)[:, 0]
+        about = filtered - filtered.mean()
+        power = float((about**2).sum())
+        gain = float((about * self.response).sum()) / power if power > 0.0 else 0.0
+        constant = float(self.response.mean()) - gain * float(filtered.mean())
+        return np.array([gain, constant]), self.response - gain * filtered - constant
+
+    def cost(self, dead_time_s: float, lag_s: float) -> float:
+        return float((self.solve(dead_time_s, lag_s)[1] ** 2).sum())
+
+
+@compiled
+def _filter(
+    times_s: Vector, command: Vector, slopes: Vector, first: int, dead_time_s: float,
+    lag_s: float, filtered: Vector,
+) -> None:  # fmt: skip
+    """Response of a lag to a command, delayed, at the rows from `first` on."""
+    at, state = 0, command[0]
+    for row in range(first, times_s.size):
+        when_s = times_s[row] - dead_time_s
+        while at + 1 < times_s.size and times_s[at + 1] <= when_s:
+            span_s = times_s[at + 1] - times_s[at]
+            lead = slopes[at] * lag_s
+            decay = math.exp(-span_s / lag_s)
+            state = command[at] + slopes[at] * span_s - lead + (state - command[at] + lead) * decay
+            at += 1
+        span_s = when_s - times_s[at]
+        lead = slopes[at] * lag_s
+        filtered[row - first] = (
+            command[at] + slopes[at] * span_s - lead
+            + (state - command[at] + lead) * math.exp(-span_s / lag_s)
+        )  # fmt: skip
+
+
+def find_latency(
+    times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool
+) -> Latency:
+    """Dead time and lag of a system.
+
+    Args:
+        times_s: increasing, shape (rows,).
+        command: what it was told, shape (rows,).
+        response: what it did, shape (rows,).
+        longest_s: the longest dead time and lag that are looked for.
+        is_held: whether a command stays until the next, or is on a line to it.
+
+    Raises:
+        ValueError: the rows do not say; the message says why.
+    """
+    period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else math.inf
+    if times_s[-1] - times_s[0] < 4.0 * longest_s or len(times_s) < _FEWEST_ROWS:
+        raise ValueError(
+            f"{len(times_s)} rows over {np.ptp(times_s):.3g} s: there must be {_FEWEST_ROWS}, and"
+            f" four times the longest latency, {longest_s:g} s"
+        )
+    fit = _Fit(times_s, command, response, longest_s, is_held=is_held)
+    if np.ptp(command) == 0.0 or np.ptp(fit.response) == 0.0:
+        raise ValueError("command or response never changes: the motion does not excite the system")
+    dead_time_s, lag_s = _best(fit, longest_s, period_s)
+    (gain, _), residuals = fit.solve(dead_time_s, lag_s)
+    explained = 1.0 - float(residuals.var() / fit.response.var())
+    if explained < _LEAST_EXPLAINED:
+        raise ValueError(f"a dead time and a lag explain {100 * explained:.0f} % of the response")
+    if max(dead_time_s, lag_s) > 0.98 * longest_s:
+        raise ValueError(f"dead time or lag reach the longest looked for, {longest_s:g} s")
+    covariance = _covariance(fit, dead_time_s, lag_s, residuals)
+    half = _Z_95 * np.sqrt(np.diag(covariance))
+    sum_s = dead_time_s + lag_s
+    if not max(half[:2]) <= _WIDEST_S + _WIDEST_SHARE * sum_s:
+        of_sum = _Z_95 * math.sqrt(max(0.0, covariance[:2, :2].sum()))
+        raise ValueError(
+            "the motion does not excite the system enough to tell dead time from lag; together they"
+            f" are {1e3 * sum_s:.2f} ± {1e3 * of_sum:.2f} ms"
+        )
+    return Latency((dead_time_s, half[0]), (lag_s, half[1]), (float(gain), half[2]), explained)
+
+
+def _best(fit: _Fit, longest_s: float, period_s: float) -> tuple[float, float]:
+    """Dead time and lag with the least squares."""
+    dead_times = np.linspace(0.0, longest_s, _DEAD_TIMES)
+    lags = [0.0, *np.geomspace(min(period_s, 0.1 * longest_s) / 4, longest_s, _LAGS)]
+    costs = {(d, lag): fit.cost(d, lag) for d in dead_times.tolist() for lag in lags}
+    best = min(costs, key=costs.__getitem__)
+    least, step_s = costs[best], longest_s / _DEAD_TIMES
+    while step_s > _FINEST_S:
+        around = [
+            (min(max(best[0] + i * step_s, 0.0), longest_s), max(best[1] + j * step_s, 0.0))
+            for i, j in _NEIGHBOURS
+        ]
+        found = min((fit.cost(*place), place) for place in around)
+        if found[0] < least:
+            least, best = found
+        else:
+            step_s /= 2.0
+    return best
+
+
+def _covariance(fit: _Fit, dead_time_s: float, lag_s: float, residuals: Vector) -> Matrix:
+    """Of dead time, lag, gain and constant, from the slopes of the model and its residuals."""
+    (gain, _), step_s = fit.solve(dead_time_s, lag_s)[0], 1e-4
+    lag_s = max(lag_s, step_s)
+    ends = [
+        fit.regressors(dead_time_s + i * step_s, lag_s + j * step_s)[:, 0]
+        for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))
+    ]
+    slopes = [gain * (ends[at] - ends[at + 1]) / (2.0 * step_s) for at in (0, 2)]
+    jacobian = np.column_stack([*slopes, fit.regressors(dead_time_s, lag_s)])
+    scores = jacobian * residuals[:, np.newaxis]
+    middle = scores.T @ scores
+    window = round(4.0 * len(scores) ** (1.0 / 3.0))
+    for lag in range(1, window):
+        product = scores[lag:].T @ scores[:-lag]
+        middle += (1.0 - lag / window) * (product + product.T)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    return np.asarray(inverse @ middle @ inverse)

@@ -1,0 +1,119 @@
+"""Traces of measured networks: the delay of each message, or that it was lost, over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.channel.columns import Columns, read_columns
+
+LOST_NS = -1
+"""Stands for a delay where a message was lost."""
+LONGEST_MS = 60_000.0
+_END_SHARE = 20
+_WINDOW = 16
+_MOST_CANDIDATES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A measured network.
+
+    Attributes:
+        times_ns: when each message was sent, from 0 on, not decreasing; shape (messages,).
+        delays_ns: how long it took, or `LOST_NS`; shape (messages,).
+    """
+
+    times_ns: NDArray[np.int64]
+    delays_ns: NDArray[np.int64]
+
+    @cached_property
+    def gap_ns(self) -> int:
+        """Time between two messages, the median: also from the last one to the first again."""
+        return max(1, int(np.median(np.diff(self.times_ns))))
+
+    @property
+    def length_ns(self) -> int:
+        """Time that the trace lasts."""
+        return int(self.times_ns[-1]) + self.gap_ns
+
+    @cached_property
+    def mean_delay_ns(self) -> int:
+        """Mean delay of the messages that were not lost."""
+        arrived = self.delays_ns[self.delays_ns >= 0]
+        return int(arrived.sum()) // len(arrived)
+
+    @cached_property
+    def seam(self) -> tuple[int, int]:
+        """The first and last message of what is repeated, so that a repetition is not seen.
+
+        The last messages before the first one and those up to the last one are as alike as any
+        two windows near the ends of the trace; messages beyond them play in the first pass alone.
+        """
+        count = len(self.delays_ns)
+        margin = count // _END_SHARE
+        window = min(_WINDOW, margin // 2)
+        if not window:
+            return 0, count - 1
+        delays = np.where(self.delays_ns < 0, 2 * self.delays_ns.max(), self.delays_ns)
+        windows = np.lib.stride_tricks.sliding_window_view(delays, window)
+        step = -(-margin // _MOST_CANDIDATES)
+        starts = np.arange(0, margin - window + 1, step)
+        ends = np.arange(count - window, count - margin - 1, -step)
+        apart = [np.abs(windows[starts] - windows[end]).sum(axis=1) for end in ends]
+        end, start = np.unravel_index(int(np.argmin(apart)), (len(ends), len(starts)))
+        return int(starts[start]) + window, int(ends[end]) + window - 1
+
+
+def read_trace(path: Path) -> Trace:
+    """Read a trace.
+
+    Args:
+        path: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
+            ``lost`` (0 or 1) and ``size`` (bytes).
+
+    Raises:
+        ValueError: it cannot be read, or holds something else; the message names line and column.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    return _read(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4)  # each run of a study needs it, and a large one takes seconds to read
+def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
+    columns = read_columns(path, ["time_s", "delay_ms"], ["lost", "size"])
+    times_s, delays_ms = columns.values["time_s"], columns.values["delay_ms"]
+    if columns.rows < 2:
+        raise ValueError(f"{path}: a trace has at least two rows")
+    is_lost = np.isnan(delays_ms)
+    columns.refuse_where(~np.isfinite(times_s), "time_s", "must be a finite number")
+    is_earlier = np.concatenate([[False], np.diff(times_s) < 0.0])
+    columns.refuse_where(is_earlier, "time_s", "must not be earlier than in the row before")
+    columns.refuse_where(
+        ~is_lost & ~((delays_ms >= 0.0) & (delays_ms <= LONGEST_MS)),
+        "delay_ms", f"must be 0 to {LONGEST_MS:g} ms, or empty where a message was lost",
+    )  # fmt: skip
+    _check_losses(columns, is_lost)
+    if is_lost.all() or times_s[-1] == times_s[0]:
+        raise ValueError(f"{path}: a trace lasts some time, and some messages arrive")
+    delays_ns = np.rint(np.where(is_lost, 0.0, delays_ms) * 1e6).astype(np.int64)
+    delays_ns[is_lost] = LOST_NS
+    return Trace(np.rint((times_s - times_s[0]) * 1e9).astype(np.int64), delays_ns)
+
+
+def _check_losses(columns: Columns, is_lost: NDArray[np.bool_]) -> None:
+    """Refuse rows that say of a message that it was lost, and how long it took."""
+    if "lost" in columns.values:
+        lost = columns.values["lost"]
+        columns.refuse_where(~((lost == 0.0) | (lost == 1.0)), "lost", "must be 0 or 1")
+        allowed = "must be 1 where delay_ms is empty, and 0 elsewhere"
+        columns.refuse_where((lost == 1.0) != is_lost, "lost", allowed)
+    if "size" in columns.values:
+        columns.refuse_where(~(columns.values["size"] >= 0.0), "size", "must be at least 0")

@@ -1,0 +1,130 @@
+"""Traces are replayed in time order, and what the channel did is compared with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.link.configuration import LinkConfiguration
+from plant_emulator.channel.channel import NEVER_NS, Channel, TracedChannel
+from plant_emulator.channel.impairment import ImpairedChannel, open_downlink, open_uplink
+from plant_emulator.channel.trace import curves
+
+MS = 1_000_000
+ROWS = [(0, "1"), (10, "3"), (20, ""), (30, "5"), (40, "2")]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """Five messages, 10 ms apart, of which the third is lost."""
+    path = tmp_path / "trace.csv"
+    lines = [f"{time_ms / 1e3},{delay}" for time_ms, delay in ROWS]
+    path.write_text("\n".join(["time_s,delay_ms", *lines, ""]))
+    return path
+
+
+def uplink(file: Path, seed: int = 1, *, channel: dict | None = None, **trace: object) -> Channel:
+    given = {"file": str(file), **trace}
+    return open_uplink(LinkConfiguration(uplink={**(channel or {}), "trace": given}), seed)
+
+
+def delays_ms(channel: Channel, count: int, period_ms: int = 5) -> list[float | None]:
+    """Delay of each message, None for losses."""
+    for number in range(count):
+        channel.send(number, number * period_ms * MS, 100)
+    out = {
+        number: due_ns / MS - number * period_ms
+        for due_ns, number in channel.take_due(NEVER_NS - 1)
+    }
+    return [out.get(number) for number in range(count)]
+
+
+def test_delays_are_held_from_one_message_to_the_next(file: Path) -> None:
+    found = delays_ms(uplink(file, start_s=0), 10)
+    assert found == [1, 1, 3, 3, None, None, 5, 5, 2, 2]
+
+
+def test_delays_lie_on_a_line_between_messages_that_arrived(file: Path) -> None:
+    found = delays_ms(uplink(file, start_s=0, interpolation="linear"), 10)
+    assert found == [1, 2, 3, 3, None, None, 5, 3.5, 2, 2]
+
+
+def test_scale_and_offset_come_on_top_of_the_delay_of_the_channel(file: Path) -> None:
+    found = delays_ms(uplink(file, channel={"delay_ms": 1}, start_s=0, scale=2, offset_ms=-3.5), 10)
+    assert found == [0, 0, 3.5, 3.5, None, None, 7.5, 7.5, 2.5, 1.5]
+
+
+def test_trace_begins_again_at_its_end_and_where_it_is_told(file: Path) -> None:
+    assert delays_ms(uplink(file, start_s=0.03), 8, 10) == [5, 2, 1, 3, None, 5, 2, 1]
+
+
+def test_start_is_drawn_from_the_seed(file: Path) -> None:
+    drawn = [delays_ms(uplink(file, seed), 8) for seed in range(12)]
+    assert drawn[3] == delays_ms(uplink(file, 3), 8)
+    assert len({tuple(each) for each in drawn}) > 3
+
+
+def test_directions_draw_different_starts(file: Path) -> None:
+    link = LinkConfiguration(
+        uplink={"trace": {"file": str(file)}}, downlink={"trace": {"file": str(file)}}
+    )
+    pairs = [(open_uplink(link, seed), open_downlink(link, seed)) for seed in range(12)]
+    assert any(delays_ms(up, 8) != delays_ms(down, 8) for up, down in pairs)
+
+
+def test_messages_overtake_only_where_they_may(tmp_path: Path) -> None:
+    file = tmp_path / "trace.csv"
+    file.write_text("time_s,delay_ms\n0,30\n0.01,1\n0.02,1\n")
+    waiting = delays_ms(uplink(file, start_s=0), 3, 10)
+    assert waiting == [30, 20, 10]
+    overtaking = uplink(file, start_s=0, channel={"reorder": True})
+    assert delays_ms(overtaking, 3, 10) == [30, 1, 1]
+    assert overtaking.statistics().summary()["reordered"] == 1
+
+
+def test_both_channels_with_a_trace_do_the_same(file: Path) -> None:
+    alone = uplink(file, 5)
+    beside = uplink(file, 5, channel={"loss": 1e-12})
+    assert type(alone) is TracedChannel
+    assert type(beside) is ImpairedChannel
+    assert delays_ms(alone, 500, 3) == delays_ms(beside, 500, 3)
+    assert alone.mean_delay_ns == beside.mean_delay_ns == 2_750_000
+    assert alone.statistics().summary() == beside.statistics().summary()
+
+
+def test_trace_leaves_what_others_draw_as_it_was(file: Path) -> None:
+    noisy = {"jitter_ms": 0.5, "delay_ms": 3, "reorder": True}
+    with_trace = delays_ms(uplink(file, channel=noisy, start_s=0, scale=0, offset_ms=1), 200)
+    without = delays_ms(open_uplink(LinkConfiguration(uplink=noisy), 1), 200)
+    pairs = zip(with_trace, without, strict=True)
+    assert {round(a - b, 6) for a, b in pairs if a is not None} == {1.0}
+
+
+def test_curves_say_what_the_channel_did_beside_the_trace(tmp_path: Path) -> None:
+    file = tmp_path / "trace.csv"
+    wave = 5 + 4 * np.sin(np.arange(2000) * 2 * np.pi / 400)
+    rows = [f"{number / 100},{delay:.3f}" for number, delay in enumerate(wave)]
+    file.write_text("\n".join(["time_s,delay_ms", *rows, ""]))
+    channel = uplink(file, start_s=0)
+    delays_ms(channel, 2000, 10)
+    both = channel.statistics().summary()["curves"]
+    assert both["did"]["percentiles_ms"] == both["trace"]["percentiles_ms"]
+    np.testing.assert_allclose(
+        both["did"]["autocorrelation"], both["trace"]["autocorrelation"], atol=0.02
+    )
+    assert max(both["did"]["lags_s"]) == 1.0
+    at_one_s = both["trace"]["autocorrelation"][-1]
+    assert at_one_s == pytest.approx(np.cos(2 * np.pi * 100 / 400), abs=0.05)
+
+
+def test_curves_of_equal_delays_or_of_none_are_empty() -> None:
+    equal = curves(np.full(100, 5 * MS), 0.01)
+    assert set(equal["percentiles_ms"]) == {5.0}
+    assert equal["autocorrelation"] == []
+    assert curves(np.full(100, -1), 0.01)["percentiles_ms"] == []
+
+
+def test_trace_without_repetition_needs_a_start(file: Path) -> None:
+    with pytest.raises(ValueError, match="true unless start_s is given"):
+        ChannelConfiguration(trace={"file": str(file), "loop": False})
