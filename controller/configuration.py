@@ -28,6 +28,7 @@ from bus_schema.configuration import (
     Positive,
     Sections,
     StrictModel,
+    Whole,
     expand,
     expand_fields,
 )
@@ -43,6 +44,7 @@ from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
+from controller.slow_law import AnswerTiming, BetweenAnswers, SlowLaw
 
 PROCESS = "process"
 """In place of a law's name: the controller is a user's own process on the bus."""
@@ -131,6 +133,11 @@ class ControllerConfiguration(StrictModel):
         model_scale: factor on masses and inertias of the nominal model, including rotors.
         rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
+        every: ask the law at every so many states; the torque is held in between.
+        inference_ms: time from a question to the law's answer, while the loop goes on.
+        inference_jitter_ms: that time varies by up to so much, uniformly, drawn from the seed.
+        between_answers: what targets for the drives do until the next answer: ``hold``, or
+            ``linear``: go on at their velocity.
     """
 
     law: str = "fixed_time_adaptive"
@@ -140,6 +147,10 @@ class ControllerConfiguration(StrictModel):
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     rotor_scale: NonNegative = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
+    every: Annotated[Whole, Field(ge=1, le=10_000)] = 1
+    inference_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
+    inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
+    between_answers: BetweenAnswers = "hold"
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 
@@ -175,10 +186,11 @@ class ControllerConfiguration(StrictModel):
             raise ValueError(f"a program and its arguments, as controller.law is {PROCESS}")
         return process
 
-    @field_validator("torque_rate_limit_nm_s", "delay_compensation")
+    @field_validator("torque_rate_limit_nm_s", "delay_compensation", "every", "inference_ms")
     @classmethod
     def _takes_effect(cls, value: Any, info: ValidationInfo) -> Any:
-        is_off = value is None or not getattr(value, "enabled", True)
+        is_default = value == cls.model_fields[str(info.field_name)].default
+        is_off = is_default or not getattr(value, "enabled", True)
         if not is_off and info.data.get("law") == PROCESS:
             raise ValueError("left out or off: controller.process has its own, if any")
         return value
@@ -289,6 +301,21 @@ class ControllerConfiguration(StrictModel):
             if settings.expected_round_trip_ms is None
             else round(settings.expected_round_trip_ms * 1e6),
         )
+
+    def paced(self, law: ControlLaw, period_s: float, seed: int) -> ControlLaw:
+        """The law as often as it is to be asked.
+
+        Args:
+            law: the configured law.
+            period_s: of the control loop.
+            seed: of the scenario.
+        """
+        inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
+        if self.every == 1 and not inference_s and not jitter_s:
+            return law
+        between = self.between_answers
+        timing = AnswerTiming(self.every, inference_s, jitter_s, between, period_s, seed)
+        return SlowLaw(law, timing)
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Return the bound on the law's settling time, s; None for a law without one."""

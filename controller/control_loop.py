@@ -95,6 +95,7 @@ class ControlLoop:
         self._guard = TorqueGuard(
             task.law_name, task.limits, self.tracking.motion, self._command.fields["effort"]
         )
+        self._target_of_law = getattr(task.law, "target", None) if task.sends_targets else None
         self._start_ns = link.start_ns
         self._feedback: CommandFeedback | None = None
         self.stamp_ns = -1
@@ -227,6 +228,8 @@ class ControlLoop:
             )
         try:
             torque_nm = self._task.law.torque(situation)
+            if self._target is not None and self._target_of_law is not None:
+                self._target[:] = self._target_of_law(situation)
         except BaseException as error:  # a user's law may raise any exception
             raise self._as_law_error(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
@@ -249,7 +252,7 @@ class ControlLoop:
     def _write(self) -> int:
         """Send the current torque in answer to the state that was read; return its number."""
         self._command.stamp[:] = self._state.stamp
-        if self._target is not None:
+        if self._target is not None and self._target_of_law is None:
             self._write_target(self._target)
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         if self._compensation is not None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from bus_schema.configuration import shown
 from deploy.judge.verdict import Verdict
-from deploy.reports.study_tables import case_name, shown_value
+from deploy.reports.study_texts import case_name, shown_value
 from deploy.run.run_folder import read_json
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.study import OF_BOUND

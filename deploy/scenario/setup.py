@@ -104,7 +104,11 @@ class Setup:
             robot=self.robot,
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
-            law=controller.build_law(self.gains, self.robot, rotors),
+            law=controller.paced(
+                controller.build_law(self.gains, self.robot, rotors),
+                1e-9 * self.grid.period_ns,
+                self.scenario.seed,
+            ),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(

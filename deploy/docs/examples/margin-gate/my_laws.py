@@ -1,6 +1,6 @@
 """A computed-torque law with a filter on its velocity error."""
 
-from controller.control_law import Diagnostics
+from funnel_hil import Diagnostics
 
 
 class FilteredTorque:

@@ -1,0 +1,128 @@
+"""A law that is slower than the control loop: a policy at 10 to 500 Hz, as an example.
+
+The loop goes on at its own rate. The law is asked at every N-th state, and its answer comes into
+force once its inference time is over. An answer may be a chunk: rows for the next ticks.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from controller.control_law import ControlLaw, Tracking
+
+BetweenAnswers = Literal["hold", "linear"]
+_NEAR = 1e-6  # of a tick, as times are floating-point numbers
+
+
+@dataclass(frozen=True)
+class AnswerTiming:
+    """When a law is asked, and when its answers act.
+
+    Attributes:
+        every: the law is asked at every so many states.
+        inference_s: time from a question to its answer.
+        jitter_s: it varies by up to so much, uniformly.
+        between: what targets do after an answer's last row: stay, or go on at their velocity.
+        period_s: of the control loop; rows of a chunk are so far apart.
+        seed: of the inference times drawn.
+    """
+
+    every: int
+    inference_s: float
+    jitter_s: float
+    between: BetweenAnswers
+    period_s: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What a law answered: torques of shape (rows, joints), targets of shape (rows, 2, joints)."""
+
+    asked_s: float
+    ready_s: float
+    torques: Matrix
+    targets: Matrix
+
+
+class SlowLaw:
+    """A law of which one question at a time is open.
+
+    The first answer acts at once, as a robot is released only when its policy has answered.
+
+    Args:
+        law: what is asked. Its torques may have a row for each of the next ticks. If it has a
+            method ``target``, that gives positions and velocities for the drives, shape (2, joints)
+            or (rows, 2, joints); the reference is their target otherwise.
+        timing: when it is asked.
+    """
+
+    def __init__(self, law: ControlLaw, timing: AnswerTiming) -> None:
+        self._law, self._timing = law, timing
+        self.diagnostics = law.diagnostics
+        self._in_force: _Answer | None = None
+        self._coming: _Answer | None = None
+        self._forget()
+
+    def reset(self) -> None:
+        """Forget all answers, and have the law forget everything."""
+        self._law.reset()
+        self._forget()
+
+    def close(self) -> None:
+        """Give back what the law holds."""
+        if callable(close := getattr(self._law, "close", None)):
+            close()
+
+    def torque(self, tracking: Tracking) -> Vector:
+        """Torque in force at a state, N m, shape (joints,)."""
+        now_s, coming = tracking.time_s, self._coming
+        if coming is not None and now_s >= coming.ready_s - _NEAR * self._timing.period_s:
+            self._in_force, self._coming = coming, None
+        if self._states % self._timing.every == 0 and self._coming is None:
+            answer = self._ask(tracking)
+            if self._in_force is None or answer.ready_s <= now_s:
+                self._in_force = answer
+            else:
+                self._coming = answer
+        self._states += 1
+        assert self._in_force is not None
+        row: Vector = self._in_force.torques[self._row(now_s, len(self._in_force.torques))]
+        return row
+
+    def target(self, tracking: Tracking) -> Matrix:
+        """Target of the drives at a state, shape (2, joints); to be called after `torque`."""
+        assert self._in_force is not None
+        targets, period_s = self._in_force.targets, self._timing.period_s
+        place = self._row(tracking.time_s, len(targets))
+        target: Matrix = targets[place].copy()
+        if self._timing.between == "linear":
+            target[0] += (tracking.time_s - self._in_force.asked_s - place * period_s) * target[1]
+        elif place == len(targets) - 1:
+            target[1] = 0.0
+        return target
+
+    def _forget(self) -> None:
+        self._random = random.Random(self._timing.seed)
+        self._states = 0
+        self._in_force = self._coming = None
+
+    def _ask(self, tracking: Tracking) -> _Answer:
+        torques = np.array(self._law.torque(tracking), ndmin=2)
+        own = getattr(self._law, "target", None)
+        wanted = own(tracking) if callable(own) else (
+            [tracking.reference_position, tracking.reference_velocity]
+        )  # fmt: skip
+        jitter_s = self._random.uniform(-1.0, 1.0) * self._timing.jitter_s
+        ready_s = tracking.time_s + max(0.0, self._timing.inference_s + jitter_s)
+        return _Answer(tracking.time_s, ready_s, torques, np.array(wanted, ndmin=3))
+
+    def _row(self, now_s: float, rows: int) -> int:
+        assert self._in_force is not None
+        ticks = int((now_s - self._in_force.asked_s) / self._timing.period_s + _NEAR)
+        return min(ticks, rows - 1)
