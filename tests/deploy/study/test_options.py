@@ -30,6 +30,7 @@ def load_setups(scenario, overrides, laws):
     values = {"scenario": scenario, "laws": laws, "set": fixed}
     return Comparison(values, Path("compare")).variants
 
+
 PLANTS = {"plants": 2, "values": "4,8", "uncertainty": "half"}
 UP, DOWN = "link.uplink", "link.downlink"
 COMPENSATION = "controller.delay_compensation.enabled"

@@ -1,0 +1,94 @@
+"""A law that is asked less often than the loop runs, and whose answers take their time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.control_law import Diagnostics, Tracking
+from controller.slow_law import AnswerTiming, SlowLaw
+from deploy.judge.metrics import summarise
+from deploy.run.simulate import simulate
+from deploy.scenario.scenario import load_setup
+
+PERIOD_S = 0.001
+
+
+class Counting:
+    """Answers with how often it was asked; in chunks, if it is to."""
+
+    def __init__(self, rows=None):
+        self.diagnostics, self._rows = Diagnostics(1), rows
+        self.reset()
+
+    def reset(self):
+        self.asked = 0
+
+    def torque(self, tracking):
+        self.asked += 1
+        if self._rows is None:
+            return np.array([float(self.asked)])
+        return self.asked + np.arange(self._rows)[:, None] / 10.0
+
+    def target(self, tracking):
+        return np.array([[tracking.time_s], [2.0]])
+
+
+def answers(law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0):
+    """Torques and targets at each tick."""
+    timing = AnswerTiming(every, 1e-3 * inference_ms, 1e-3 * jitter_ms, between, PERIOD_S, seed=1)
+    slow, tracking = SlowLaw(law, timing), Tracking(1)
+    torques, targets = [], []
+    for tick in range(ticks):
+        tracking.time_s = tick * PERIOD_S
+        torques.append(float(slow.torque(tracking)[0]))
+        targets.append(slow.target(tracking)[:, 0].tolist())
+    return torques, targets
+
+
+def test_law_is_asked_at_every_third_state_and_held_in_between():
+    assert answers(Counting(), 7, every=3)[0] == [1, 1, 1, 2, 2, 2, 3]
+
+
+def test_answer_acts_after_its_inference_time_and_the_first_at_once():
+    # Asked at ticks 0, 2, 4; the answer of tick 2 acts at tick 4, where the next is asked.
+    assert answers(Counting(), 7, every=2, inference_ms=2.0)[0] == [1, 1, 1, 1, 2, 2, 3]
+
+
+def test_nothing_is_asked_while_a_question_is_open():
+    # Asked at tick 0 and 1; the second answer is there at tick 4, where the third is asked.
+    assert answers(Counting(), 8, inference_ms=3.0)[0] == [1, 1, 1, 1, 2, 2, 2, 3]
+
+
+def test_rows_of_a_chunk_are_for_the_next_ticks_and_the_last_is_held():
+    assert answers(Counting(rows=2), 4, every=4)[0] == [1.0, 1.1, 1.1, 1.1]
+
+
+def test_targets_stay_or_go_on_at_their_velocity():
+    held = answers(Counting(), 3, every=3)[1]
+    assert held == [[0.0, 0.0]] * 3
+    moved = answers(Counting(), 3, "linear", every=3)[1]
+    np.testing.assert_allclose(moved, [[0.0, 2.0], [0.002, 2.0], [0.004, 2.0]])
+
+
+def test_inference_times_repeat_after_a_reset():
+    law = Counting()
+    timing = AnswerTiming(2, 0.003, 0.002, "hold", PERIOD_S, seed=1)
+    slow, tracking, runs = SlowLaw(law, timing), Tracking(1), []
+    for _ in range(2):
+        torques = []
+        for tick in range(50):
+            tracking.time_s = tick * PERIOD_S
+            torques.append(float(slow.torque(tracking)[0]))
+        slow.reset()
+        runs.append(torques)
+    assert runs[0] == runs[1]
+    assert len(set(np.diff(np.flatnonzero(np.diff(runs[0]))).tolist())) > 1  # they vary
+
+
+@pytest.mark.parametrize(("inference_ms", "verdict"), [(5, "kept"), (60, "lost")])
+def test_whole_run_keeps_its_bounds_until_inference_takes_too_long(inference_ms, verdict):
+    words = ["controller.law=smc", "controller.every=5", "duration_s=1", "metrics.from_s=0.5",
+             f"controller.inference_ms={inference_ms}"]  # fmt: skip
+    run = simulate(load_setup("paper_arm", words)).data()
+    assert summarise(run)["verdict"] == verdict
