@@ -18,8 +18,9 @@ UPPER, D_UPPER, DD_UPPER, LOWER, D_LOWER, DD_LOWER = 0, 1, 2, 3, 4, 5
 class Tracking:
     """The situation that a law answers.
 
-    Arrays have shape (joints,) unless stated, are reused every cycle and never replaced: compiled code keeps
-    references to them. The caller writes `position` and `velocity`; `update` writes all others.
+    Arrays have shape (joints,) unless stated, are reused every cycle and never replaced: compiled
+    code keeps references to them. The caller writes `position` and `velocity`; `update` writes all
+    others.
 
     Args:
         joints: number of joints.
