@@ -72,7 +72,7 @@ class _CompiledBefore(_Cache):  # type: ignore[misc]
 
 
 def say_that_it_compiles(say: Callable[[str], None]) -> None:
-    """Explain the wait by `say`, once for this process and all that it starts."""
+    """Explain the wait by `say`, once for this process and its children."""
     if HAS_SAID not in os.environ:
         os.environ[HAS_SAID] = "1"
         say(COMPILES)

@@ -44,7 +44,7 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
 
     Args:
         root: the URDF, which passed `check_urdf`.
-        wanted: names of the joints to drive; None for all that turn or slide, except the fingers of
+        wanted: names of the joints to drive; None for all movable joints, except the fingers of
             grippers: joints that slide beside others on the same link.
 
     Raises:

@@ -252,7 +252,7 @@ def _add_rotors(inertia: Matrix, mass: Matrix) -> None:
 
 @compiled
 def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) -> None:
-    """Write M(q) into `mass`; leave in `placed` each body combined with all that it carries."""
+    """Write M(q) into `mass`; combine each body in `placed` with the bodies it carries."""
     mass[:] = 0.0
     for i in bodies.outwards[::-1]:
         momentum, spin = _momentum(placed, i, get(placed.axes, i), get(placed.moments, i))

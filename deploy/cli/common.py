@@ -71,7 +71,7 @@ def say_oddities(*setups: Setup) -> None:
 
 
 def watching(
-    progress: CommandProgress, setup: Setup, name: str, stop: threading.Event, before_s: float = 0.0
+    progress: CommandProgress, setup: Setup, name: str, stop: threading.Event
 ) -> Callable[[PlantLoop], None]:
     """For `simulate` to call at the start: follows the run, and ends it on an interrupt.
 
@@ -82,11 +82,10 @@ def watching(
         setup: the scenario.
         name: what the run is called there.
         stop: set by an interrupt.
-        before_s: time of other runs that the progress has behind it.
     """
 
     def watch(loop: PlantLoop) -> None:
-        progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, name)
+        progress.follow(lambda: setup.grid.tick_ns(loop.tick) * 1e-9, name)
 
         def request_stop() -> None:
             stop.set()

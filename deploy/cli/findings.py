@@ -20,7 +20,7 @@ class Finding:
     Attributes:
         name: what it is.
         status: ``limited`` means that runs work, but less well or not all of them.
-        found: what there is.
+        found: what was found.
         cost: what it costs a run where the status is not ``ok``.
     """
 

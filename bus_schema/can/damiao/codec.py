@@ -79,7 +79,7 @@ class Target(NamedTuple):
     Attributes:
         position_rad: where the motor is to be; of mode VEL, 0.
         velocity_rad_s: how fast it may go there; of mode VEL, how fast it is to turn.
-        torque_share: the most torque, as a share of what there is.
+        torque_share: the torque limit, as a share of the largest torque.
     """
 
     position_rad: float = 0.0

@@ -83,7 +83,7 @@ def _renamed(name: str) -> str:
 
 
 def _is_of_script(names: Mapping[str, object]) -> bool:
-    """Whether a module with these global names is part of neither funnel-hil nor a library."""
+    """Whether a module with these global names is the user's own."""
     file = str(names.get("__file__"))
     return not file.startswith(_NOT_OF_SCRIPT) and _INSTALLED not in file
 
