@@ -115,6 +115,7 @@ class DriveSettings:
         node_id: address on the bus.
         rated_torque_nm: unit of CiA 402's torques.
         max_torque_nm: the most the drive ever gives.
+        max_velocity_rad_s: the fastest a loop of the drive may want; CiA 402 drives have no such limit.
         counts_per_turn: encoder resolution.
         lower_rad: lower end of the joint's range (-inf for none).
         upper_rad: upper end of the joint's range (inf for none).
@@ -131,6 +132,7 @@ class DriveSettings:
     node_id: int
     rated_torque_nm: float
     max_torque_nm: float
+    max_velocity_rad_s: float = float("inf")
     counts_per_turn: int = 1 << 20
     lower_rad: float = float("-inf")
     upper_rad: float = float("inf")

@@ -36,7 +36,8 @@ class Controller:
         self._control, self._inputs = POSITION_CONTROL, PASSTHROUGH
         self._gains = self._settings.gains
         self._zero_rad = 0.0
-        self.velocity_limit = VELOCITY_LIMIT_TURNS_S
+        own_limit = self._settings.max_velocity_rad_s / TURN_RAD
+        self.velocity_limit = min(VELOCITY_LIMIT_TURNS_S, own_limit)
         self._current_limit = self._settings.max_torque_nm / TORQUE_CONSTANT_NM_A
         self.arm(JointReading())
 
