@@ -156,6 +156,8 @@ class DriveBank:
 
     def describe(self, frame: CanFrame) -> str:
         """A frame in words."""
+        if self._is_strange(frame):
+            return "a CAN FD frame, which these drives do not read" if frame.is_fd else "not read"
         for drive in self._drives:
             text = drive.describe(frame)
             if text is not None:
@@ -163,8 +165,7 @@ class DriveBank:
         return "not for these drives"
 
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
-        is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
-        if is_strange or len(frame.data) > _MOST_BYTES:
+        if self._is_strange(frame):
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
         understood = False
         for drive in self._drives:
@@ -172,6 +173,10 @@ class DriveBank:
                 understood = self._is_stale = True
         if not understood:
             raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+
+    def _is_strange(self, frame: CanFrame) -> bool:
+        is_other_format = frame.is_extended or (frame.is_fd and not self._reads_fd)
+        return is_other_format or len(frame.data) > _MOST_BYTES
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:

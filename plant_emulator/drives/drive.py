@@ -115,7 +115,7 @@ class DriveSettings:
         node_id: address on the bus.
         rated_torque_nm: unit of CiA 402's torques.
         max_torque_nm: the most the drive ever gives.
-        max_velocity_rad_s: the fastest a loop of the drive may want; CiA 402 drives have no such limit.
+        max_velocity_rad_s: the fastest a loop of the drive may want; CiA 402 drives: no limit.
         counts_per_turn: encoder resolution.
         lower_rad: lower end of the joint's range (-inf for none).
         upper_rad: upper end of the joint's range (inf for none).

@@ -62,6 +62,10 @@ class DamiaoMaster(MitMaster):
             if status != Status.ENABLED
         ]
 
+    def _who_is_absent(self, timeout_s: float) -> str:
+        sent = "CAN FD" if self._can.fd_process_data else "classical"
+        return f"{super()._who_is_absent(timeout_s)} to {sent} frames (link.can.fd_process_data)"
+
     def _check_ranges(self, joint: int) -> None:
         for register, name in RANGES.items():
             expected = getattr(self._codec.ranges[joint], name)

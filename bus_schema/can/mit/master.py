@@ -94,6 +94,7 @@ class MitMaster(CanMaster):
         """Note the error in a reply; its joint, None for any other frame."""
         found = self._codec.reply(frame)
         if found is None:
+            self._note_stranger(frame)
             return None
         joint, reply = found
         self._errors[joint] = reply.error
