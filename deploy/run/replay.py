@@ -75,8 +75,8 @@ def replay(setup: Setup, contents: LogContents, *, master_skips: bool = False) -
     if rounding is not None:
         replayed = _as_delivered(setup, replayed, rounding)
     if master_skips:  # a command is recorded with the stamp of the drives' state before it
-        pairs = zip(replayed, recorded, strict=False)
-        replayed = [new[: _STAMP.start] + old[_STAMP] + new[_STAMP.stop :] for new, old in pairs]
+        beside = zip(replayed, recorded, strict=False)
+        replayed = [new[: _STAMP.start] + old[_STAMP] + new[_STAMP.stop :] for new, old in beside]
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]

@@ -42,6 +42,9 @@ class DriveBank:
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
         self._drives = [protocol(each, send) for each in settings]
+        self._routes: dict[int, list[Drive]] = {}
+        for drive in self._drives:
+            drive.on_set_up = self._routes.clear
         self.node_ids = tuple(each.node_id for each in settings)
         self._torque_nm: Vector = np.zeros(len(self._drives))
         self._loops: list[Loop | None] = [None] * len(self._drives)
@@ -156,8 +159,8 @@ class DriveBank:
 
     def describe(self, frame: CanFrame) -> str:
         """A frame in words."""
-        if self._is_strange(frame):
-            return "a CAN FD frame, which these drives do not read" if frame.is_fd else "not read"
+        if frame.is_fd and not self._reads_fd:
+            return "a CAN FD frame, which these drives do not read"
         for drive in self._drives:
             text = drive.describe(frame)
             if text is not None:
@@ -165,18 +168,19 @@ class DriveBank:
         return "not for these drives"
 
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
-        if self._is_strange(frame):
+        is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
+        if is_strange or len(frame.data) > _MOST_BYTES:
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
+        concerned = self._routes.get(frame.identifier)
+        if concerned is None:
+            concerned = [each for each in self._drives if frame.identifier in each.heard]
+            self._routes[frame.identifier] = concerned
         understood = False
-        for drive in self._drives:
+        for drive in concerned:
             if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
             raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
-
-    def _is_strange(self, frame: CanFrame) -> bool:
-        is_other_format = frame.is_extended or (frame.is_fd and not self._reads_fd)
-        return is_other_format or len(frame.data) > _MOST_BYTES
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:

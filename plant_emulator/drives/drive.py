@@ -7,7 +7,7 @@ that the same frames at the same instants always give the same answers, whatever
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple, Protocol
@@ -163,6 +163,10 @@ class Cycle:
         return True
 
 
+def _ignore() -> None:
+    """Do nothing."""
+
+
 class Drive(ABC):
     """One axis of one protocol.
 
@@ -173,12 +177,17 @@ class Drive(ABC):
         send: takes the frames that it sends.
 
     Attributes:
+        heard: identifiers of the frames that it may take; all others are for others.
+        on_set_up: called when `heard` has become another one.
         is_silent: its bus connection is cut.
         targets_taken: targets that the bank has counted.
     """
 
+    heard: Collection[int]
+
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         self._settings, self._send = settings, send
+        self.on_set_up: Callable[[], None] = _ignore
         self._reading = JointReading()
         self._is_hot = self._is_off_bus = self._is_frozen = self.is_silent = False
         self.targets_taken = 0
@@ -209,7 +218,7 @@ class Drive(ABC):
 
     @abstractmethod
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
-        """Take a data or remote frame; whether it was for this drive.
+        """Take a data or remote frame with an identifier that it hears; whether it was for it.
 
         Raises:
             InvalidMessageError: it was, and makes no sense. Nothing has changed.

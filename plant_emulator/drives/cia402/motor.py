@@ -102,7 +102,8 @@ class Motor:
         """Do what is due: the end of a slow-down, the window of a following error."""
         self.automaton.advance()
         if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
-            self._position_mode.rest()
+            if self._position_mode.has_followed:
+                self._position_mode.rest()
             return
         self._position_mode.follow()
         if self._position_mode.error_is_fault:

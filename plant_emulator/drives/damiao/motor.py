@@ -10,7 +10,7 @@ import math
 
 from bus_schema.can.damiao.codec import Mode, Special, Status, Target
 from bus_schema.can.damiao.protocol import DamiaoSettings
-from bus_schema.can.damiao.registers import TIMEOUT_STEP_NS, Register
+from bus_schema.can.damiao.registers import REGISTER_IDENTIFIER, TIMEOUT_STEP_NS, Register
 from bus_schema.can.mit.codec import MitCommand, MitRanges
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
 from plant_emulator.drives.damiao.registers import Registers
@@ -116,6 +116,8 @@ class DamiaoAxis(Drive):
         limits = values[Register.PMAX], values[Register.VMAX], values[Register.TMAX]
         self._ranges = MitRanges(*limits, *self._gain_ranges)
         self._node_id = int(values[Register.ESC_ID])
+        self.heard = {REGISTER_IDENTIFIER, *(self._node_id + mode.offset for mode in Mode)}
+        self.on_set_up()
 
     def advance(self, now_ns: int) -> None:
         timeout_ns = self._registers[Register.TIMEOUT] * TIMEOUT_STEP_NS

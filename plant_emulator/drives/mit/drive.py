@@ -41,6 +41,7 @@ class MitDrive(Drive):
 
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         super().__init__(settings, send)
+        self.heard = (settings.node_id,)
         own = settings.own
         self._own = own if isinstance(own, MitSettings) else MitSettings()
         self._ranges = self._own.ranges
