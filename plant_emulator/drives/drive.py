@@ -30,6 +30,10 @@ class JointReading(NamedTuple):
 class Loop(Protocol):
     """A loop that a drive closes around its joint between the frames it gets."""
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the joint's motion changes the torque."""
+
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:
         """Torque of the motor where the joint is and as it moves.
 
@@ -62,6 +66,11 @@ class JointLoop(NamedTuple):
     step_rad: float
     most_nm: float
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the joint's motion changes the torque."""
+        return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
+
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:  # noqa: ARG002
         """Torque of the motor where the joint is and as it moves."""
         seen_rad = round(position_rad / self.step_rad) * self.step_rad
@@ -85,6 +94,12 @@ class JointDemand(NamedTuple):
     torque_nm: float
     is_released: bool
     loop: Loop | None = None
+
+
+def following(loop: Loop, reading: JointReading) -> JointDemand:
+    """The demand of a drive that closes a loop around its joint."""
+    torque_nm = loop.torque_nm(reading.position_rad, reading.velocity_rad_s)
+    return JointDemand(torque_nm, is_released=True, loop=loop if loop.is_closed else None)
 
 
 AT_REST = JointDemand(0.0, is_released=False)

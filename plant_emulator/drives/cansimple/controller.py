@@ -10,7 +10,7 @@ from __future__ import annotations
 from bus_schema.can.cansimple.codec import TURN_RAD
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
-from plant_emulator.drives.drive import DriveSettings, JointDemand, JointReading
+from plant_emulator.drives.drive import DriveSettings, JointDemand, JointReading, following
 
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 2, 3, 1
 TORQUE_CONSTANT_NM_A = 1.0
@@ -107,8 +107,7 @@ class Controller:
             gains, TURN_RAD / self._settings.counts_per_turn, self.velocity_limit * TURN_RAD,
             most_nm, self._integral,
         )  # fmt: skip
-        torque_nm = loop.torque_nm(reading.position_rad, reading.velocity_rad_s)
-        return JointDemand(torque_nm, is_released=True, loop=loop)
+        return following(loop, reading)
 
 
 def _check(*values: float) -> None:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 import struct
 
-from bus_schema.can.damiao.codec import Mode
+from bus_schema.can.damiao.codec import TIMEOUT_STEP_NS, Mode, Register
 from bus_schema.can.damiao.protocol import DamiaoSettings
-from bus_schema.can.damiao.registers import TIMEOUT_STEP_NS, Register
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.drive import DriveSettings
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from bus_schema.can.damiao.registers import REGISTER_IDENTIFIER, RegisterFrame, Request
+from bus_schema.can.damiao.codec import REGISTER_IDENTIFIER, RegisterFrame, Request
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.can.protocol import PROTOCOLS

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bus_schema.can.damiao.registers import Register, RegisterFrame, Request, register_frame
+from bus_schema.can.damiao.codec import Register, RegisterFrame, Request, register_frame
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CanConfiguration
 from deploy.scenario.scenario import load_setup
