@@ -241,7 +241,8 @@ def read_history(folder: Path) -> list[Entry]:
 
 def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) -> None:
     """Write all entries, and the page that draws them."""
-    from deploy.reports.page import Fact, Page, Panel, ReportHead, write_page  # heavy
+    from deploy.reports.page import Fact, Page, Panel, write_page  # heavy
+    from deploy.reports.verdict import ReportHead
 
     folder.mkdir(parents=True, exist_ok=True)
     lines = (f"{_ENTRY.dump_json(entry).decode()}\n" for entry in entries)
