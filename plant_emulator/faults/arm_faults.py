@@ -5,22 +5,28 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, NonNegative, Number, Positive
-from plant_emulator.faults.fault import Fault, FaultContext, Share
-from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
-from plant_emulator.physics.engine import ArmPhysics
+from plant_emulator.faults.fault import Fault, FaultContext, FaultScheduler, ScheduledAction, Share
+
+
+class ArmHardware(Protocol):
+    """What faults change of the arm as a whole: `plant_emulator.physics.engine.ArmPhysics`."""
+
+    payload_kg: float
+
+    def carry(self, payload_kg: float) -> None: ...
 
 
 class ArmFault(Fault):
     """A fault of the arm."""
 
-    def begin(self, arm: ArmPhysics, _now_ns: int) -> None:
+    def begin(self, arm: ArmHardware, _now_ns: int) -> None:
         """Apply the fault's one-time effect at its beginning."""
 
 
@@ -126,7 +132,7 @@ class PayloadFault(ArmFault):
     def payload_after_kg(self, carried_kg: float) -> float:
         """Return the arm's new payload, given the one before."""
 
-    def begin(self, arm: ArmPhysics, _now_ns: int) -> None:
+    def begin(self, arm: ArmHardware, _now_ns: int) -> None:
         arm.carry(self.payload_after_kg(arm.payload_kg))
 
 
@@ -184,7 +190,7 @@ class ArmFaults:
         faults: Sequence[Fault],
         joint_names: tuple[str, ...],
         random: np.random.Generator,
-        arm: ArmPhysics,
+        arm: ArmHardware,
     ) -> None:
         self._encoder_faults = [fault for fault in faults if isinstance(fault, EncoderFault)]
         self._actuator_faults = [fault for fault in faults if isinstance(fault, ActuatorFault)]

@@ -79,12 +79,14 @@ class Handle(ctypes.c_void_p):
 
 def call(name: str, *arguments: Any) -> int:
     """Call the function ``b3<name>``, which returns a number."""
-    return _call(name, INT, arguments)
+    number: int = _call(name, INT, arguments)
+    return number
 
 
 def handle(name: str, *arguments: Any) -> Handle:
     """Call the function ``b3<name>``, which returns a handle."""
-    return _call(name, Handle, arguments)
+    result: Handle = _call(name, Handle, arguments)
+    return result
 
 
 def _call(name: str, result: Any, arguments: tuple[Any, ...]) -> Any:

@@ -183,7 +183,7 @@ class BulletServer:
         """Free the server."""
         call("DisconnectSharedMemory", self.handle)
 
-    def _new(self, name: str, *arguments: int) -> Handle:
+    def _new(self, name: str, *arguments: object) -> Handle:
         """Return a new command for this server."""
         return handle(name, self.handle, *arguments)
 
