@@ -31,7 +31,7 @@ HANG_S = 300.0
 """Longer than anything here takes on a slow machine; only a hang lasts so long."""
 
 IMPORTED = (
-    "deploy.cli.processes", "deploy.cli.one_run", "deploy.cli.study.experiments",
+    "deploy.cli.processes", "deploy.cli.one_run", "deploy.cli.study.recorded",
     "deploy.cli.study.studies", "deploy.reports.run_reports",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip

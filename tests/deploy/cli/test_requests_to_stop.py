@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.cli.study import replay
+from deploy.cli.study import recorded
 from deploy.run.stop_signals import STOPS
 from tests.deploy.own_laws import own_law
 
@@ -34,7 +34,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
         os.kill(os.getpid(), number)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replay, "load_run", be_signalled)
+        patch.setattr(recorded, "load_run", be_signalled)
         patch.setattr(sys, "argv", ["funnel-hil", "replay", str(tmp_path)])
         with pytest.raises(SystemExit) as ended:
             cli.main()
