@@ -104,6 +104,20 @@ class WarmProcess:
         return self.returncode
 
 
+def cold(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in a Python that starts from nothing."""
+    return cold_python("-m", "deploy.cli", *words, **environment)
+
+
+def cold_python(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python from nothing; it finds our packages wherever it works."""
+    return subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, errors="replace",
+        env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400", **environment}, check=False,
+        timeout=HANG_S,
+    )  # fmt: skip
+
+
 @contextmanager
 def no_report() -> Iterator[None]:
     """Runs are judged and leave all files but the report: to draw it costs more than to judge."""
