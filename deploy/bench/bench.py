@@ -17,9 +17,13 @@ from rich.table import Table
 
 from bus_schema.errors import InputError
 from bus_schema.recording.atomic_files import write_json
-from deploy.bench.loop import measure_control_steps, measure_loop_costs, measure_real_time
+from deploy.bench.loop import (
+    measure_control_steps,
+    measure_loop_costs,
+    measure_real_time,
+    measure_sweep,
+)
 from deploy.bench.measure import Costs, Section
-from deploy.bench.sweep import measure_sweep
 from deploy.reports.tables import number
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import provenance
