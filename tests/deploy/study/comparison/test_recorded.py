@@ -292,8 +292,8 @@ def test_a_comparison_reported_later_keeps_how_the_process_ended(tmp_path, funne
     out = tmp_path / "laws"
     words = ["--set", "controller.process=[sh, -c, 'echo no such robot >&2; exit 3']"]
     words += [word for change in SHORT for word in ("--set", change)]
-    code, _ = funnel_hil("compare", "--laws", "process", *words, "--out", out)
-    assert code == 1
+    code, said = funnel_hil("compare", "--laws", "process", *words, "--out", out)
+    assert code == 1, said
     (faults,) = (run["faults"] for run in read_summary(out)["laws"].values())
     assert "no such robot" in faults[0]
     funnel_hil("report", out)
