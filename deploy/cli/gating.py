@@ -1,4 +1,4 @@
-"""Commands that end with exit code 3 where a margin falls."""
+"""The gate of a command: it ends with exit code 3 if a margin is too small."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CommandGate:
             self._entries = read_history(options.history)
 
     def is_passed(self, summary: Mapping[str, Any], console: Console) -> bool:
-        """Whether a result reaches what it must; writes the files, and prints what failed."""
+        """Write the files, print what failed, and return whether the result is good enough."""
         found = gauged(summary)
         failures = self._gate.failures(found)
         if any(self._files):

@@ -1,4 +1,4 @@
-"""The command `replay`: a recorded run fed to its law again."""
+"""The command `replay`: feeds a recorded run to its law again."""
 
 from __future__ import annotations
 
@@ -24,12 +24,10 @@ def replay(
     run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")],
     allow_custom_law: Annotated[
         bool,
-        typer.Option(
-            "--allow-custom-law", help="Run the law of one's own that the recording names."
-        ),
+        typer.Option("--allow-custom-law", help="Run the custom law that the recording names."),
     ] = False,
 ) -> None:
-    """Feed a recorded run to the law again and compare the torques bit for bit."""
+    """Feed a recorded run to its law again, and compare the torques bit for bit."""
     data, contents = load_run(run_dir)
     _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
     stop_at_once(WITHIN_S, may_hold_lock=is_custom(data.setup.scenario.controller.law))
@@ -42,7 +40,7 @@ def replay(
 
 
 def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
-    """Check that its law is there to be fed again, and may be."""
+    """Check that the law of a recording exists and may run."""
     law = data.setup.scenario.controller.law
     if data.setup.scenario.controller.process is not None:
         raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")

@@ -1,4 +1,4 @@
-"""How far a command is: a live line on a terminal, a plain line now and then elsewhere."""
+"""Progress of a command: a live line on a terminal, a plain line every 3 s elsewhere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WHOLE = Column(no_wrap=True, overflow="ellipsis")
 
 
 class _Shape(NamedTuple):
-    """What a live line has besides how far the command is, its speed and its note."""
+    """Optional parts of a live line, beside progress, speed and note."""
 
     name: bool
     bar: bool
@@ -33,7 +33,7 @@ _SHAPES = (
     _Shape(name=True, bar=False, time_left=False),
     _Shape(name=False, bar=False, time_left=False),
 )
-"""From the widest on: the first that fits is shown."""
+"""From wide to narrow. The first that fits is shown."""
 
 
 class CommandProgress:
@@ -79,7 +79,7 @@ class CommandProgress:
             self._print_plainly()
 
     def update(self, done: float, *, total: float | None = None, note: str | None = None) -> None:
-        """So much is done now.
+        """Show how much is done.
 
         Args:
             done: how much in all.
@@ -96,13 +96,13 @@ class CommandProgress:
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:
-        """So much of all was done before; what has a speed begins now, if it has not yet."""
+        """Leave earlier work out of the speed, and start to measure it now."""
         if self._done <= self._done_before:
             self._started_s = time.monotonic()
         self._done_before = done
 
     def follow(self, position: Callable[[], float], name: str) -> None:
-        """Ask again and again how much is done, until the end or until this is called again."""
+        """Poll the position until the end, or until the next call of this method."""
         is_first, self._position = self._position is None, position
         self._bar.update(self._task, description=name)
         if is_first:
@@ -124,10 +124,10 @@ class CommandProgress:
             self.say(self._line())
 
     def _fitting_line(self) -> str:
-        """The line beside name and bar; where there is little room, they leave it to the note.
+        """Return the text beside name and bar, and hide these if there is little room.
 
-        They do not come back, as a line whose parts come and go cannot be read. What is still too
-        long loses its end.
+        Hidden parts do not come back: a line whose parts come and go is hard to read. A text that
+        is still too long is cut off.
         """
         name = self._bar.tasks[self._task].description
         for index in range(self._shape, len(_SHAPES)):
@@ -149,7 +149,8 @@ class CommandProgress:
         speed = (self._done - self._done_before) / elapsed_s
         line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
         if speed > 0.0:
-            line += f", {speed:.3g} {self._unit}/s"
+            is_time = self._unit == "s"  # simulated seconds per second: the real-time factor
+            line += f", speed {speed:.3g}" if is_time else f", {speed:.3g} {self._unit}/s"
             if time_left and self._done < self._total:
                 line += f", {(self._total - self._done) / speed:.0f} s left"
         return f"{line}, {self._note}" if self._note else line

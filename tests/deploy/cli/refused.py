@@ -80,7 +80,7 @@ REFUSED = [
     ("runs tag nowhere a", "nowhere: holds no results"),
     ("view nowhere", "nowhere: holds no run.mcap"),
     ("view tcp/nowhere", "tcp/nowhere: holds no run.mcap"),
-    ("runs prune .", "", "must be given --older-than, --incomplete, or both"),
+    ("runs prune .", "", "give --older-than, --incomplete, or both"),
     ("robot nowhere.urdf", "", "nowhere.urdf"),
     ("reference paper_arm", "", "one of --csv and --parquet"),
     ("ros2-control paper_arm --out file", "", "cannot be written"),

@@ -146,7 +146,7 @@ def test_last_of_a_key_that_is_set_twice_holds(funnel_hil, tmp_path: Path) -> No
     twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
     code, said = funnel_hil("simulate", *twice, "--no-report", "--out", tmp_path / "out")
     assert code == 0
-    assert "--set duration_s=2: a later --set takes its place" in said
+    assert "--set duration_s=2: replaced by a later --set" in said
     assert "set: duration_s=0.1;" in " ".join(said.split())
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100
 

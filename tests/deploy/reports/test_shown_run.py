@@ -83,11 +83,9 @@ def test_ticks_that_a_late_plant_skipped_are_told(run):
     truth["timing.skipped"][60:] = 7
     skipped = replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
     assert summarise(skipped)["recording"]["ticks_skipped"] == 7
-    assert "7 ticks skipped, as the plant came too late to measure; states sent: 100" in shown(
-        skipped
-    )
+    assert "7 ticks skipped because the plant was late; states sent: 100" in shown(skipped)
     truth["timing.skipped"][60:] = 1
-    assert "1 tick skipped, as the plant" in shown(skipped)
+    assert "1 tick skipped because the plant" in shown(skipped)
     rows = dict(health_table(summarise(skipped)).rows)
     assert (rows["Ticks"], rows["Ticks skipped, plant too late"]) == (100, 1)
     assert "skipped" not in shown(run)
