@@ -86,8 +86,7 @@ class DriveFeedbackConfiguration(StrictModel):
     """Targets for drives that close their own loop; for any law.
 
     Attributes:
-        enabled: whether commands carry targets beside their torques, and the emulated drives use
-            them.
+        enabled: whether commands contain targets and torques, and the emulated drives use both.
         bandwidth_rad_s: bandwidth ω of the drives' loop; stiffness is I ω², damping 2 I ω, with the
             joint's inertia I.
     """
@@ -133,11 +132,12 @@ class ControllerConfiguration(StrictModel):
         model_scale: factor on masses and inertias of the nominal model, including rotors.
         rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
-        every: ask the law at every so many states; the torque is held in between.
-        inference_ms: time from a question to the law's answer, while the loop goes on.
-        inference_jitter_ms: that time varies by up to so much, uniformly, drawn from the seed.
-        between_answers: what targets for the drives do until the next answer: ``hold``, or
-            ``linear``: go on at their velocity.
+        every: the law runs at every n-th state; the torque is held in between.
+        inference_ms: time that the law takes for an answer, while the loop continues.
+        inference_jitter_ms: random change of that time, uniform within ± this
+            value, drawn from the seed.
+        between_answers: targets for the drives until the next answer: ``hold`` them, or
+            ``linear``: continue at their velocity.
     """
 
     law: str = "fixed_time_adaptive"

@@ -111,7 +111,7 @@ class TraceConfiguration(StrictModel):
         file: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
             ``lost`` and ``size``; a path as for `distribution_file`, or the name of a shipped
             trace.
-        start_s: where in the trace a run begins; null for a place drawn from the scenario's seed.
+        start_s: time in the trace at which a run begins; by default drawn from the scenario's seed.
         loop: begin again at the end, where the trace resembles its end; otherwise the run must not
             last longer, and `start_s` is given.
         interpolation: ``hold`` gives a message the delay of the last one in the trace that was
@@ -136,7 +136,7 @@ class TraceConfiguration(StrictModel):
 
 
 class ChannelConfiguration(StrictModel):
-    """One direction of the link.
+    """One direction of the link: plant to controller, or controller to plant.
 
     Attributes:
         delay_ms: delay of every message.
@@ -152,7 +152,7 @@ class ChannelConfiguration(StrictModel):
         burst_loss: loss in bursts.
         duplicate: probability that a message arrives twice; the copy has its own delay.
         reorder: let messages overtake each other; otherwise one waits for those sent before it.
-        rate_kbit_s: messages pass one after the other, payloads at 1000 bit/s times this.
+        rate_kbit_s: bandwidth for payloads; messages are transmitted one after the other.
         schedule: changes on the run's clock, in the order of ``at_s``.
     """
 

@@ -30,10 +30,10 @@ class Draw(StrictModel):
     """Distribution of one number, or of one for each joint.
 
     Attributes:
-        distribution: ``uniform`` or ``log_uniform`` between `least` and `most`, a ``choice`` of
+        distribution: ``uniform`` or ``log_uniform`` between ``from`` and ``to``, a ``choice`` of
             `values`, equally likely, or a ``sign``, −1 or 1.
-        least: (in YAML ``from``) the smallest value.
-        most: (in YAML ``to``) the largest value.
+        least: the smallest value; ``from`` in YAML.
+        most: the largest value; ``to`` in YAML.
         values: values of a ``choice``.
         per: one number for the whole ``arm``, or one for each ``joint``.
         relative: true: the draw is a factor on the scenario's own value; a dotted key: a factor on

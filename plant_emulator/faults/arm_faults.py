@@ -79,7 +79,7 @@ class ActuatorFault(JointFault):
 
 
 class EncoderStuck(EncoderFault):
-    """Keeps the first position, and shows no velocity."""
+    """The encoder keeps reporting the position at the start of the fault, and zero velocity."""
 
     kind: Literal["encoder_stuck"]
 
