@@ -17,8 +17,7 @@ T = TypeVar("T")
 RunsPanel = Panel[ComparedRuns]
 
 _PERCENTILES = (
-    "A line that climbs at the right has rare, long delays. Zeros have no place on this scale and"
-    " are not drawn."
+    "A line that rises at the right shows rare, long delays. Zeros cannot be drawn on this scale."
 )
 
 
@@ -39,19 +38,19 @@ def _errors(section: str, whole: str, beginning: str) -> list[RunsPanel]:
     return [
         _over_time(
             section, whole, "True errors inside their bounds", joints.error_in_funnel,
-            "Lines should stay within the shaded band, the funnel of the first run. Red marks are"
-            " ticks outside it. The scale is that of the steady state. In all figures over time a"
-            " red shade is a scheduled fault.",
+            "Lines should stay within the shaded band, the funnel of the first run. Red marks"
+            " are ticks outside it. The scale fits the final bounds. In all figures over time,"
+            " red shades are scheduled faults.",
         ),
         _over_time(
             section, beginning, "The first second", joints.error_first_second,
-            "Look for overshoot beyond the far bound, and for the room left while the bounds close"
-            " in.",
+            "Check for overshoot beyond the opposite bound, and for the distance to the bounds"
+            " while they narrow.",
         ),
         _over_time(
             section, "error-envelopes", "Size of the errors", joints.error_envelopes,
-            "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
-            " ones can be told apart. Dotted: the bounds in their steady state, of the first run.",
+            "The largest |e| in each twentieth of a second, on a logarithmic scale that shows"
+            " small errors. Dotted: the final bounds of the first run.",
         ),
     ]  # fmt: skip
 
@@ -59,8 +58,8 @@ def _errors(section: str, whole: str, beginning: str) -> list[RunsPanel]:
 def _tip_path(section: str, name: str) -> RunsPanel:
     return Panel(
         section, name, "Path of the end effector", space.tip_path,
-        "The path should lie on the grey reference, but for the way in from the start. Drag to"
-        " turn, scroll to zoom.",
+        "After the start, the path should lie on the grey reference. Drag to turn, scroll to"
+        " zoom.",
     )  # fmt: skip
 
 
@@ -70,70 +69,71 @@ def _bars(section: str, name: str, of: quantities.JointQuantity, caption: str = 
 
 
 _NETWORK_OUTPUT = _over_time(
-    "What the network learned", "network-output",
-    "Network output and the dynamics it stands in for", learned.network_output,
-    "Coloured: output of the network, of the first law that has one. Grey: M q̈ + C q̇ + G of the"
-    " true arm at the reference acceleration, plus friction and disturbance. The closer the two,"
-    " the less is left to the reaching terms.",
+    "Learning of the network", "network-output",
+    "Network output and the dynamics that it replaces", learned.network_output,
+    "Coloured: output of the network, for the first law that has one. Grey: M q̈ + C q̇ + G of"
+    " the true arm at the reference acceleration, plus friction and disturbance. If the two"
+    " agree, the reaching terms have little left to do.",
 )  # fmt: skip
 
 RUN_PANELS: list[RunsPanel] = [
     Panel(
-        "What happened when", "timeline", "Modes of both sides", _of_run(timeline.timeline),
-        "A good run is ready for an instant and tracking to its end. Crosses are faults, triangles"
-        " are limits reached for the first time. What lasts an instant is drawn wider.",
+        "Events over time", "timeline", "Modes of controller and plant", _of_run(timeline.timeline),
+        "A good run is ready for a moment, then tracking until its end. Crosses are faults,"
+        " triangles are limits reached for the first time. Very short modes are drawn wider.",
         is_over_time=True,
     ),
     *_errors("Tracking error", "error-in-funnel", "error-first-second"),
     _over_time(
         "Control", "transformed-error", "Transformed error ε", _of_run(joints.transformed_error),
-        "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
-        " quarters of the way where the bounds are symmetric. As the controller saw it.",
+        "Zero is perfect tracking, and ε grows without limit towards a bound: with symmetric"
+        " bounds, ±1 is about three quarters of the way. Values of the controller.",
     ),
     _over_time(
         "Control", "torques", "Commanded torque", _of_run(joints.torques),
-        "A solid block of colour is chatter. Dotted: limits of actuators that come near them.",
+        "A solid block of colour is chatter. Dotted: limits of the actuators, if the torque"
+        " comes near them.",
     ),
     _tip_path("Motion", "tip-path"),
     _over_time(
         "Motion", "tip-error", "Error of the end effector", _of_run(space.tip_error),
-        "True minus reference position in the base frame, scaled to the steady state.",
+        "True minus reference position in the base frame, on a scale that fits the steady state.",
     ),
     Panel(
-        "Motion", "arm-motion", "The arm along its run", _of_run(space.arm_motion),
-        "From joint to joint, at the instant that the bar at the foot of the page shows. Grey: on"
-        " the reference. Drag to turn, scroll to zoom.",
+        "Motion", "arm-motion", "The arm during the run", _of_run(space.arm_motion),
+        "Lines from joint to joint, at the time that the bar at the bottom of the page shows."
+        " Grey: the arm on its reference. Drag to turn, scroll to zoom.",
     ),
     Panel(
         "Motion", "arm", "The arm", _of_run(arm_pictures),
-        "At the start, in the middle and at the end of the run, by one camera.",
+        "At the start, in the middle and at the end of the run, from the same camera.",
         is_drawn_beside=True,
     ),
     _NETWORK_OUTPUT,
     Panel(
-        "What was learned", "learned-values", "Believed at the end, and true",
+        "What was learned", "learned-values", "Identified at the end, and true",
         _of_run(learned.learned_values),
-        "What delay compensation believed of the arm, beside what the scenario gives it. Where the"
-        " motion hardly excites the difference between inertia factor and payload, one stands in"
-        " for the other, and only both together are right.",
+        "Values that delay compensation identified, and those of the scenario. If the motion"
+        " hardly distinguishes inertia factor and payload, one can replace the other, and only"
+        " both together are correct.",
     ),
     *(
         _over_time("What was learned", name, title,
                    _of_run(partial(learned.learned_over_time, key=key)), caption)
         for key, name, title, caption in (
             ("inertia_factor", "learned-inertia", "Inertia factor 1 + α",
-             "Masses and inertias over those of the nominal model. Grey, in all these figures:"
-             " the truth."),
+             "Masses and inertias, relative to the nominal model. Grey lines in these figures"
+             " are the true values."),
             ("payload_kg", "learned-payload", "Payload",
-             "A point mass at the tip that the nominal model does not have."),
+             "A point mass at the tip that is not in the nominal model."),
             ("lag_ms", "learned-lag", "Lag of the actuators",
-             "Time constant from the torque asked for to the torque delivered; at most 8 ms are"
-             " believed."),
+             "Time constant from commanded to delivered torque; the identification is limited"
+             " to 8 ms."),
             ("coulomb_nm", "learned-coulomb", "Coulomb friction",
-             "What brakes a moving joint whatever its speed. Torques that change their sign with"
-             " the velocity for other reasons are taken for it, too."),
+             "Torque against the motion that does not depend on speed. Other torques that"
+             " change their sign with the velocity are included."),
             ("viscous_nm_s", "learned-viscous", "Viscous friction",
-             "What brakes a joint in proportion to its speed."),
+             "Torque against the motion in proportion to speed."),
         )
     ),
     Panel(
@@ -143,20 +143,20 @@ RUN_PANELS: list[RunsPanel] = [
     ),
     _over_time(
         "Timing", "deadline-misses", "Missed deadlines", _of_run(timeline.deadline_misses),
-        "Share of the ticks at which the torque in force answered a state that was too old. A full"
-        " block is a link that is slower than the deadline allows.",
+        "Share of the ticks at which the torque in force answered a state that was too old. A"
+        " full block means that the link is slower than the deadline.",
     ),
     Panel(
-        "The link beside its trace", "trace-percentiles", "Delays by percentile",
+        "The link compared with its trace", "trace-percentiles", "Delays by percentile",
         _of_run(link.trace_percentiles),
-        "Solid: what the channel did to this run's messages. Dashed: the whole trace. A short run"
-        " sees a part of its trace, and messages that wait for each other are delayed longer.",
+        "Solid: delays of this run's messages. Dashed: the whole trace. A short run uses a part"
+        " of its trace, and messages that wait for each other have longer delays.",
     ),
     Panel(
-        "The link beside its trace", "trace-autocorrelation", "Autocorrelation of the delay",
+        "The link compared with its trace", "trace-autocorrelation", "Autocorrelation of the delay",
         _of_run(link.trace_autocorrelation),
-        "How much the delay of a message says of the delay of a later one. Independent draws fall"
-        " to zero at once; slow waves of a network do not.",
+        "Correlation of the delays of two messages, over the time between them. Independent"
+        " delays fall to zero at once; slow changes of a network do not.",
     ),
 ]  # fmt: skip
 """The figures of a run, in order; another one is another entry."""
@@ -165,23 +165,23 @@ _RUNS_PANELS: list[RunsPanel] = [
     _bars("Precision", "rms", quantities.RMS_ERROR),
     Panel(
         "Precision", "settling", "Settling time", several_runs.settling,
-        "When the error entered the bounds' steady state to stay. A stroke across, for laws that"
-        " have one: the bound on the settling time that follows from gains and inertia, whatever"
-        " the start. A missing bar is a joint that never settled.",
+        "Time from which the error stays within the final bounds. The horizontal mark is the"
+        " theoretical bound on the settling time for any start, if the law has one. A missing"
+        " bar is a joint that never settled.",
     ),
     Panel(
-        "Precision", "settling-from-afar", "Settling time from near and far",
+        "Precision", "settling-from-afar", "Settling time over the initial offset",
         several_runs.settling_from_afar,
-        "The scenario from other starts: all joints off by as much. Dotted: the one bound that"
-        " holds for every start, for laws that have one. A hollow circle left its funnel on"
-        " the way; a cross at the top did not settle while it was watched.",
+        "The scenario with other starts: the same initial offset for all joints. Dotted: the"
+        " theoretical bound for every start, if the law has one. A hollow circle: the arm left"
+        " its funnel. A cross at the top: the arm did not settle in the observed time.",
     ),
     *_errors("Joint errors", "errors", "errors-first-second"),
     _over_time(
-        "Joint errors", "positions-apart", "How far positions are from those of the first run",
+        "Joint errors", "positions-apart", "Difference of positions from the first run",
         joints.positions_apart,
-        "At the same instant, on a logarithmic scale. Where a line is missing, the runs have the"
-        " same bits.",
+        "At the same time, on a logarithmic scale. Where a line is missing, the runs are"
+        " bit-identical.",
     ),
     _tip_path("End effector", "tip-paths"),
     _over_time(
@@ -191,17 +191,18 @@ _RUNS_PANELS: list[RunsPanel] = [
     ),
     Panel(
         "Torque", "torques", "Commanded torques", joints.torques_side_by_side,
-        "One column per run, one scale along each row. A thin line is smooth; a solid block of"
-        " colour is chatter.",
+        "One column per run, one scale per row. A thin line is smooth; a solid block of colour"
+        " is chatter.",
     ),
     _bars("Chattering", "total-variation", quantities.TOTAL_VARIATION,
-          "How far the torque travels up and down in a second. "),
+          "Sum of all torque changes per second. "),
     _bars("Chattering", "chatter-share", quantities.SHARE_ABOVE_50_HZ,
-          "Of the energy of the torque without its mean. The arm is asked for nothing that fast. "),
+          "Share of the energy of the torque without its mean. The reference needs no such"
+          " frequencies. "),
     Panel(
         "Chattering", "torque-spectra", "Torque by frequency", joints.torque_spectra,
-        "Amplitude in each hertz. To the right of the dotted line it counts as chatter; the"
-        " further down a line runs there, the kinder it is to gears.",
+        "Amplitude per hertz. To the right of the dotted line it counts as chatter: a low line"
+        " there means less wear of the gears.",
     ),
     _NETWORK_OUTPUT,
     *(
