@@ -166,8 +166,8 @@ class ControllerConfiguration(StrictModel):
     def _known(cls, law: str) -> str:
         if law not in LAWS and law != PROCESS and not is_custom(law):
             raise ValueError(
-                f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
-                f" program of your own{likely_law(law)}"
+                f"one of {', '.join(LAWS)}, module:Class for your own law, or {EXTERNAL} for your"
+                f" own program{likely_law(law)}"
             )
         return law
 
@@ -183,7 +183,7 @@ class ControllerConfiguration(StrictModel):
     @classmethod
     def _is_there(cls, process: Any, info: ValidationInfo) -> Any:
         if process is None and info.data.get("law") == PROCESS:
-            raise ValueError(f"a program and its arguments, as controller.law is {PROCESS}")
+            raise ValueError(f"a program and its arguments if controller.law is {PROCESS}")
         return process
 
     @field_validator("torque_rate_limit_nm_s", "delay_compensation", "every", "inference_ms")
@@ -192,7 +192,7 @@ class ControllerConfiguration(StrictModel):
         is_default = value == cls.model_fields[str(info.field_name)].default
         is_off = is_default or not getattr(value, "enabled", True)
         if not is_off and info.data.get("law") == PROCESS:
-            raise ValueError("left out or off: controller.process has its own, if any")
+            raise ValueError("left out or off: it does not apply to controller.process")
         return value
 
     @property
@@ -229,7 +229,7 @@ class ControllerConfiguration(StrictModel):
             ConfigurationError: a user's law cannot be created, or the controller is a process.
         """
         if self.law == PROCESS:
-            allowed = "must be the name of a law: a process is there in `run` and studies alone"
+            allowed = "must be the name of a law: only `run` and studies start a process"
             raise ConfigurationError("controller.law", self.law, allowed)
         if self.law == EXTERNAL:
             if are_left_out():

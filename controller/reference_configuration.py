@@ -164,7 +164,9 @@ class CsvConfiguration(_Timed):
         if self.beyond == "refuse":
             return ThroughRows(times, rows, warnings=warnings, known_s=(times[0], times[-1]))
         if found.moves_at_an_end():
-            warnings += (f"{self.file}: moves in its first or last row, and is held at rest there",)
+            warnings += (
+                f"{self.file}: has a velocity in its first or last row, but the arm rests there",
+            )
         return ThroughRows(times, rows, warnings=warnings)
 
 

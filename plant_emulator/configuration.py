@@ -184,16 +184,16 @@ class ActuatorConfiguration(StrictModel):
     @model_validator(mode="after")
     def _check(self) -> ActuatorConfiguration:
         if self.current_loop_hz is not None and self.lag_ms:
-            raise ValueError("with lag_ms or current_loop_hz, not both: they are the same")
+            raise ValueError("with lag_ms or current_loop_hz, not both: they have the same meaning")
         if self.rated_speed_rad_s is not None and self.no_load_speed_rad_s is None:
-            raise ValueError("with no_load_speed_rad_s where rated_speed_rad_s is given")
+            raise ValueError("with no_load_speed_rad_s if rated_speed_rad_s is given")
         has_stiffness, has_resonance = (
             each is not None for each in (self.gear_stiffness_nm_rad, self.gear_resonance_hz)
         )
         if has_stiffness and has_resonance:
             raise ValueError("with gear_stiffness_nm_rad or gear_resonance_hz, not both")
         if self.gear_damping_nm_s.any() and not (has_stiffness or has_resonance):
-            raise ValueError("with gear_stiffness_nm_rad where gear_damping_nm_s is given")
+            raise ValueError("with gear_stiffness_nm_rad if gear_damping_nm_s is given")
         return self
 
     @property

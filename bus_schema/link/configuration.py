@@ -99,7 +99,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         protocol, address = endpoint.split("/", maxsplit=1)
         if security.enabled:
             if protocol not in ("tcp", "tls"):
-                raise ValueError("a tls/ or tcp/ endpoint where link.security.enabled is true")
+                raise ValueError("a tls/ or tcp/ endpoint if link.security.enabled is true")
             return f"tls/{address}"
         if protocol in ("tls", "quic"):
             raise ValueError("of another protocol, or link.security.enabled true")

@@ -51,15 +51,15 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
             continue
         if excess > _SLIGHT and not repair:
             raise RobotDescriptionError(
-                f"link {link} has principal moments of inertia"
-                f" {principal.tolist()}; none may be negative or exceed the"
-                " sum of the others (robot.repair: true raises the smaller ones until they do not)"
+                f"link {link} has principal moments of inertia {principal.tolist()}; none may be"
+                " negative or exceed the sum of the others (robot.repair: true raises the smaller"
+                " ones as far as necessary)"
             )
         if excess <= _ROUNDING:
             continue
         said.append(
-            f"the inertia of link {link} breaks the triangle rule by {100 * excess:.2g} %"
-            " of its largest moment: its smaller moments are raised until it does not"
+            f"the inertia of link {link} breaks the triangle rule by {100 * excess:.2g} % of its"
+            " largest moment: its smaller moments are raised as far as necessary"
         )
     return said
 
@@ -147,7 +147,7 @@ def check_moved_masses(root: ET.Element, moving: set[str]) -> None:
         name = joint.get("name", "")
         if name in moving and name not in heavy:
             raise RobotDescriptionError(
-                f"link {joint_ends(joint)[1]}, which joint {name} moves, has no inertia, nor has"
-                " any link fixed to it: give it an <inertial> with a mass, make the joint fixed, or"
+                f"link {joint_ends(joint)[1]}, which joint {name} moves, and the links fixed to it"
+                " have no inertia: give it an <inertial> with a mass, make the joint fixed, or"
                 " leave it out of robot.joints"
             )

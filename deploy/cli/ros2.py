@@ -85,7 +85,7 @@ def _require_nothing_else(texts: Mapping[Path, str]) -> None:
     for file, text in texts.items():
         if file.exists() and file.read_bytes() != text.encode():
             raise InputError(
-                f"{file}: is there already and differs from what would be written: must be moved"
+                f"{file}: exists and differs from the new file: must be moved"
                 " away, or give --overwrite or another --out"
             )
 

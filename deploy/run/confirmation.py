@@ -53,7 +53,7 @@ def check_confirmable(setup: Setup) -> None:
     if process is not None:
         raise ScenarioError(
             f"--confirm: {setup.origin.of('controller.process')}: controller.process ="
-            f" {list(process)!r}: must be left out, as the run is simulated again in one process"
+            f" {list(process)!r}: must be left out, because the run is repeated in one process"
         )
     others = other_physics(setup)
     for name, other in others.items():
@@ -64,7 +64,7 @@ def check_confirmable(setup: Setup) -> None:
             raise ScenarioError(f"--confirm: {name} cannot load this arm: {error}") from error
     if not others:
         raise ScenarioError(
-            "--confirm: no other physics is installed: pip install "
+            "--confirm: no other physics engine is installed: pip install "
             + " ".join(engine.distribution for engine in ENGINES.values())
         )
 
@@ -78,13 +78,13 @@ def check_repeatable(setup: Setup) -> None:
     scenario, source = setup.scenario, setup.origin
     if scenario.clock != "lockstep":
         raise ScenarioError(
-            f"--confirm: {source.of('clock')}: clock = {scenario.clock!r}: must be lockstep, as"
-            " only runs in virtual time are the same again"
+            f"--confirm: {source.of('clock')}: clock = {scenario.clock!r}: must be lockstep,"
+            " because only runs in virtual time can be repeated exactly"
         )
     if scenario.controller.process is not None or process_faults(scenario.faults):
         raise ScenarioError(
             f"--confirm: {source.of('faults')}: must be without controller.process and faults of"
-            " processes, as the run is simulated again in one process"
+            " processes, because the run is repeated in one process"
         )
 
 

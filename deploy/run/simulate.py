@@ -186,13 +186,13 @@ def require_simulable(setup: Setup) -> None:
     for fault in process_faults(setup.scenario.faults):
         if not setup.link_kind.simulates_process_faults:
             raise ScenarioError(
-                f"{source}: faults: kind = {fault.kind!r}: must be of another kind for"
-                " simulate over this link; run has processes"
+                f"{source}: faults: kind = {fault.kind!r}: is not possible in simulate over this"
+                " link; use run, which has processes"
             )
         if Role(fault.target) is not Role.CONTROLLER:
             raise ScenarioError(
-                f"{source}: faults: target = {fault.target!r}: must be controller for"
-                " simulate, which has no other process; run has"
+                f"{source}: faults: target = {fault.target!r}: must be controller in simulate,"
+                " which has no other process; use run"
             )
 
 

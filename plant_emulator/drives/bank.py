@@ -165,13 +165,13 @@ class DriveBank:
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
         is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
         if is_strange or len(frame.data) > _MOST_BYTES:
-            raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
+            raise InvalidMessageError("no_classical_frame", f"drives do not use {frame}")
         understood = False
         for drive in self._drives:
             if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
-            raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+            raise InvalidMessageError("unknown_identifier", f"no drive receives {frame}")
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:

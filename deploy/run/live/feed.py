@@ -199,14 +199,14 @@ def _bound(name: str) -> tuple[socket.socket, Path]:
             _make_private(folder)
             _clear(folder)
             return _bound_in(folder, name)
-    raise FileNotFoundError(f"{folder}: is being removed again and again")
+    raise FileNotFoundError(f"{folder}: another program keeps removing it")
 
 
 def _make_private(folder: Path) -> None:
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise PermissionError(f"{folder}: is not a folder that only this user can enter")
+        raise PermissionError(f"{folder}: is not a folder that only this user can access")
 
 
 def _bound_in(folder: Path, name: str) -> tuple[socket.socket, Path]:

@@ -51,7 +51,7 @@ def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypa
     for words in COMMANDS.values():
         code, output = funnel_hil(*words, "--overwrite")
         assert code == 2
-        assert "--overwrite: must come with --out" in output
+        assert "--overwrite: needs --out" in output
     assert list(tmp_path.iterdir()) == []
 
 

@@ -32,7 +32,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
         ("0,1\n1,2\n", "line 1, column 1 '0' is unknown: the columns are time_s, delay_ms, and"),
         ("time,delay_ms\n0,1\n1,2\n", "line 1, column 1 'time' is unknown"),
         ("time_s,delay_ms,rtt\n0,1,2\n", "line 1, column 3 'rtt' is unknown"),
-        ("time_s,delay_ms,time_s\n0,1,2\n", "line 1, column 1 'time_s' is there twice"),
+        ("time_s,delay_ms,time_s\n0,1,2\n", "line 1, column 1 'time_s' occurs twice"),
         ("time_s\n0\n1\n", "line 1: column delay_ms is missing"),
         ("time_s,delay_ms\n0,1\n\n2,3\n1,2\n", "line 5, column time_s = 1: must not be earlier"),
         ("time_s,delay_ms\n0,1\n,2\n", "line 3, column time_s = empty: must be a finite number"),
@@ -44,7 +44,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
         ("time_s,delay_ms,lost\n0,1,0\n1,,0\n", "line 3, column lost = 0: must be 1 where delay"),
         ("time_s,delay_ms,lost\n0,1,2\n1,2,0\n", "line 2, column lost = 2: must be 0 or 1"),
         ("time_s,delay_ms\n0,1\n", "at least two rows"),
-        ("time_s,delay_ms\n0,\n1,\n", "some messages arrive"),
+        ("time_s,delay_ms\n0,\n1,\n", "some messages must arrive"),
         ("", "line 1, column 1 '' is unknown"),
     ],
 )

@@ -147,7 +147,7 @@ def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
     (folder / "pid" / "run.mcap").unlink()
     code, output = funnel_hil("report", folder)
     assert code == 2
-    assert "holds no run.mcap" in output
+    assert "has no run.mcap" in output
 
 
 def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, tmp_path):

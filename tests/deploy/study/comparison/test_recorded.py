@@ -256,10 +256,10 @@ def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
 @pytest.mark.parametrize(
     ("names", "said"),
     [
-        (["first"], "must be given two recorded runs or more"),
+        (["first"], "needs two recorded runs or more"),
         (["first", "first"], "is given twice"),
         (["first", "iiwa"], "must be the joints of"),
-        (["first", "nowhere"], "holds no run.mcap"),
+        (["first", "nowhere"], "has no run.mcap"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(names, said, folder, tmp_path, funnel_hil):
