@@ -99,7 +99,7 @@ def _prepare(root: ET.Element) -> None:
             )
         for name, text in element.attrib.items():
             if any(_NOT_FINITE.fullmatch(part) for part in text.split()):
-                raise RobotDescriptionError(f"{name} of {_shown(element)} is no finite number")
+                raise RobotDescriptionError(f"{name} of {_shown(element)} is not a finite number")
 
 
 def _one_element_a_line(root: ET.Element) -> str:

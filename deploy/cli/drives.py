@@ -146,14 +146,14 @@ class BusMonitor:
         self._bus.send(frame)
         self.sent += 1
         if self._verbose:
-            self._show("sent ", frame)
+            self._show("sent", frame)
 
     def on_heard(self, frame: CanFrame) -> None:
         """Report a frame that comes from the bus."""
         is_first = frame.identifier not in self._heard
         self._heard.add(frame.identifier)
         if self._verbose or (is_first and len(self._heard) <= _MOST_NAMED):
-            self._show("heard", frame)
+            self._show("received", frame)
         elif is_first and len(self._heard) == _MOST_NAMED + 1:
             self.print("more identifiers were received; --verbose shows them")
 
@@ -164,4 +164,4 @@ class BusMonitor:
     def _show(self, direction: str, frame: CanFrame) -> None:
         data = "remote" if frame.is_remote else frame.data.hex(" ")
         words = self.bank.describe(frame)
-        self.print(f"{direction} {frame.identifier:03X} {data:<23}  {words}")
+        self.print(f"{direction:8} {frame.identifier:03X} {data:<23}  {words}")

@@ -43,16 +43,19 @@ def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool)
     """Check that the law of a recording exists and may run."""
     law = data.setup.scenario.controller.law
     if data.setup.scenario.controller.process is not None:
-        raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
+        raise ScenarioError(
+            f"{run_dir}: {data.controller}: is not a law that funnel-hil can replay"
+        )
     if data.setup.link_kind.controller_leads and data.clock == "realtime":
         raise ScenarioError(
-            f"{run_dir}: cannot be replayed: in real time over {data.setup.link_kind.name} it is"
-            " not recorded which of the drives' states came too late for the law"
+            f"{run_dir}: cannot be replayed: a recording in real time over"
+            f" {data.setup.link_kind.name} does not show which of the drives' states came too late"
+            " for the law"
         )
     if is_custom(law) and not allow_custom_law:
         raise ScenarioError(
-            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
-            " which is code from wherever its module or program is found"
+            f"{run_dir}: controller.law = {law!r}: is not a shipped law; --allow-custom-law runs"
+            " the module or program of that name, which is code of the user"
         )
 
 
@@ -65,7 +68,7 @@ def _show(result: Replay, data: RunData, difference: str) -> None:
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
     if result.failure:
-        console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
+        console.print(f"the replay stopped early: {result.failure}", markup=False, highlight=False)
     if not result.is_identical:
         console.print(f"[bold red]different[/] from command {result.first_difference} on")
         if difference:

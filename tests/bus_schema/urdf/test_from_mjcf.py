@@ -185,7 +185,7 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
         (BODY.format('<joint name="j" type="ball"/>'), "joint j must be hinge or slide"),
         (BODY.format("<freejoint/>"), "body b has a free joint"),
         ("<equality><weld name='w'/></equality>", "<weld name='w'>: must be left out"),
-        ('<include file="x"/><worldbody/>', "<include file='x'> is not understood"),
+        ('<include file="x"/><worldbody/>', "<include file='x'> is not supported"),
         ("", "has no revolute, continuous or prismatic joint"),
         (BODY.format('<joint pos="0 nan 0"/>'), "<joint pos='0 nan 0'> is not a finite number"),
         (BODY.format(HINGE + '<geom mass="-NaN(7)"/>'), "mass of <geom mass='-NaN(7)'> is no"),
@@ -201,7 +201,7 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
         (BODY.format(HINGE) + "<actuator><adhesion name='a' body='b' ctrlrange='0 1'/></actuator>",
          "actuator 'a' must drive a joint"),
         (BODY.format(HINGE + '<joint name="k" type="slide"/>'),
-         "which joint j moves, has no inertia"),
+         "which joint j moves, and the links"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_taken_is_refused_with_file_and_element(

@@ -55,7 +55,7 @@ SET = [
     (DELAYS % "HERE/negative.txt", "", "negative.txt", "line 2: a delay is at least 0"),
     ("robot.urdf=HERE/jointless.urdf", "robot.urdf = ", "no revolute, continuous"),
     ("robot.urdf=HERE/half.urdf", "robot.urdf = ", "cannot be read as URDF"),
-    ("robot.urdf=HERE/model.urdf", "robot.urdf = ", "no URDF"),
+    ("robot.urdf=HERE/model.urdf", "robot.urdf = ", "is neither URDF nor MJCF"),
     *[(f"reference={{kind: minimum_jerk, waypoints: [{{time_s: 1, position_rad: 0}},"
        f" {{time_s: {time_s}, position_rad: 0}}]}}", "", "increasing time_s")
       for time_s in (1, 0.5)],
@@ -92,7 +92,7 @@ SET = [
             ({"distribution": "sign", "random_sign": True}, "random_sign"),
             ({"distribution": "normal"}, "distribution", "'normal'", "'choice'"))],
         ({"plant.payload_kg": UNIFORM, "plant.actuator.lag_ms, plant.payload_kg": UNIFORM},
-         "'plant.payload_kg'", "drawn once"),
+         "'plant.payload_kg'", "only once"),
         ({COULOMB: {**UNIFORM, "relative": STRIBECK}, STRIBECK: {**UNIFORM, "relative": COULOMB}},
          "a circle", COULOMB, STRIBECK))],
 ]  # fmt: skip
@@ -140,7 +140,7 @@ TOGETHER = [
     *[("paper_arm_mit", setting, said) for setting, said in (
         ("link.can.mit.torque_nm=[1, 2]", ONE_EACH),
         ("link.can.mit.reply_bytes=7", "link.can.mit.reply_bytes"),
-        ("link.can.mit.reply_identifier=2", "mit.reply_identifier = 2: must be none"),
+        ("link.can.mit.reply_identifier=2", "mit.reply_identifier = 2: must differ"),
         (f"{FEEDBACK} & link.can.mit.stiffness_nm_rad=500", "link.can.mit.stiffness_nm_rad = "),
         ("rate_hz=1000", "3 × (request 8 bytes + command 8 bytes + 2 replies of 8 bytes)"))],
     *[("openarm", setting, said) for setting, said in (
@@ -187,7 +187,7 @@ IMPOSSIBLE = [
     ("link.playout_ms", "-1", "-1", "greater than or equal to 0"),
     ("link.router_endpoint", "nowhere", "'nowhere'", "tcp/127.0.0.1:7451"),
     ("robot.urdf", "nowhere.urdf", "'nowhere.urdf'", "no such file"),
-    ("robot.initial_offset_rad", "[0, 0, -2]", "[0.0, 0.0, -2.0]", "opens to 1.5 rad"),
+    ("robot.initial_offset_rad", "[0, 0, -2]", "[0.0, 0.0, -2.0]", "whose bound is 1.5 rad"),
     ("robot.initial_offset_rad", "[9, 0, 0]", "[9.0, 0.0, 0.0]", "[-3.1, 3.1]"),
     ("robot.initial_offset_rad", "[0.1, 0.1]", "[0.1, 0.1]", ONE_EACH),
     ("funnel.final_rad", "1", "[1.0, 1.0, 1.0]", "must not exceed"),

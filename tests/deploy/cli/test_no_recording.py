@@ -47,8 +47,8 @@ def test_folder_that_is_not_there(funnel_hil, runs, command):
 def test_results_of_another_kind(funnel_hil, runs, name, what):
     code, said = funnel_hil("view", f"runs/{name}")
     assert code == 2
-    told = f"because it is not a run but {what}; funnel-hil report runs/{name} shows it"
-    assert said == f"error: runs/{name}: {told}\n"
+    told = f"has no run.mcap, because it is not a run but {what}"
+    assert said == f"error: runs/{name}: {told}; funnel-hil report runs/{name} shows it\n"
 
 
 def test_folder_of_a_run_without_its_recording(funnel_hil, runs):

@@ -118,7 +118,7 @@ def test_files_of_delays_are_read(tmp_path, text):
     [
         (b"", "holds no delay"),
         (b"delay_ms\n", "holds no delay"),
-        (b"1\ntwo\n", "line 2: 'two' is no number"),
+        (b"1\ntwo\n", "line 2: 'two' is not a number"),
         (b"1\n-2\n", "line 2: a delay is at least 0"),
         (b"nan\n", "line 1: a delay is at least 0"),
         (b"\xff\xfe", "cannot be read"),
@@ -131,7 +131,7 @@ def test_files_of_delays_are_read(tmp_path, text):
         (b"delay_ms,rtt_ms\n1,2\n", "line 1, column 2 'rtt_ms' is unknown"),
         (b"delay_ms,delay_ms\n1,2\n", "line 1, column 1 'delay_ms' occurs twice"),
         (b"time_s,delay_ms\n0,2\n\n1,\n", "line 4, column delay_ms = empty: a delay is at least 0"),
-        (b"time_s,delay_ms\n0,2\n1,two\n", "line 3, column delay_ms = 'two': is no number"),
+        (b"time_s,delay_ms\n0,2\n1,two\n", "line 3, column delay_ms = 'two': is not a number"),
         (b"time_s,delay_ms\n0,2\n1,2,5\n", "line 3 has 3 cells, the first line names 2 columns"),
     ],
     ids=[
