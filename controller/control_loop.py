@@ -157,7 +157,7 @@ class ControlLoop:
             self._target[:] = math.nan  # without targets, or the drives would follow the last one
         with contextlib.suppress(Exception):  # the bus may be the fault
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        self._change_mode(Trigger.STOPPED, "gives no more torques")
+        self._change_mode(Trigger.STOPPED, "sends no more torques")
         self._events.append((EventKind.FAULT, reason))
         self._release_law()
         with contextlib.suppress(Exception):
@@ -166,7 +166,7 @@ class ControlLoop:
     def end(self) -> dict[str, object]:
         """End the run; return the counts."""
         if self.mode in COMMANDABLE:
-            self._change_mode(Trigger.END, "gives no more torques")
+            self._change_mode(Trigger.END, "sends no more torques")
             self._release_law()
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,

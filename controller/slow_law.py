@@ -26,7 +26,7 @@ class AnswerTiming:
     Attributes:
         every: the law is asked at every so many states.
         inference_s: time from a question to its answer.
-        jitter_s: it varies by up to so much, uniformly.
+        jitter_s: random change of that time, uniform within ± this value.
         between: what targets do after an answer's last row: stay, or go on at their velocity.
         period_s: of the control loop; rows of a chunk are so far apart.
         seed: of the inference times drawn.

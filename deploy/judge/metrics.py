@@ -22,8 +22,8 @@ from deploy.judge.verdict import decide, with_verdict
 from deploy.scenario.setup import Setup
 
 UNAUTHENTICATED = (
-    "without link.security, one commander protects against mistakes, not against somebody who"
-    " copies the commander's id"
+    "without link.security, the check of the commander protects against mistakes, but not against"
+    " someone who copies the commander's id"
 )
 _SHORTEST_S = 1e-6
 _MOST_GAPS = 20

@@ -84,6 +84,6 @@ def _take(
             elif isinstance(value, Mapping):
                 _take(values.setdefault(name, {}), value, kind, place, notes)
             else:
-                raise TypeError("no mapping")
+                raise TypeError("not a mapping")
         except (TypeError, ValidationError):
             notes[f"{place} cannot be {repr(value)[:40]} and was left out"] = None

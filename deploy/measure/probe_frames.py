@@ -83,7 +83,7 @@ class FrameStream:
         while len(self._buffer) >= LEAST_BYTES:
             frame = ProbeFrame.decode(self._buffer)
             if frame is None:
-                raise ValueError("no frames of a link probe")
+                raise ValueError("not frames of a link probe")
             if len(self._buffer) < frame.size:
                 return
             self._buffer = self._buffer[frame.size :]

@@ -72,11 +72,14 @@ def write_trace(measured: Measured, file: Path) -> None:
     """
     sent_s, delays_ms = measured
     if len(sent_s) < 2 or measured.lost == len(sent_s):
-        raise ScenarioError(f"{file}: nothing to write: a trace has two messages, and one arrives")
+        raise ScenarioError(
+            f"{file}: nothing to write: a trace needs at least two messages, one of which arrives"
+        )
     least = float(np.nanmin(delays_ms))
     if least < 0.0:
         raise ScenarioError(
-            f"{file}: the least delay is {least:g} ms, as clocks differ: --least MS says what it is"
+            f"{file}: the smallest delay is {least:g} ms, because the clocks differ: give the true"
+            " smallest delay with --least MS"
         )
     times_s = np.round(sent_s - sent_s[0], 9)
     delays = [None if np.isnan(each) else round(each, 6) for each in delays_ms.tolist()]

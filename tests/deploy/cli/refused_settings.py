@@ -53,9 +53,9 @@ SET = [
     (DELAYS % "none.txt", "", "link.downlink.distribution_file = ", "none.txt", "cannot be read"),
     (DELAYS % "HERE/no_delays.txt", "", "no_delays.txt", "holds no delay"),
     (DELAYS % "HERE/negative.txt", "", "negative.txt", "line 2: a delay is at least 0"),
-    ("robot.urdf=HERE/jointless.urdf", "robot.urdf = ", "no revolute or continuous joint"),
+    ("robot.urdf=HERE/jointless.urdf", "robot.urdf = ", "no revolute, continuous"),
     ("robot.urdf=HERE/half.urdf", "robot.urdf = ", "cannot be read as URDF"),
-    ("robot.urdf=HERE/model.urdf", "robot.urdf = ", "no URDF"),
+    ("robot.urdf=HERE/model.urdf", "robot.urdf = ", "is neither URDF nor MJCF"),
     *[(f"reference={{kind: minimum_jerk, waypoints: [{{time_s: 1, position_rad: 0}},"
        f" {{time_s: {time_s}, position_rad: 0}}]}}", "", "increasing time_s")
       for time_s in (1, 0.5)],
@@ -84,7 +84,7 @@ SET = [
         ({"plant.payload": UNIFORM}, "uncertainty.plant.payload", "a key of the scenario"),
         ({"controller.law": UNIFORM}, "'controller.law'", "that has a number"),
         *[({"plant.payload_kg": draw}, *words) for draw, *words in (
-            ({**UNIFORM, "per": "joint"}, "per: joint", "one number for the arm"),
+            ({**UNIFORM, "per": "joint"}, "per: joint", "accepts one number"),
             ({**UNIFORM, "relative": "no.key"}, ".relative", "'no.key'"),
             ({**UNIFORM, "to": 1.0}, "from < to", "uniform"),
             ({"distribution": "log_uniform", "from": 0, "to": 1}, "from > 0"),
@@ -92,7 +92,7 @@ SET = [
             ({"distribution": "sign", "random_sign": True}, "random_sign"),
             ({"distribution": "normal"}, "distribution", "'normal'", "'choice'"))],
         ({"plant.payload_kg": UNIFORM, "plant.actuator.lag_ms, plant.payload_kg": UNIFORM},
-         "'plant.payload_kg'", "drawn once"),
+         "'plant.payload_kg'", "only once"),
         ({COULOMB: {**UNIFORM, "relative": STRIBECK}, STRIBECK: {**UNIFORM, "relative": COULOMB}},
          "a circle", COULOMB, STRIBECK))],
 ]  # fmt: skip
@@ -112,7 +112,7 @@ TOGETHER = [
         (f"{PROCESS} & controller.torque_rate_limit_nm_s=5", "controller.torque_rate_limit_nm_s"),
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
     *[("paper_arm_can", setting, said) for setting, said in (
-        ("link.can.interface=nope", "'nope': must be one that python-can knows"),
+        ("link.can.interface=nope", "'nope': must be an interface of python-can"),
         ("link.can.interface=pcan", "is its driver installed?"),
         ("link.can.interface=virtual", "'virtual': reaches no other process"),
         ("link.can.channel=10.0.0.1", "'10.0.0.1': must be a multicast address"),
@@ -128,7 +128,7 @@ TOGETHER = [
         ("link.uplink.jitter_ms=1", "link.uplink = {'jitter_ms': 1.0}: must be delay_ms alone"),
         ("link.downlink.loss=0.1", "link.downlink = {'loss': 0.1}: must be delay_ms alone"),
         ("link.playout_ms=9", "link.playout_ms = 9.0: must be left out"),
-        ("link.uplink.delay_ms=1 & clock=realtime", "must be without delays where clock is real"),
+        ("link.uplink.delay_ms=1 & clock=realtime", "must be without delays if clock is real"),
         ("link.downlink.delay_ms=1 & link.can.protocol=mit", "must be without delays with MIT"),
         (f"{FEEDBACK} & link.can.protocol=cansimple",
          "link.can.cansimple.input_torque_scale = 1000"),
@@ -141,7 +141,7 @@ TOGETHER = [
     *[("paper_arm_mit", setting, said) for setting, said in (
         ("link.can.mit.torque_nm=[1, 2]", ONE_EACH),
         ("link.can.mit.reply_bytes=7", "link.can.mit.reply_bytes"),
-        ("link.can.mit.reply_identifier=2", "mit.reply_identifier = 2: must be none"),
+        ("link.can.mit.reply_identifier=2", "mit.reply_identifier = 2: must differ"),
         (f"{FEEDBACK} & link.can.mit.stiffness_nm_rad=500", "link.can.mit.stiffness_nm_rad = "),
         ("rate_hz=1000", "3 × (request 8 bytes + command 8 bytes + 2 replies of 8 bytes)"))],
     *[("openarm", setting, said) for setting, said in (
@@ -149,9 +149,9 @@ TOGETHER = [
         ("link.can.damiao.motor=[DM4310, DM4340]", "one, or one for each of the 7 joints"),
         ("link.can.damiao.feedback_ids=[17, 18]", "one for each of the 7 joints"),
         ("link.can.damiao.feedback_ids=[17, 18, 18, 20, 21, 22, 23]", "more than once: [18]"),
-        ("link.can.damiao.feedback_ids=[17, 18, 19, 20, 21, 22, 258]", "commands go: the addresses,"
-         " those plus 0x100, 0x200 and 0x300, and 0x7FF; [258] are"),
-        ("link.can.node_ids=[1, 2, 3, 4, 5, 6, 17]", "[17] are"),
+        ("link.can.damiao.feedback_ids=[17, 18, 19, 20, 21, 22, 258]",
+         "(the addresses, those plus 0x100, 0x200 and 0x300, and 0x7FF); [258] do not"),
+        ("link.can.node_ids=[1, 2, 3, 4, 5, 6, 17]", "[17] do not"),
         ("rate_hz=1000", "3220 of data with stuffing = 1568 µs at 1000 kbit/s and 5000 kbit/s"),
         ("link.can.fd_process_data=false", "3780 µs at 1000 kbit/s"),
         (FEEDBACK, "stiffness_nm_rad of link.can.damiao.motor = [500.0"))],
@@ -188,7 +188,7 @@ IMPOSSIBLE = [
     ("link.playout_ms", "-1", "-1", "greater than or equal to 0"),
     ("link.router_endpoint", "nowhere", "'nowhere'", "tcp/127.0.0.1:7451"),
     ("robot.urdf", "nowhere.urdf", "'nowhere.urdf'", "no such file"),
-    ("robot.initial_offset_rad", "[0, 0, -2]", "[0.0, 0.0, -2.0]", "opens to 1.5 rad"),
+    ("robot.initial_offset_rad", "[0, 0, -2]", "[0.0, 0.0, -2.0]", "whose bound is 1.5 rad"),
     ("robot.initial_offset_rad", "[9, 0, 0]", "[9.0, 0.0, 0.0]", "[-3.1, 3.1]"),
     ("robot.initial_offset_rad", "[0.1, 0.1]", "[0.1, 0.1]", ONE_EACH),
     ("funnel.final_rad", "1", "[1.0, 1.0, 1.0]", "must not exceed"),

@@ -141,8 +141,8 @@ def test_where_the_arm_stood_before_any_tick_is_not_judged(setup: Setup) -> None
         assert summary["bounds"]["kept"] is False
         assert summary["bounds"]["violation_fraction"] is None
         verdict = verdict_on_run(run, summary)
-        assert verdict.headline == "Run faulted"
-        assert verdict.reasons[0] == "No tick was recorded, so there is nothing to judge."
+        assert verdict.headline == "Run ended by a fault"
+        assert verdict.reasons[0] == "No tick was recorded, so there is no verdict on the bounds."
 
 
 def test_tracking_counts_from_the_time_the_scenario_says(setup: Setup) -> None:
