@@ -24,6 +24,7 @@ from bus_schema.messages.rejections import Rejections
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import own_kernel
 from bus_schema.runtime.compiled import bind
 from bus_schema.runtime.finite import all_finite
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
@@ -173,7 +174,8 @@ class ControlLoop:
             self._release_law()
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
-            "limits": self._guard.counts.summary(),
+            "limits": self._guard.counts.summary(), "kernel": own_kernel(),
+            "newest_cycle_s": 1e-9 * self._status.cycle_started_ns,
         }  # fmt: skip
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()

@@ -11,6 +11,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.percentiles import percentiles
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
+from deploy.judge.link_delays import link_sentence
 from deploy.scenario.yaml_files import ScenarioError
 
 
@@ -29,22 +30,11 @@ class Measured(NamedTuple):
     def lost(self) -> int:
         return int(np.isnan(self.delays_ms).sum())
 
-    def summary(self) -> str:
+    def summary(self, reordered: int | None = None) -> str:
         """What was measured, in a line."""
         found = percentiles(self.delays_ms[~np.isnan(self.delays_ms)])
-        values = ", ".join(f"{name.replace('_', '.')} {value:.3f}" for name, value in found.items())
-        low, high = share_interval(self.lost, len(self.sent_s))
-        return (
-            f"{len(self.sent_s):,} messages in {np.ptp(self.sent_s):.1f} s, lost {self.lost}"
-            f" ({100 * low:.2g} to {100 * high:.2g} %), delay in ms: {values}"
-        )
-
-
-def share_interval(count: int, of: int) -> tuple[float, float]:
-    """Where a share lies with 95 % confidence, after Wilson."""
-    z2 = 1.96**2
-    centre, spread = count + z2 / 2, 1.96 * (count * (of - count) / of + z2 / 4) ** 0.5
-    return max(0.0, (centre - spread) / (of + z2)), min(1.0, (centre + spread) / (of + z2))
+        span_s = float(np.ptp(self.sent_s))
+        return link_sentence(len(self.sent_s), span_s, self.lost, found, reordered)
 
 
 def write_table(columns: Mapping[str, Any], file: Path, *, is_parquet: bool) -> None:
