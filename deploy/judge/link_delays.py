@@ -2,19 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Vector, percentiles
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.run_data import RunData, stamps_s
 
 
-def measured_delays_ms(run: RunData) -> dict[str, Vector]:
-    """Return one-way delays by direction, ms: of the bus, the emulated link and any real delay.
+class Measured(NamedTuple):
+    """The messages of one direction, in the order of sending.
+
+    Attributes:
+        sent_s: when each was sent, shape (messages,).
+        delays_ms: how long it took, NaN where it was lost; shape (messages,).
+    """
+
+    sent_s: Vector
+    delays_ms: Vector
+
+    @property
+    def lost(self) -> int:
+        return int(np.isnan(self.delays_ms).sum())
+
+    def summary(self, reordered: int | None = None) -> str:
+        """Return what was measured in a line; None for an unknown order."""
+        found = percentiles(self.delays_ms[~np.isnan(self.delays_ms)])
+        span_s = float(np.ptp(self.sent_s))
+        return link_sentence(len(self.sent_s), span_s, self.lost, found, reordered)
+
+
+def measured_link(run: RunData) -> dict[str, Measured]:
+    """Return the messages that arrived, by direction: over bus, emulated link and any real delay.
 
     An uplink delay lasts from the measurement to the start of the controller's cycle, a downlink
     delay from the end of that cycle to the command's arrival at the joints. Both are empty in
@@ -31,7 +53,7 @@ def measured_delays_ms(run: RunData) -> dict[str, Vector]:
     if run.clock != "realtime" or not (
         has_one_clock and np.array_equal(status["timing.cycle"], cycles)
     ):
-        return {"uplink": np.zeros(0), "downlink": np.zeros(0)}
+        return dict.fromkeys(("uplink", "downlink"), Measured(np.zeros(0), np.zeros(0)))
     periods_ns, stamps_ns = status["timing.period_ns"], 1e9 * stamps_s(status)
     newest_ns = 1e9 * (controller["newest_cycle_s"] - plant["start_s"])
     started_ns = newest_ns + np.cumsum(periods_ns) - periods_ns.sum()
@@ -39,10 +61,11 @@ def measured_delays_ms(run: RunData) -> dict[str, Vector]:
     of = np.searchsorted(status["sequence"], truth["command_sequence"][arrived])
     arrivals_ns = stamps_ns[of] + truth["round_trip_ns"][arrived]
     sent_ns = (started_ns + status["timing.step_ns"])[of]
+    up_ms = (started_ns - stamps_ns) / 1e6
+    down_ms = np.maximum(arrivals_ns - sent_ns, 0.0) / 1e6  # a cycle ends after sending
     return {
-        "uplink": (started_ns - stamps_ns) / 1e6,
-        "downlink": np.maximum(arrivals_ns - sent_ns, 0.0) / 1e6,  # the cycle ends after sending
-    }
+        "uplink": Measured(stamps_ns / 1e9, up_ms), "downlink": Measured(sent_ns / 1e9, down_ms)
+    }  # fmt: skip
 
 
 def link_sentence(

@@ -4,36 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Vector, percentiles
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
-from deploy.judge.link_delays import link_sentence
+from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
-
-
-class Measured(NamedTuple):
-    """The messages of one direction, in the order of sending.
-
-    Attributes:
-        sent_s: when each was sent, shape (messages,).
-        delays_ms: how long it took, NaN where it was lost; shape (messages,).
-    """
-
-    sent_s: Vector
-    delays_ms: Vector
-
-    @property
-    def lost(self) -> int:
-        return int(np.isnan(self.delays_ms).sum())
-
-    def summary(self, reordered: int | None = None) -> str:
-        """What was measured, in a line."""
-        found = percentiles(self.delays_ms[~np.isnan(self.delays_ms)])
-        span_s = float(np.ptp(self.sent_s))
-        return link_sentence(len(self.sent_s), span_s, self.lost, found, reordered)
 
 
 def write_table(columns: Mapping[str, Any], file: Path, *, is_parquet: bool) -> None:
