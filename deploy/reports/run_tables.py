@@ -33,6 +33,10 @@ _TRANSPORT = {
     "reordered": "Reordered",
     "delay_ms.mean": "Delay, mean (ms)",
     **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in PERCENTILE_NAMES.items()},
+    **{
+        f"measured_ms.{name}": f"Delay with the bus, {title} (ms)"
+        for name, title in PERCENTILE_NAMES.items()
+    },
 }
 
 
