@@ -21,7 +21,7 @@ import yaml
 from numpy.lib.recfunctions import repack_fields
 
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of
+from bus_schema.messages.types import stamp_of
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.runtime.modes import Mode
 from bus_schema.zenoh.session import Delivery, ZenohSession
