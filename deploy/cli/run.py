@@ -1,6 +1,6 @@
 """One run: `funnel-hil run` in three processes, `funnel-hil simulate` in this one.
 
-`run_and_simulate.py` does the work and loads the whole program. Help and errors need none of it, and
+`run_and_simulate.py` does the work and loads the whole program. Help and errors need none of it;
 `run` starts the fork server first, which loads the program at the same time.
 """
 
