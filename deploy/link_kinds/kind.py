@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from bus_schema.arrays import Vector
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, Registry
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import ControllerLink, PlantLink
-from bus_schema.registry import Registry
 from bus_schema.runtime.clock import Clock
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.plant_task import PlantTask

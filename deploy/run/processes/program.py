@@ -12,7 +12,7 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
 from deploy.run.processes.child import SILENT, ChildProcess, Failure
 from deploy.run.processes.role_process import CANNOT_START, start_program
