@@ -57,7 +57,7 @@ class CanKind(LinkKind[DrivenArm]):
     brings_plant_status = False
     controller_leads = True
     simulates_process_faults = False
-    no_link_faults = "without link.kind can, where link.can.faults says what befalls the bus"
+    no_link_faults = "without link.kind: can, for which link.can.faults has the faults of the bus"
 
     def check(self, run: LinkRun) -> None:
         can, robot = run.link.can, run.robot
@@ -179,7 +179,7 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
     """Check that messages are delayed at most, and only where time waits for them."""
     link, refusal = run.link, None
     if not run.lockstep:
-        refusal = "without delays where clock is realtime"
+        refusal = "without delays if clock is realtime"
     elif protocol.answers_torques:
         refusal = f"without delays with {protocol.title}, whose drives answer every frame"
     for name in ("uplink", "downlink"):

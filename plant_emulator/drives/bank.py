@@ -179,7 +179,7 @@ class DriveBank:
             if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
-            raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+            raise InvalidMessageError("unknown_identifier", f"no drive receives {frame}")
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:

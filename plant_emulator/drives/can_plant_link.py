@@ -137,7 +137,7 @@ class CanPlantLink(PlantLink):
                 # Nobody has waited for frames, or for too long none was read.
                 self._catch_up(clock)
         except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
-            self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
+            self._failure = f"frames are no longer processed: {type(error).__name__}: {error}"
             return clock.wait_until(instant_ns)
         self._lateness.note(late_ns, instant_ns + late_ns)
         return late_ns

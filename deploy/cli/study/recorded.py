@@ -53,9 +53,9 @@ def diff(
     overwrite: Overwrite = False,
     no_report: NoReport = False,
 ) -> None:
-    """Set recorded runs side by side: real time and lockstep, two laws, two versions.
+    """Compare recorded runs: real time and lockstep, two laws, two versions.
 
-    The first is what the others are held against. They may differ in everything but their joints.
+    All runs are compared with the first. They may differ in everything but their joints.
     """
     compared = recorded_runs(runs)
     with ResultFolder(new_folder(DIFF, out, overwrite=overwrite)).lock() as folder:
@@ -65,13 +65,12 @@ def diff(
 
 def report(
     run_dir: Annotated[
-        Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
+        Path, typer.Argument(help="Folder of a run, a comparison, a sweep or a margin study.")
     ],
 ) -> None:
-    """Judge what was recorded again: summary.json and report.html of what a folder holds.
+    """Evaluate recorded results again, and write summary.json and report.html.
 
-    A damaged recording is judged as far as it can be read, and
-    ends with exit code 1.
+    A damaged recording is evaluated as far as it can be read, with exit code 1.
     """
     console = Console()
     if read_summary(run_dir).get("kind") == KIND:  # its recordings are all that it needs
@@ -98,7 +97,7 @@ def report(
 def _show_diff(
     compared: RecordedRuns, folder: ResultFolder, console: Console, *, draws_report: bool = True
 ) -> None:
-    """Write summary and report, and show what came of it."""
+    """Write summary and report, and show the result."""
     write_diff_results(compared, folder, draws_report=draws_report)
     tables = [*recorded_joint_tables(compared), recorded_timing_table(compared)]
     tables += [recorded_table(compared)]

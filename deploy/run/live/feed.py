@@ -211,7 +211,7 @@ def _listening(name: str) -> tuple[socket.socket, Path]:
 def _require_private(folder: Path) -> None:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise PermissionError(f"{folder}: is not a folder that only this user can enter")
+        raise PermissionError(f"{folder}: is not a folder that only this user can access")
 
 
 def _listening_in(folder: Path, name: str) -> tuple[socket.socket, Path]:

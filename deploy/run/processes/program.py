@@ -33,8 +33,8 @@ def require_program(setup: Setup) -> None:
         with naming(setup.origin):
             raise ConfigurationError(
                 "controller.process", list(command),
-                f"must begin with a program that can be run; {command[0]!r} is none, from"
-                f" {Path.cwd()} or on the PATH",
+                f"must begin with an executable program; {command[0]!r} is none in {Path.cwd()}"
+                " or on the PATH",
             )  # fmt: skip
 
 
