@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
@@ -10,8 +12,53 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, fie
 from bus_schema.configuration import NonNegative, Positive, StrictModel, Whole
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
-from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
 from bus_schema.messages.topics import Role
+
+DEFAULT_FOLDER = "~/.config/funnel-hil/keys"
+
+
+@dataclass(frozen=True)
+class KeyFolder:
+    """The folder of keys and certificates: flat, with the same file names on every host.
+
+    A host needs ``authority.crt`` and the two files of each role it plays. The authority's own key
+    is needed to issue certificates, and belongs on no host that takes part in a run.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @staticmethod
+    def at(folder: str | Path) -> KeyFolder:
+        """Return the folder at this path; ``~`` is the user's home.
+
+        Raises:
+            FileNotFoundError: the user has no home.
+        """
+        try:
+            return KeyFolder(Path(folder).expanduser())
+        except RuntimeError as error:
+            raise FileNotFoundError(f"{folder}: {error}; use an absolute path") from error
+
+    @property
+    def authority(self) -> Path:
+        """Certificate of the authority that all peers trust."""
+        return self.path / "authority.crt"
+
+    @property
+    def authority_key(self) -> Path:
+        """Private key of the authority."""
+        return self.path / "authority.key"
+
+    def certificate(self, role: Role) -> Path:
+        """Certificate of a role."""
+        return self.path / f"{role}.crt"
+
+    def key(self, role: Role) -> Path:
+        """Private key of a role."""
+        return self.path / f"{role}.key"
 
 
 def _check_endpoint(text: str) -> str:
@@ -34,7 +81,7 @@ class SecurityConfiguration(StrictModel):
 
     Attributes:
         enabled: accept only peers with a certificate of the authority, each in its role.
-        folder: where keys and certificates lie (`funnel-hil keys`); absolute, or from ``~``.
+        folder: folder of keys and certificates (`funnel-hil keys`); absolute, or from ``~``.
     """
 
     enabled: bool = False
@@ -50,10 +97,10 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     Attributes:
         kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
-            joint states and torques on a CAN bus (telemetry still goes over Zenoh), or another one
-            of the table of kinds of links.
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh), or another
+            entry of `LINK_KINDS`.
         domain: ROS domain, the first part of every key.
-        security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
+        security: keys and certificates; if enabled, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
         router_endpoint: a Zenoh router that every process also connects to, so that ROS 2 nodes
@@ -99,7 +146,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         protocol, address = endpoint.split("/", maxsplit=1)
         if security.enabled:
             if protocol not in ("tcp", "tls"):
-                raise ValueError("a tls/ or tcp/ endpoint where link.security.enabled is true")
+                raise ValueError("a tls/ or tcp/ endpoint if link.security.enabled is true")
             return f"tls/{address}"
         if protocol in ("tls", "quic"):
             raise ValueError("of another protocol, or link.security.enabled true")

@@ -51,7 +51,7 @@ def difference_of_arithmetic(one: Mapping[str, Any], other: Mapping[str, Any]) -
     found = [f"{name} {a} and {b}" for name, a, b in pairs if a and b and a != b]
     if not found:
         return ""
-    return f"The arithmetic differs ({', '.join(found)}), which alone may change the last bits."
+    return f"The arithmetic differs ({', '.join(found)}), which may change the last bits."
 
 
 def _libm(manifest: Mapping[str, Any]) -> Any:

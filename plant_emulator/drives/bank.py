@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
-from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.rejections import Rejections
+from bus_schema.errors import InvalidMessageError, Rejections
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Loop, Send
 
@@ -180,7 +179,7 @@ class DriveBank:
             if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
-            raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+            raise InvalidMessageError("unknown_identifier", f"no drive receives {frame}")
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:

@@ -173,8 +173,8 @@ class DamiaoProtocol(MitProtocol):
         if twice := sorted({*taken, REGISTER_IDENTIFIER} & {*feedback_ids}):
             raise ConfigurationError(
                 "link.can.damiao.feedback_ids", list(feedback_ids),
-                "must be none of the identifiers to which commands go: the addresses, those plus"
-                f" 0x100, 0x200 and 0x300, and 0x7FF; {twice} are", ["link.can.node_ids"],
+                "must differ from the identifiers of commands (the addresses, those plus"
+                f" 0x100, 0x200 and 0x300, and 0x7FF); {twice} do not", ["link.can.node_ids"],
             )  # fmt: skip
         return node_ids
 

@@ -28,7 +28,7 @@ from tests.deploy.study.studies import (
 )
 
 IMPOSSIBLE = [
-    ({"link.uplink.delay": [1]}, {}, ["link.uplink.delay", "there is no such key"]),
+    ({"link.uplink.delay": [1]}, {}, ["link.uplink.delay", "unknown key"]),
     ({"link.uplink.delay_ms": [1, -1]}, {}, ["link.uplink.delay_ms", "-1", "greater than or eq"]),
     ({"controller.law": ["pid", "magic"]}, {}, ["controller.law", "'magic'", *LAWS]),
     ({TIED: []}, {}, [TIED, "[]", "a list of values"]),
@@ -40,7 +40,7 @@ IMPOSSIBLE = [
     ({TIED: [1]}, {"seeds": 0}, ["seeds", "0", "from 1"]),
     ({TIED: [1]}, {"seeds": [1, 1]}, ["seeds", "different"]),
     ({TIED: [1]}, {"scenario": "no_arm"}, ["no_arm", "paper_arm"]),
-    ({TIED: [1]}, {"grids": {}}, ["grids", "no such key"]),
+    ({TIED: [1]}, {"grids": {}}, ["grids", "unknown key"]),
 ]
 
 

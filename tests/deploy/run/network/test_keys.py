@@ -11,7 +11,7 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.run.network.keys import check_keys, common_name, create_authority, hosts_of, issue
 from deploy.scenario.scenario import load_setup
@@ -107,7 +107,12 @@ def from_elsewhere(keys: KeyFolder) -> None:
         (from_elsewhere, "plant.crt", "is not issued by", "keys issue plant"),
         (lambda k: k.key(Role.PLANT).chmod(0o604), "plant.key", "others may read it", "chmod 600"),
         (lambda k: k.key(Role.PLANT).chmod(0o640), "plant.key", "others may read it", "chmod 600"),
-        (lambda k: k.key(Role.PLANT).write_bytes(b"?"), "plant.key", "is no private key", "issue"),
+        (
+            lambda k: k.key(Role.PLANT).write_bytes(b"?"),
+            "plant.key",
+            "is not a PEM private key",
+            "issue",
+        ),
         (lambda k: k.certificate(Role.PLANT).write_bytes(b"?"), "plant.crt", "no cert", "issue"),
     ],
 )

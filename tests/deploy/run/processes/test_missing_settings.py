@@ -10,7 +10,7 @@ import subprocess
 import pytest
 from rich.console import Console
 
-from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.link.configuration import DEFAULT_FOLDER, KeyFolder
 from bus_schema.runtime import realtime
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
@@ -70,5 +70,5 @@ def test_user_without_a_name_or_a_home_gets_the_script_and_a_sentence(monkeypatc
     for name in ("HOME", "LOGNAME", "USER", "LNAME", "USERNAME"):
         monkeypatch.delenv(name, raising=False)
     assert f"realtime {os.getuid()}\n" in remedy()
-    with pytest.raises(FileNotFoundError, match="an absolute path does without"):
+    with pytest.raises(FileNotFoundError, match="use an absolute path"):
         KeyFolder.at(DEFAULT_FOLDER)
