@@ -142,9 +142,10 @@ def _over_socket_of(bus: can.BusABC, configuration: CanConfiguration) -> CanBus:
             frame = _frame(unpack_message(datagram, check=True))
         except Exception:  # noqa: BLE001 (the group may carry anything; msgpack raises anything)
             return None
-        # python-can takes anything that compares as a number.
+        # python-can takes anything that compares as a number. FD frames are passed on even where
+        # this node sends none: whoever gets them says so, as a real controller would by errors.
         has_types = type(frame.identifier) is int and all(type(flag) is bool for flag in frame[2:])
-        return frame if has_types and frame.is_fd <= configuration.fd else None
+        return frame if has_types else None
 
     try:
         receiver = socket.socket(fileno=os.dup(bus.fileno()))

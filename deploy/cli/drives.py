@@ -17,7 +17,7 @@ from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.cli.common import say_oddities
 from deploy.cli.options import Overrides, ScenarioArgument
-from deploy.link_kinds.can import may_have_others
+from deploy.link_kinds.can import check_drives, may_have_others
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.scenario import load_setup
@@ -56,9 +56,9 @@ def drives(
     """Emulate the arm's motor drives on a CAN bus, with simulated physics, for any driver code."""
     setup = load_setup(scenario, overrides or [])
     say_oddities(setup)
-    can = setup.scenario.link.can
+    can, plant = setup.scenario.link.can, setup.scenario.plant
     with naming(setup.origin):
-        node_ids = PROTOCOLS.build(can.protocol).node_ids(can, setup.robot.joints)
+        node_ids = check_drives(can, setup.robot, plant, takes_targets=False)
     try:
         plan = [parse_fault(text, node_ids) for text in faults or []]
     except ConfigurationError as error:

@@ -27,8 +27,8 @@ from deploy.run.network.real_delay import (
     real_delay,
 )
 from deploy.run.processes.program import require_program
-from deploy.run.processes.recorder import record_failures
 from deploy.run.processes.status import StatusMessage, StatusReporter
+from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder
 from deploy.run.simulate import require_simulable
 from deploy.run.stop_signals import on_stop

@@ -7,20 +7,22 @@ from contextlib import closing
 
 from bus_schema.can.protocol import PROTOCOLS, DriveProtocol
 from bus_schema.can.session import check_can_bus, open_can_bus
-from bus_schema.can.survey import ask_drives
+from bus_schema.can.survey import FORMAT, ask_drives
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
 from deploy.cli.findings import Finding
+from deploy.link_kinds.can import check_drives
 from deploy.scenario.setup import Setup
 
 _TOLERANCE = 1e-3
+_SILENT = "check its power, its wiring, its address, and whether it is set to CAN FD"
 
 
 def examine_rig(setup: Setup) -> list[Finding]:
     """Query every address on a scenario's bus, without enabling a drive or sending a torque."""
     can, robot = setup.scenario.link.can, setup.robot
     protocol = PROTOCOLS.build(can.protocol)
-    node_ids = protocol.node_ids(can, robot.joints)
+    node_ids = check_drives(can, robot, setup.scenario.plant, takes_targets=setup.drive.is_active)
     place = f"{can.interface} {can.resolved_channel}"
     try:
         check_can_bus(can)
@@ -28,12 +30,16 @@ def examine_rig(setup: Setup) -> list[Finding]:
     except ConfigurationError as error:
         return [Finding("bus", "missing", str(error), "no drive can be queried")]
     findings = [Finding("bus", "ok", f"{place} is up", "no drive can be queried")]
-    if not protocol.questions(can, node_ids[0]):
+    questions = protocol.questions(can, node_ids[0])
+    if not questions:
         what = f"{protocol.title} drives answer nothing but commands"
         return [*findings, Finding("drives", "limited", what, "they were not queried")]
     with closing(bus):
         found = ask_drives(bus, protocol, can, range(1, protocol.largest_node_id + 1))
-    expected = protocol.expected_answers(can, robot)
+    expected = [
+        {**wanted, FORMAT: float(questions[0].is_fd)}
+        for wanted in protocol.expected_answers(can, robot)
+    ]
     rows = zip(robot.joint_names, node_ids, expected, strict=True)
     findings += [_drive(name, node, found.get(node), wanted) for name, node, wanted in rows]
     return [*findings, _others(protocol, can, sorted(found.keys() - {*node_ids}))]
@@ -44,7 +50,7 @@ def _drive(
 ) -> Finding:
     name = f"{joint}, drive {node_id}"
     if found is None:
-        return Finding(name, "missing", "no answer", "check its power, its wiring and its address")
+        return Finding(name, "missing", "no answer", _SILENT)
     wrong = [
         f"{what} is {found[what]:g}, not {value:g}" if what in found else f"no answer about {what}"
         for what, value in wanted.items()

@@ -25,9 +25,11 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
 from bus_schema.messages.topics import Role
+from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
 from bus_schema.zenoh.link import open_telemetry
 from deploy.link_kinds.kind import LinkKind, LinkRun
+from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission
 from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
@@ -56,8 +58,7 @@ class CanKind(LinkKind[DrivenArm]):
     def check(self, run: LinkRun) -> None:
         can, robot = run.link.can, run.robot
         protocol = PROTOCOLS.build(can.protocol)
-        node_ids = protocol.node_ids(can, robot.joints)
-        _check_fd(can, protocol)
+        node_ids = check_drives(can, robot, run.plant, takes_targets=run.takes_targets)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
             raise ConfigurationError(
@@ -67,13 +68,11 @@ class CanKind(LinkKind[DrivenArm]):
             )  # fmt: skip
         check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_delays(run, protocol)
-        commission(can, robot, run.plant)
         for text in can.faults.drives:
             try:
                 parse_fault(text, node_ids)
             except ConfigurationError as error:
                 raise ConfigurationError("link.can.faults.drives", text, error.allowed) from error
-        protocol.check(can)
 
     def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:
         can = run.link.can
@@ -125,6 +124,21 @@ class CanKind(LinkKind[DrivenArm]):
         clock: Clock = VirtualClock() if run.lockstep else MonotonicClock()
         link = partial(CanControllerLink, _can_run(run), master, bus, clock, telemetry)
         return link(bus.leave_turns) if isinstance(bus, ExchangeNode) else link()
+
+
+def check_drives(
+    can: CanConfiguration, robot: RobotDescription, plant: PlantConfiguration, *,
+    takes_targets: bool,
+) -> tuple[int, ...]:  # fmt: skip
+    """Return the addresses of a scenario's drives, whatever its link is.
+
+    Raises:
+        ConfigurationError: the drives do not fit their protocol or the robot.
+    """
+    protocol = PROTOCOLS.build(can.protocol)
+    protocol.check(can, takes_targets=takes_targets)
+    _check_fd(can, protocol)
+    return tuple(each.node_id for each in commission(can, robot, plant))
 
 
 def _codec(run: LinkRun) -> CanCodec:

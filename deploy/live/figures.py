@@ -14,7 +14,6 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.reports.figure_json import no_template, with_template
 from deploy.reports.figures import style
 from deploy.reports.figures.space import show_in_space, skeletons
 from deploy.scenario.setup import Setup
@@ -30,9 +29,7 @@ WINDOW_S = 10.0
 def live_figures(setup: Setup) -> dict[str, Any]:
     """Return the figures by the id of their HTML element, as Plotly's JSON."""
     draw = {"error": _errors, "torque": _torques, "age": _ages, "arm": _arm}
-    with no_template():
-        figures = {name: each(setup) for name, each in draw.items()}
-    return {name: with_template(figure.to_plotly_json()) for name, figure in figures.items()}
+    return {name: style.with_template(each(setup).to_plotly_json()) for name, each in draw.items()}
 
 
 def _errors(setup: Setup) -> go.Figure:
@@ -59,17 +56,14 @@ def _rows(setup: Setup, unit: str, series: dict[str, go.Scatter]) -> go.Figure:
 
 def _ages(setup: Setup) -> go.Figure:
     """Return the figure of the age of the command in force, with its limit."""
-    figure = go.Figure()
+    figure = style.new_figure(220, "time (s)", "ms")
     figure.add_trace(_line().update(name="age", meta={"series": "age_ms"}))
     deadline_ms = _deadline_ms(setup)
     figure.add_hline(
         deadline_ms, line={**style.DOTTED, "color": style.ALARM}, annotation_text="deadline"
     )
     figure.add_hline(_HEADROOM * deadline_ms, opacity=0)  # for which the axis makes room
-    style.apply(figure, 220)
-    figure.update_xaxes(title_text="time (s)")
-    figure.update_yaxes(title_text="ms", rangemode="tozero")
-    return figure
+    return figure.update_yaxes(rangemode="tozero")
 
 
 def _deadline_ms(setup: Setup) -> float:
@@ -85,7 +79,7 @@ def _arm(setup: Setup) -> go.Figure:
         _in_space("reference", style.MUTED, 6).update(meta={"lines": "reference_arm"}),
         _in_space("arm", style.palette(0), 9).update(meta={"lines": "arm"}),
         _in_space("path of the tip", style.palette(1), 3).update(meta={"path": "arm"}),
-    ])  # fmt: skip
+    ], {"template": "none"})  # fmt: skip
     show_in_space(figure, _cube(setup), uirevision="arm")
     figure.update_layout(showlegend=True, margin={"t": 10})  # as high as its place on the page
     return figure

@@ -1,24 +1,33 @@
 """A gate: the numbers of a result that must not be small, or smaller than before.
 
 A study of margins is gated by each margin, a sweep, comparison or run by the smallest distance of
-an error to its bound, in percent of the bound.
+an error to its bound, in percent of the bound. It leaves JUnit XML, a table in Markdown, and a
+history over commits.
 """
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import time
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 from bus_schema.configuration import shown
+from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.verdict import Verdict
 from deploy.reports.study_texts import case_name, shown_value
 from deploy.run.run_folder import read_json
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.study import OF_BOUND
 
+_ENTRIES = "history.jsonl"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
 
 
@@ -47,6 +56,18 @@ class Gauged:
     def is_below(self, limit: float) -> bool:
         """Whether it does not reach a limit."""
         return self.value is None or self.sign * (self.value - limit) < 0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The result of a commit, and its numbers by name."""
+
+    commit: str
+    time: str
+    values: dict[str, float | None]
+
+
+_ENTRY = TypeAdapter(Entry)
 
 
 @dataclass(frozen=True)
@@ -105,7 +126,9 @@ def build_gate(at_least: str | None, baseline: Path | None, tolerance: str | Non
         raise ScenarioError(f"--tolerance {tolerance}: must have the unit of --at-least, {unit}")
     if allowed is not None and not allowed >= 0.0:
         raise ScenarioError(f"--tolerance {tolerance}: must be 0 or more")
-    found = [] if baseline is None else gauged(_read(baseline))
+    found = []
+    if baseline is not None:
+        found = gauged(read_json(baseline / "summary.json" if baseline.is_dir() else baseline))
     if baseline is not None and not found:
         raise ScenarioError(
             f"--baseline {baseline}: must be summary.json of a run or study, or its folder"
@@ -172,5 +195,110 @@ def _size(option: str, text: str | None) -> tuple[float | None, str]:
     return float(found[1]), found[2]
 
 
-def _read(path: Path) -> dict[str, Any]:
-    return read_json(path / "summary.json" if path.is_dir() else path)
+def write_junit(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
+    """Write a test case for each number, as CI services read it."""
+    suite = ET.Element(
+        "testsuite", name="funnel-hil", tests=str(len({*failures, *(each.name for each in found)})),
+        failures=str(len(failures)),
+    )  # fmt: skip
+    for name, text in _texts(found, failures).items():
+        case = ET.SubElement(suite, "testcase", classname="funnel-hil", name=name)
+        if name in failures:
+            ET.SubElement(case, "failure", message=failures[name])
+        ET.SubElement(case, "system-out").text = text
+    write_whole(file, ET.tostring(suite, encoding="unicode", xml_declaration=True))
+
+
+def write_markdown(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
+    """Write a table of the numbers."""
+    lines = ["| | found | |", "|---|---|---|"]
+    for name, text in _texts(found, failures).items():
+        result = failures[name].partition(": ")[2] if name in failures else "ok"
+        lines.append(f"| {name} | {text} | {result} |")
+    write_whole(file, "\n".join([*lines, ""]))
+
+
+def _texts(found: Sequence[Gauged], failures: Mapping[str, str]) -> dict[str, str]:
+    return dict.fromkeys(failures, "missing") | {each.name: each.text for each in found}
+
+
+def read_history(folder: Path) -> list[Entry]:
+    """Return earlier results, the oldest first.
+
+    Raises:
+        ScenarioError: a line of ``history.jsonl`` is not one of ours.
+    """
+    file, entries = folder / _ENTRIES, []
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    for number, line in enumerate(lines, 1):
+        try:
+            entries.append(_ENTRY.validate_json(line))
+        except ValidationError as error:
+            raise ScenarioError(
+                f"{file}, line {number}: must be an entry of this history (commit, time, values)"
+            ) from error
+    return entries
+
+
+def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) -> None:
+    """Write all entries, and the page that draws them."""
+    from deploy.reports.page import Fact, Page, Panel, write_page  # heavy
+    from deploy.reports.verdict import ReportHead
+
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = (f"{_ENTRY.dump_json(entry).decode()}\n" for entry in entries)
+    write_whole(folder / _ENTRIES, "".join(lines))
+    said = f"The last is of {entries[-1].commit}."
+    page = Page(
+        "history", name,
+        ReportHead("good", f"{len(entries)} results", [said]),
+        [Fact("Unit", unit or "none")],
+        [Panel("History", "history", f"{name} over commits", lambda all_: _figure(all_, unit),
+               "A gap is a result in which the bounds were never kept.")],
+        list(entries),
+    )  # fmt: skip
+    write_page(folder / "history.html", page)
+
+
+def _figure(entries: Sequence[Entry], unit: str) -> Any:
+    from deploy.reports.figures import style  # heavy
+
+    figure, places = style.new_figure(430, y_title=unit, legend=True), list(range(len(entries)))
+    names = dict.fromkeys(name for entry in entries for name in entry.values)
+    for index, name in enumerate(names):
+        figure.add_scatter(
+            x=places, y=[entry.values.get(name) for entry in entries], name=name,
+            mode="lines+markers", line={"color": style.palette(index)},
+        )  # fmt: skip
+    labels = [f"{entry.commit}<br>{entry.time[:10]}" for entry in entries]
+    figure.update_xaxes(tickvals=places, ticktext=labels)
+    return figure.update_yaxes(rangemode="tozero")
+
+
+def entry_of(found: Sequence[Gauged]) -> Entry:
+    """The entry of a result at this commit."""
+    values = {each.name: each.value for each in found}
+    return Entry(_commit(), time.strftime("%Y-%m-%dT%H:%M:%S%z"), values)
+
+
+def since_when(entries: Sequence[Entry], gauge: Gauged) -> str:
+    """What a number was when it was last better, and at which commit it fell; empty if never."""
+    known = [(entry.commit, entry.values.get(gauge.name)) for entry in entries]
+    for place in reversed(range(len(known))):
+        commit, value = known[place]
+        if value is not None and (gauge.value is None or gauge.is_below(value)):
+            fell = known[place + 1][0] if place + 1 < len(known) else _commit()
+            return f"; it was {value:.4g} at {commit}, and fell at {fell}"
+    return ""
+
+
+def _commit() -> str:
+    """The commit that is tested: of the CI service, or of the folder; "unknown" without."""
+    if sha := os.environ.get("GITHUB_SHA") or os.environ.get("CI_COMMIT_SHA"):
+        return sha[:8]
+    command = ["git", "rev-parse", "--short=8", "HEAD"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()

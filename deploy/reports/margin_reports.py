@@ -6,7 +6,7 @@ from typing import Any
 
 from deploy.reports import study_texts as texts
 from deploy.reports.figures import study_figures
-from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity, point_of
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
 from deploy.reports.page import Fact, Page, Panel
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict import ReportHead
@@ -40,7 +40,9 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
                  "The brakes hold the arm until the first command acts: no law can start with a"
                  " longer delay."),
         ],
-        panels=[panel for arm in arms for panel in _margin_panels(study, arm)],
+        panels=[
+            panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)
+        ],
         subject=study,
         points=[
             (_value_name(case, probe, summary), point, study.rerun(point))
@@ -56,32 +58,27 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
     best, *others = texts.sentences(summary)
-    values = ", ".join(texts.value_text(value, summary) for value in summary["values"])
+    explained = (
+        f"At this {summary['title']}, and at all smaller ones that were tried, at least {share} of"
+        " the plants kept their bounds. The interval is Wilson's."
+    )
     return Page(
         f"margins of {summary['quantity']} over uncertain plants",
         summary["name"],
-        verdict=ReportHead(
-            "mixed",
-            best,
-            [
-                *others,
-                f"At this {summary['title']}, and at all smaller ones that were tried, at least"
-                f" {share} of the plants kept their bounds. The interval is Wilson's.",
-            ],
-        ),
+        verdict=ReportHead("mixed", best, [*others, explained]),
         facts=[
             Fact("Plants", str(summary["plants"])),
             Fact("Plant seed", str(summary["plant_seed"])),
-            Fact("Values", values),
+            Fact("Values", ", ".join(texts.value_text(v, summary) for v in summary["values"])),
             _durations(summary),
         ],
         panels=[
             *(_curves_panel(
-                study, arm, "kept", f"Plants of {arm} that kept their bounds",
-                study_figures.PLANTS_KEPT,
+                summary, arm, own, "kept", study_figures.PLANTS_KEPT,
                 "Shares of all plants, with Wilson's 95 % intervals as shades. Click on a point"
-                " for the command that repeats its worst plant.")
-              for arm in _cases_by_arm(summary)),
+                " for the command that repeats its worst plant.",
+                f"Plants of {arm} that kept their bounds")
+              for arm, own in _cases_by_arm(summary).items()),
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
@@ -95,58 +92,52 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     )  # fmt: skip
 
 
-def _margin_panels(study: DrawnStudy, arm: str) -> list[Panel[DrawnStudy]]:
+def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Panel[DrawnStudy]]:
     return [
         Panel(
-            arm, f"margins-{arm}", f"Margins on {arm}", lambda study: _bars(study, arm),
+            arm, f"margins-{arm}", f"Margins on {arm}",
+            lambda study: study_figures.margin_bars(study, cases),
             "A taller bar is a larger margin. Click on it for the command that repeats the first"
             " failure, from the worst start. Dotted: the held-arm ceiling, beyond which no loop"
             " can start.",
             is_clickable=True,
         ),
         _curves_panel(
-            study, arm, "outside", study_figures.TICKS_OUTSIDE.title, study_figures.TICKS_OUTSIDE,
+            summary, arm, cases, "outside", study_figures.TICKS_OUTSIDE,
             "A law loses its bounds where its line leaves zero. Lines are means of all starts"
             " and seeds; shades reach from the best run to the worst.",
         ),
         _curves_panel(
-            study, arm, "rms", study_figures.WORST_RMS.title, study_figures.WORST_RMS,
+            summary, arm, cases, "rms", study_figures.WORST_RMS,
             "Error on a logarithmic scale, with the same shades.",
         ),
     ]  # fmt: skip
 
 
 def _curves_panel(
-    study: DrawnStudy, arm: str, name: str, title: str, quantity: StudyQuantity, caption: str
-) -> Panel[DrawnStudy]:
+    summary: Summary, arm: str, own: list[Summary], name: str, quantity: StudyQuantity,
+    caption: str, title: str = "",
+) -> Panel[DrawnStudy]:  # fmt: skip
     """A line for each case of an arm: laws by colour, or of one law its settings.
 
     Lines are dashed without compensation, and dash-dotted with feedback at the drives. Points
     of loops that already run are hollow.
     """
-    cases = study.summary["cases"]
-    laws = list(dict.fromkeys(case["law"] for case in cases))
-    settings = list(dict.fromkeys(map(texts.setting_text, cases)))
+    laws = list(dict.fromkeys(case["law"] for case in summary["cases"]))
+    settings = list(dict.fromkeys(map(texts.setting_text, summary["cases"])))
     lines = []
-    for case in _cases_by_arm(study.summary)[arm]:
+    for case in own:
         law, setting = laws.index(case["law"]), settings.index(texts.setting_text(case))
         dash = (case["compensation"] is False) + 2 * bool(case["drive_feedback"])
         tried = case["probes"] if "probes" in case else case["values"]
-        points = [
-            point_of(value["value"], value, _worst_point(value), study)
-            for value in tried
-            if value["runs"]
-        ]
+        points = [(runs["value"], runs) for runs in tried if runs["runs"]]
         colour = law if len(laws) > 1 else setting
         lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"]))
-    return study_figures.curves_panel(
-        arm, f"{name}-{arm}", title, lines, texts.value_title(study.summary), quantity, caption
-    )
-
-
-def _worst_point(tried: Summary) -> str:
-    """The point that fared worst at a value."""
-    return str(tried["worst_point"] if "worst_point" in tried else tried["worst_points"][0])
+    return Panel(
+        arm, f"{name}-{arm}", title or quantity.title,
+        lambda study: study_figures.curves(study, lines, texts.value_title(summary), quantity),
+        caption, is_clickable=True,
+    )  # fmt: skip
 
 
 def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
@@ -159,15 +150,6 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
         " lost plants had larger values of this quantity. Grey bars are within the range of"
         " chance.",
     )  # fmt: skip
-
-
-def _bars(study: DrawnStudy, arm: str) -> Any:
-    cases = _cases_by_arm(study.summary)[arm]
-    probes = [
-        texts.probe_at(c, c["first_failure"]) or texts.probe_at(c, c["margin"]) for c in cases
-    ]
-    reruns = [study.rerun(probe["worst_point"]) if probe else "" for probe in probes]
-    return study_figures.margin_bars(cases, reruns, texts.value_title(study.summary))
 
 
 def _value_name(case: Summary, tried: Summary, summary: Summary) -> str:

@@ -24,7 +24,7 @@ from plotly.offline import get_plotlyjs
 
 from bus_schema.arrays import Vector
 from bus_schema.recording.atomic_files import write_whole
-from deploy.reports.figure_json import figure_json, no_template, typed_array
+from deploy.reports.figures.style import figure_json, typed_array
 from deploy.reports.tables import Table
 from deploy.reports.verdict import ReportHead
 from deploy.run.stop_signals import end_if_asked
@@ -164,7 +164,7 @@ def write_page(path: Path, page: Page[T], *, shares_library: bool = False) -> No
     if shares_library:
         share_library(path.parent)
     address = library_address(path)
-    with ThreadPoolExecutor(max_workers=1) as beside, no_template():
+    with ThreadPoolExecutor(max_workers=1) as beside:
         packing = None if address else beside.submit(packed_library)  # a tenth of a second and more
         sections = _drawn(list(page.panels), page.subject)
         packed = "" if packing is None else packing.result()

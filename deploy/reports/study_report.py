@@ -5,13 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
-import plotly.graph_objects as go
-
 from deploy.reports.figures import study_figures
-from deploy.reports.figures.study_figures import Curve, DrawnStudy, Point, StudyQuantity, point_of
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, Runs, StudyQuantity
 from deploy.reports.margin_reports import margin_page, robustness_page
 from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
@@ -99,22 +96,17 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
             Fact("Scenario", summary["scenario"]),
             *([Fact("Plants", f"{summary['plants']}")] if summary["plants"] else []),
         ],
-        panels=[*_curve_panels(study), *_heat_map_panels(study)],
+        panels=[*_curve_panels(summary), *_heat_map_panels(summary)],
         subject=study,
         points=[
-            (
-                _given(summary, point, every) or "all",
-                point["worst_point"],
-                study.rerun(point["worst_point"]),
-            )
+            (_given(summary, point, every) or "all", point["worst_point"], study.rerun_worst(point))
             for point in points
         ],
     )
 
 
-def _curve_panels(study: DrawnStudy) -> list[Panel[DrawnStudy]]:
+def _curve_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
     """Every quantity over the numeric key with the most values, a line for each of the others."""
-    summary = study.summary
     order = _by_size(summary)
     if not order:
         return []
@@ -129,55 +121,54 @@ def _curve_panels(study: DrawnStudy) -> list[Panel[DrawnStudy]]:
     if len(lines) > _MOST_CURVES:
         caption += f" {_MOST_CURVES} of {len(lines)} lines are drawn; all points are in the table."
     shown = [
-        Curve(name, index % 7, index // 7,
-              [point_of(p["values"][x], p, p["worst_point"], study) for p in points])
+        Curve(name, index % 7, index // 7, [(runs["values"][x], runs) for runs in points])
         for index, (name, points) in enumerate(itertools.islice(lines.items(), _MOST_CURVES))
-    ]  # fmt: skip
-    return [
-        study_figures.curves_panel(
-            "Curves", f"curve-{quantity.key}", quantity.title, shown, _title(summary["axes"][x]),
-            quantity, caption,
-        )
-        for quantity in _quantities(summary)
-    ]  # fmt: skip
+    ]
+    x_title = _title(summary["axes"][x])
+
+    def panel(quantity: StudyQuantity) -> Panel[DrawnStudy]:
+        return Panel(
+            "Curves", f"curve-{quantity.key}", quantity.title,
+            lambda study: study_figures.curves(study, shown, x_title, quantity),
+            caption, is_clickable=True,
+        )  # fmt: skip
+
+    return list(map(panel, _quantities(summary)))
 
 
-def _heat_map_panels(study: DrawnStudy) -> list[Panel[DrawnStudy]]:
+def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
     """Every quantity over the two keys with the most values, a map for each of the others."""
-    summary = study.summary
     order = _by_size(summary)[:2]
     if len(order) < 2:
         return []
     others = [axis for axis in range(len(summary["axes"])) if axis not in order]
     combinations = itertools.product(*(summary["axes"][axis]["values"] for axis in others))
-    x, y = (summary["axes"][axis] for axis in order)
+    x, y = ((_title(summary["axes"][axis]), summary["axes"][axis]["values"]) for axis in order)
 
-    def places(chosen: tuple[Any, ...]) -> list[list[Point | None]]:
+    def places(chosen: tuple[Any, ...]) -> list[list[Runs | None]]:
         """The points of a map, a row per value of `y`."""
         found = {
             tuple(point["values"][axis] for axis in order): point
             for point in summary["points"]
             if chosen == tuple(point["values"][axis] for axis in others)
         }
-        rows = ((found.get((a, b)) for a in x["values"]) for b in y["values"])
-        return [[p and point_of(None, p, p["worst_point"], study) for p in row] for row in rows]
+        return [[found.get((a, b)) for a in x[1]] for b in y[1]]
 
-    def draw(
-        _study: DrawnStudy, rows: list[list[Point | None]], quantity: StudyQuantity
-    ) -> go.Figure:
-        return study_figures.heat_map(
-            (_title(x), x["values"]), (_title(y), y["values"]), rows, quantity
-        )
+    def panel(index: int, chosen: tuple[Any, ...], quantity: StudyQuantity) -> Panel[DrawnStudy]:
+        worse_or_better = "worse" if quantity.more_is_worse else "better"
+        return Panel(
+            "Heat maps", f"field-{quantity.key}-{index}",
+            " · ".join([quantity.title, *_named(summary, others, chosen)]),
+            lambda study: study_figures.heat_map(study, x, y, places(chosen), quantity),
+            f"Means over all runs; the darker, the {worse_or_better}.",
+            is_clickable=True,
+        )  # fmt: skip
 
     return [
-        Panel("Heat maps", f"field-{quantity.key}-{index}",
-              " · ".join([quantity.title, *_named(summary, others, chosen)]),
-              partial(draw, rows=places(chosen), quantity=quantity),
-              "Means over all runs; the darker, the "
-              f"{'worse' if quantity.more_is_worse else 'better'}.", is_clickable=True)
+        panel(index, chosen, quantity)
         for index, chosen in enumerate(itertools.islice(combinations, _MOST_HEAT_MAPS))
         for quantity in _quantities(summary)
-    ]  # fmt: skip
+    ]
 
 
 def _quantities(summary: Summary) -> list[StudyQuantity]:

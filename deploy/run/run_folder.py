@@ -25,7 +25,7 @@ from controller.laws.custom import custom_laws_left_out
 from deploy.judge.arithmetic import libm_fingerprint
 from deploy.judge.run_data import RunData, build_run_data
 from deploy.run.new_folder import FolderLock, missing_recording, new_folder
-from deploy.run.processes.recorder import (
+from deploy.run.recording import (
     DAMAGING,
     DATA_ATTACHMENTS,
     FAILURES_METADATA,

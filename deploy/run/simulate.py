@@ -18,8 +18,7 @@ from bus_schema.messages.topics import JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
 from deploy.judge.run_data import RunData, build_run_data
-from deploy.run.processes.logged_view import LoggedView
-from deploy.run.processes.recorder import close_log, open_log
+from deploy.run.recording import LoggedView, close_log, open_log
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.faults.process_faults import ProcessAction, process_actions, process_faults

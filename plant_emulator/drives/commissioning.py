@@ -55,6 +55,7 @@ def commission(
             node_id=node_id,
             rated_torque_nm=float(rated[joint]),
             max_torque_nm=float(largest[joint]),
+            max_velocity_rad_s=float(robot.velocity_limits_rad_s[joint]),
             counts_per_turn=can.counts_per_turn,
             lower_rad=float(robot.lower_rad[joint]),
             upper_rad=float(robot.upper_rad[joint]),

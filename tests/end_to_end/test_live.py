@@ -10,6 +10,7 @@ import socket
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -60,17 +61,16 @@ def source_of(page: str) -> str:
 
 
 @LINUX
-def test_a_viewer_that_is_flooded_and_frozen_changes_nothing(tmp_path: Path) -> None:
+def test_flood_of_packets_and_frozen_viewer_change_nothing(tmp_path: Path) -> None:
     with started("run", "paper_arm", "--live", *LONG, out=tmp_path / "run") as run:
         first_frame(page_of(run.process))
-        pids = processes_of(run.folder)
-        places = [*sockets_of(pids["viewer"]), *sockets_of(pids["recorder"])]
-        assert len(places) == 2
-        stranger = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        stranger.settimeout(HANG_S)
-        for size in range(0, 3000, 100):
-            for place in places:
-                stranger.sendto(bytes([size % 251]) * size, str(place))
+        places = sockets_of(processes_of(run.folder)["recorder"])
+        stranger = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        stranger.connect(str(*places))
+        stranger.setblocking(False)
+        with suppress(BlockingIOError):  # nobody reads it
+            for size in range(1, 3000):
+                stranger.send(bytes([size % 251]) * size)
         run.send(signal.SIGSTOP, "viewer")
         ended, come_s = run.end_later(number=signal.SIGTERM)
     assert (ended.code, ended.summary["faults"]) == (130, []), ended.output

@@ -15,8 +15,8 @@ from deploy.judge.run_data import RunData, Table
 from deploy.judge.run_rows import Row, row
 from deploy.judge.time_series import SERIES, TRACKING, Columns, series
 from deploy.judge.verdict import Verdict, verdict_of
-from deploy.reports.figure_json import no_template, template
 from deploy.reports.figures.study_figures import DrawnStudy
+from deploy.reports.figures.style import template
 from deploy.reports.page import Panel
 from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
 from deploy.reports.study_report import page_of
@@ -51,9 +51,7 @@ class _Drawn:
         Raises:
             InputError: there is none of that name, or there is nothing to draw in it.
         """
-        panel = self._panels[_known(name, self.figure_names, "figure")]
-        with no_template():
-            figure = panel.draw(self._shown)
+        figure = self._panels[_known(name, self.figure_names, "figure")].draw(self._shown)
         if not isinstance(figure, go.Figure):
             raise InputError(f"figure {name!r}: there is nothing to draw")
         return figure.update_layout(template=template())

@@ -152,6 +152,7 @@ def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
         rows=len(names), cols=len(shown), shared_xaxes=True, shared_yaxes="rows",
         column_titles=[style.plain(run.law) for run in shown],
         horizontal_spacing=0.012, vertical_spacing=0.06 / max(1, len(names) / 3),
+        figure=style.new_figure(len(names) * _ROW_PX + 120),
     )  # fmt: skip
     for column, run in enumerate(shown, start=1):
         stroke = {"color": colour_of(runs, run.law), "width": 1}
@@ -159,7 +160,6 @@ def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
         for row, effort in enumerate(_efforts(run).T, start=1):
             x, y = style.decimate(times_s, effort, _TORQUE_POINTS)
             figure.add_scatter(x=x, y=y, mode="lines", line=stroke, row=row, col=column)
-    style.apply(figure, len(names) * _ROW_PX + 120)
     figure.update_layout(margin={"t": 64, "l": 84})
     figure.update_annotations(font={"size": _TITLES_PX / max(5, len(shown)), "color": style.INK})
     figure.update_xaxes(title_text="time (s)", row=len(names))

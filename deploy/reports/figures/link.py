@@ -18,32 +18,23 @@ _HEIGHT_PX = 380
 
 def trace_percentiles(run: RunData) -> go.Figure | None:
     """Percentiles of the delay in each direction with a trace; None where there is none."""
-    figure = _figure(run, "percentiles_ms", list(PERCENTS))
-    if figure is not None:
-        figure.update_xaxes(title_text="percentile")
-        figure.update_yaxes(title_text="delay (ms)", rangemode="tozero")
-    return figure
+    lines = list(_lines(run, "percentiles_ms", list(PERCENTS)))
+    if not lines:
+        return None
+    figure = style.new_figure(_HEIGHT_PX, "percentile", "delay (ms)", lines, legend=True)
+    return figure.update_yaxes(rangemode="tozero")
 
 
 def trace_autocorrelation(run: RunData) -> go.Figure | None:
     """How far delays resemble those of later messages; None where there is no trace."""
-    figure = _figure(run, "autocorrelation", None)
-    if figure is not None:
-        figure.update_xaxes(title_text="lag (s)", type="log")
-        figure.update_yaxes(title_text="autocorrelation")
-    return figure
-
-
-def _figure(run: RunData, key: str, places: list[float] | None) -> go.Figure | None:
-    lines = list(_lines(run, key, places))
+    lines = list(_lines(run, "autocorrelation"))
     if not lines:
         return None
-    figure = go.Figure(lines)
-    style.apply(figure, _HEIGHT_PX, legend=True)
-    return figure
+    figure = style.new_figure(_HEIGHT_PX, "lag (s)", "autocorrelation", lines, legend=True)
+    return figure.update_xaxes(type="log")
 
 
-def _lines(run: RunData, key: str, places: list[float] | None) -> Iterator[go.Scatter]:
+def _lines(run: RunData, key: str, places: list[float] | None = None) -> Iterator[go.Scatter]:
     counts = run.last_values(Role.PLANT, EventKind.COUNTS)
     for number, direction in enumerate(("uplink", "downlink")):
         curves = (counts.get(direction) or {}).get("curves", {})

@@ -23,7 +23,7 @@ _LEGEND_ROWS = 3  # which six laws take
 
 def joint_bars(comparison: ComparedRuns, quantity: JointQuantity) -> go.Figure | None:
     """One number of every joint in every run, as bars on a logarithmic scale."""
-    figure = go.Figure()
+    figure = style.new_figure(420, y_title=quantity.column.title)
     for run in comparison.runs:
         heights = [value or None for value in quantity.of_joints(run.summary)]
         figure.add_bar(
@@ -33,10 +33,8 @@ def joint_bars(comparison: ComparedRuns, quantity: JointQuantity) -> go.Figure |
         )  # fmt: skip
     if not any(height for bars in figure.data for height in bars.y):
         return None
-    style.apply(figure, 420)
     add_legend(figure)
     figure.update_layout(barmode="group", bargap=0.25, bargroupgap=0.08)
-    figure.update_yaxes(title_text=quantity.column.title)
     style.log_axis(figure, ticks=4)
     return figure
 
@@ -111,7 +109,7 @@ def settling_from_afar(comparison: ComparedRuns) -> go.Figure | None:
     """Settling time over the size of the initial error, and one bound for all of them."""
     if not comparison.settling:
         return None
-    figure = go.Figure()
+    figure = style.new_figure(460, "initial error of every joint (rad)", "settling time (s)")
     top_s = min(LONGEST_S, comparison.runs[0].data.setup.scenario.duration_s)
     for test in reversed(comparison.settling):  # the first law lies on top
         colour, group = colour_of(comparison, test.law), group_of(comparison, test.law)
@@ -133,13 +131,10 @@ def settling_from_afar(comparison: ComparedRuns) -> go.Figure | None:
                 line={"color": colour, "width": 1.6, "dash": "dot"},
                 hovertemplate="bound %{y:.3g} s",
             )  # fmt: skip
-    style.apply(figure, 460)
     add_legend(figure)
     figure.update_layout(legend={"traceorder": "reversed"})
-    figure.update_xaxes(
-        type="log", title_text="initial error of every joint (rad)", tickvals=distances
-    )
-    figure.update_yaxes(title_text="settling time (s)", rangemode="tozero")
+    figure.update_xaxes(type="log", tickvals=distances)
+    figure.update_yaxes(rangemode="tozero")
     return figure
 
 

@@ -70,12 +70,12 @@ def arm_motion(run: RunData) -> Motion | None:
     wanted = sample_positions(run.setup.reference, times_s, robot.joints)
     model = ManipulatorModel(robot)
     ghost, arm = (skeletons(model, each) for each in (wanted, truth["position"][shown]))
-    figure = go.Figure([
+    traces = [
         _in_space(ghost[0], "reference", "lines", line=_GHOST, opacity=0.35, hoverinfo="skip"),
         _in_space(arm[0], "true", "lines+markers", line={"color": style.palette(0), "width": 7},
                   marker={"size": 4, "color": style.INK}, hoverinfo="skip"),
-    ])  # fmt: skip
-    style.apply(figure, _HEIGHT_PX, legend=True)
+    ]  # fmt: skip
+    figure = style.new_figure(_HEIGHT_PX, traces=traces, legend=True)
     show_in_space(figure, np.concatenate([ghost, arm]))
     return Motion(figure, times_s, np.stack([ghost, arm], axis=1))
 
@@ -101,7 +101,7 @@ def tip_path(runs: ComparedRuns) -> go.Figure | None:
     is_alone = len(runs.runs) == 1
     colour, width = (style.MUTED, 9) if is_alone else ("#c3cad1", 12)
     reference = {"color": colour, "width": width}
-    figure = go.Figure()
+    figure = style.new_figure(_HEIGHT_PX if is_alone else 560, legend=True)
     for run in runs.drawn:
         _, actual, wanted = tip_positions(run.data)
         if not figure.data:
@@ -116,7 +116,6 @@ def tip_path(runs: ComparedRuns) -> go.Figure | None:
             figure.add_trace(_in_space(actual[-1:], "end", "markers", marker=end))
     if not figure.data:
         return None
-    style.apply(figure, _HEIGHT_PX if is_alone else 560, legend=True)
     points = np.hstack([[trace.x, trace.y, trace.z] for trace in figure.data]).T
     show_in_space(figure, points)
     return figure
@@ -128,13 +127,11 @@ def tip_error(run: RunData) -> go.Figure | None:
     if not len(times_s):
         return None
     errors = style.MM * (actual - wanted)
-    figure = go.Figure([
+    traces = (
         style.line(times_s, error, style.palette(index), axis)
         for index, (axis, error) in enumerate(zip("xyz", errors.T, strict=True))
-    ])  # fmt: skip
-    style.apply(figure, _HEIGHT_PX, legend=True)
-    figure.update_xaxes(title_text="time (s)")
-    figure.update_yaxes(title_text="mm")
+    )
+    figure = style.new_figure(_HEIGHT_PX, "time (s)", "mm", traces, legend=True)
     late = times_s >= run.setup.scenario.metrics.from_s
     if late.any():
         limit = _HEADROOM * max(np.abs(errors[late]).max(), 1e-6)

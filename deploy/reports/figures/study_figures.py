@@ -12,8 +12,13 @@ from typing import Any, NamedTuple
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
-from deploy.reports.page import Panel
-from deploy.reports.study_texts import margin_figure, setting_text, shown_value
+from deploy.reports.study_texts import (
+    margin_figure,
+    probe_at,
+    setting_text,
+    shown_value,
+    value_title,
+)
 from deploy.reports.tables import scaled
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
@@ -24,11 +29,21 @@ _HEADROOM = 1.1
 _EFFECT_PX, _FRAME_PX = 26, 110
 
 
+Runs = Mapping[str, Any]
+"""Several runs of one point or value, as they stand in a summary."""
+
+
 class DrawnStudy(NamedTuple):
-    """A sweep or margins: the summary, and what gives the command that runs a point again."""
+    """A sweep or margins: the summary, and a function from a point's name to its command."""
 
     summary: dict[str, Any]
     rerun: Callable[[str], str]
+
+    def rerun_worst(self, runs: Runs | None) -> str:
+        """Return the command that repeats the worst of some runs; empty for none."""
+        if runs is None:
+            return ""
+        return self.rerun(runs["worst_point"] if "worst_point" in runs else runs["worst_points"][0])
 
 
 @dataclass(frozen=True)
@@ -53,6 +68,17 @@ class StudyQuantity:
     more_is_worse: bool = True
     axis_range: tuple[float, float] | None = None
 
+    def value(self, runs: Runs, which: str) -> float | None:
+        """Return ``mean``, ``lowest`` or ``highest`` of some runs, in the unit of the axis.
+
+        The share of plants has its interval as spread.
+        """
+        spread = runs.get(self.key)
+        if self is PLANTS_KEPT:
+            low, high = runs["wilson_95"] or (None, None)
+            spread = {"mean": runs["fraction"], "lowest": low, "highest": high}
+        return scaled(spread[which], self.factor) if spread else None
+
 
 TICKS_OUTSIDE = StudyQuantity(
     "violation_fraction", "Ticks outside the bounds", "ticks outside (%)", 100.0
@@ -70,64 +96,35 @@ PLANTS_KEPT = StudyQuantity(
 )
 
 
-class Point(NamedTuple):
-    """Several runs of one point: swept value, what `spread_of_runs` says, command to rerun it."""
-
-    x: Any
-    runs: Mapping[str, Any]
-    rerun: str
-
-    def value(self, quantity: StudyQuantity, which: str) -> float | None:
-        """``mean``, ``lowest`` or ``highest`` of a quantity, in the unit of its axis."""
-        return scaled(self.runs[quantity.key][which], quantity.factor)
-
-
-def point_of(x: Any, runs: Mapping[str, Any], name: str, study: DrawnStudy) -> Point:
-    """A point by its name; where plants were counted, their share and its interval are a spread."""
-    if "wilson_95" in runs:
-        low, high = runs["wilson_95"] or (None, None)
-        share = {"mean": runs["fraction"], "lowest": low, "highest": high}
-        runs = {**runs, PLANTS_KEPT.key: share}
-    return Point(x, runs, study.rerun(name))
-
-
 @dataclass(frozen=True)
 class Curve:
-    """One line over a swept value: its name, and the numbers of its colour and dash pattern."""
+    """One line over a swept value.
+
+    Attributes:
+        name: its name in the legend.
+        colour: number of its colour.
+        dash: number of its dash pattern.
+        points: values with their runs.
+        is_hollow: whether its points are hollow.
+    """
 
     name: str
     colour: int
     dash: int
-    points: Sequence[Point]
+    points: Sequence[tuple[Any, Runs]]
     is_hollow: bool = False
 
 
-def curves_panel(
-    section: str,
-    name: str,
-    title: str,
-    lines: Sequence[Curve],
-    x_title: str,
-    quantity: StudyQuantity,
-    caption: str,
-) -> Panel[DrawnStudy]:
-    """A panel of `curves`."""
-    return Panel(
-        section, name, title, lambda _: curves(lines, x_title, quantity), caption, is_clickable=True
-    )
-
-
-def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.Figure | None:
+def curves(
+    study: DrawnStudy, lines: Sequence[Curve], x_title: str, quantity: StudyQuantity
+) -> go.Figure | None:
     """Lines over a swept value, each with the band from its lowest to its highest run."""
-    figure = go.Figure()
+    figure = style.new_figure(_HEIGHT_PX, x_title, quantity.axis)
     for line in lines:
-        _add_curve(figure, line, quantity)
+        _add_curve(figure, study, line, quantity)
     if not any(value is not None for trace in figure.data for value in trace.y):
         return None
-    style.apply(figure, _HEIGHT_PX)
     _add_legend(figure, [line.name for line in lines])
-    figure.update_xaxes(title_text=style.plain(x_title))
-    figure.update_yaxes(title_text=quantity.axis)
     if quantity.is_log:
         style.log_axis(figure, ticks=4)
     else:
@@ -135,34 +132,33 @@ def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.
     return figure
 
 
-def margin_bars(cases: Sequence[dict[str, Any]], reruns: Sequence[str], y_title: str) -> go.Figure:
-    """Margins as bars by law, side by side by setting, with a dotted line where a ceiling is.
+def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure:
+    """Margins as bars by law, side by side by setting, with a dotted line at a ceiling.
 
     Args:
-        cases: of one arm.
-        reruns: command of the point that each was decided by.
-        y_title: what they are margins of.
+        study: the study.
+        cases: its cases of one arm.
     """
-    figure = go.Figure()
+    figure = style.new_figure(_HEIGHT_PX, y_title=value_title(study.summary))
     groups = list(dict.fromkeys(map(setting_text, cases)))
     for index, group in enumerate(groups):
-        members = [place for place, case in enumerate(cases) if setting_text(case) == group]
+        members = [case for case in cases if setting_text(case) == group]
+        decided = (probe_at(c, c["first_failure"]) or probe_at(c, c["margin"]) for c in members)
         own = [style.palette(number) for number in range(len(members))]
         figure.add_bar(
-            x=[style.plain(cases[place]["law"]) for place in members],
-            y=[cases[place]["margin"] or 0.0 for place in members],
-            text=[margin_figure(cases[place]) for place in members],  # the axis has the unit
+            x=[style.plain(case["law"]) for case in members],
+            y=[case["margin"] or 0.0 for case in members],
+            text=list(map(margin_figure, members)),  # the axis has the unit
             name=group or "as the scenario has it",
             textposition="outside", cliponaxis=False,
             constraintext="none", textangle=0, textfont={"size": 10},
-            customdata=[reruns[place] for place in members], hovertemplate="%{x}: %{text}",
+            customdata=list(map(study.rerun_worst, decided)), hovertemplate="%{x}: %{text}",
             marker={"color": style.palette(index) if len(groups) > 1 else own},
         )  # fmt: skip
-    style.apply(figure, _HEIGHT_PX)
     if len(groups) > 1:
         _add_legend(figure, [bars.name for bars in figure.data])
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
-    figure.update_yaxes(title_text=style.plain(y_title), rangemode="tozero")
+    figure.update_yaxes(rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
     if ceilings:
         figure.add_hline(y=min(ceilings), line=style.DOTTED)
@@ -172,37 +168,38 @@ def margin_bars(cases: Sequence[dict[str, Any]], reruns: Sequence[str], y_title:
 
 
 def heat_map(
+    study: DrawnStudy,
     x: tuple[str, Sequence[Any]],
     y: tuple[str, Sequence[Any]],
-    rows: Sequence[Sequence[Point | None]],
+    rows: Sequence[Sequence[Runs | None]],
     quantity: StudyQuantity,
 ) -> go.Figure:
     """Means over two swept keys.
 
     Args:
+        study: the study.
         x: title and values of the horizontal axis.
         y: title and values of the vertical axis.
         rows: a row per value of `y`; None leaves a field white.
         quantity: what is drawn.
     """
-    means = [[point.value(quantity, "mean") if point else None for point in row] for row in rows]
+    means = [[runs and quantity.value(runs, "mean") for runs in row] for row in rows]
     texts = [["" if mean is None else f"{mean:.3g}" for mean in row] for row in means]
     crowded = len(x[1]) * len(y[1]) > 150
     field = go.Heatmap(
         x=[style.plain(shown_value(value)) for value in x[1]],
         y=[style.plain(shown_value(value)) for value in y[1]],
         z=means, zmin=0.0, zmax=max((m for row in means for m in row if m), default=1.0),
-        customdata=[[point.rerun if point else "" for point in row] for row in rows],
+        customdata=[list(map(study.rerun_worst, row)) for row in rows],
         text=texts, texttemplate=None if crowded else "%{text}",
         colorscale=_HEAT, xgap=1, ygap=1, hoverongaps=False,
         colorbar={"title": {"text": quantity.axis, "side": "right"}, "thickness": 12},
         hovertemplate="%{x} · %{y}: %{text}<extra></extra>",
     )  # fmt: skip
-    figure = go.Figure(field)
-    style.apply(figure, 140 + max(240, min(34 * len(y[1]), 600)))
-    figure.update_xaxes(title_text=style.plain(x[0]), type="category", showgrid=False)
-    figure.update_yaxes(title_text=style.plain(y[0]), type="category", showgrid=False)
-    return figure
+    height_px = 140 + max(240, min(34 * len(y[1]), 600))
+    figure = style.new_figure(height_px, x[0], y[0], [field])
+    figure.update_xaxes(type="category", showgrid=False)
+    return figure.update_yaxes(type="category", showgrid=False)
 
 
 def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure | None:
@@ -214,7 +211,8 @@ def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure
     """
     if not bars:
         return None
-    figure = go.Figure()
+    height_px = _FRAME_PX + _EFFECT_PX * len(bars)
+    figure = style.new_figure(height_px, "effect (rank-biserial correlation)")
     sizes = [effect for _, effect in bars]
     beyond = [abs(effect) > chance_level for effect in sizes]
     figure.add_bar(
@@ -226,19 +224,17 @@ def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure
     figure.add_vrect(
         x0=-chance_level, x1=chance_level, fillcolor=style.BAND, line_width=0, layer="below"
     )
-    style.apply(figure, _FRAME_PX + _EFFECT_PX * len(bars))
-    figure.update_xaxes(title_text="effect (rank-biserial correlation)", range=[-1.1, 1.1])
-    figure.update_yaxes(autorange="reversed", automargin=True)
-    return figure
+    figure.update_xaxes(range=[-1.1, 1.1])
+    return figure.update_yaxes(autorange="reversed", automargin=True)
 
 
-def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
+def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: StudyQuantity) -> None:
     def drawn(which: str) -> list[float | None]:
-        values = (point.value(quantity, which) for point in line.points)
+        values = (quantity.value(runs, which) for _, runs in line.points)
         return [None if v is None or (quantity.is_log and v <= 0.0) else v for v in values]
 
     colour, group = style.palette(line.colour), style.plain(line.name)
-    x = [point.x for point in line.points]
+    x = [value for value, _ in line.points]
     ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
     known = [end for end in ends if end[1] is not None]
     if any(lowest != highest for _, lowest, highest in known):
@@ -252,7 +248,7 @@ def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
         x=x, y=drawn("mean"), name=group, legendgroup=group, mode="lines+markers",
         line={"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
         marker={"size": 7, "symbol": "circle-open" if line.is_hollow else "circle"},
-        customdata=[point.rerun for point in line.points],
+        customdata=[study.rerun_worst(runs) for _, runs in line.points],
         hovertemplate="%{x}: %{y:.3g}",
     )  # fmt: skip
 

@@ -1,12 +1,23 @@
-"""What all figures have in common: colours, fonts, series thinned, and one row per joint."""
+"""Common parts of all figures: colours, fonts, thinned series, one row per joint, and their JSON.
+
+Figures are made without the template of their looks, and get it when they are written or handed
+out: as an object of Plotly's, loading and checking it would take as long as making all figures of
+a report.
+"""
 
 from __future__ import annotations
 
+import base64
 import html
-from functools import lru_cache
+from collections.abc import Iterable, Mapping
+from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+import plotly.io as pio
+from numpy.typing import NDArray
+from plotly.io.json import to_json_plotly
 from plotly.subplots import make_subplots
 
 from bus_schema.arrays import Matrix, Vector
@@ -24,6 +35,15 @@ DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
 """A limit, in all figures."""
 SHOULD_BE = {"color": "rgba(123,135,148,0.55)", "width": 4.5}
 """What another line should lie on."""
+_AXIS = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
+_OURS = {
+    "margin": {"l": 62, "r": 14, "t": TOP_PX, "b": BOTTOM_PX},
+    "font": {"family": FONT, "size": 12, "color": INK},
+    "hoverlabel": {"font": {"family": FONT}},
+    "legend": {"orientation": "h", "x": 0, "y": -0.2, "yanchor": "top"},
+    "xaxis": {**_AXIS, "showline": True, "ticks": "outside", "tickcolor": "#cbd2d9"},
+    "yaxis": {**_AXIS, "exponentformat": "power"},
+}
 
 
 def palette(index: int) -> str:
@@ -34,6 +54,24 @@ def palette(index: int) -> str:
 def plain(text: str) -> str:
     """Text as it is shown in a figure, where plotly would read it as HTML."""
     return html.escape(text)
+
+
+def new_figure(
+    height_px: float,
+    x_title: str = "",
+    y_title: str = "",
+    traces: Iterable[Any] = (),
+    *,
+    legend: bool = False,
+) -> go.Figure:
+    """Return a figure with the titles of its axes; texts may be of anybody."""
+    made = go.Figure(list(traces), {"template": "none"})
+    apply(made, height_px, legend=legend)
+    if x_title:
+        made.update_xaxes(title_text=plain(x_title))
+    if y_title:
+        made.update_yaxes(title_text=plain(y_title))
+    return made
 
 
 def line(times_s: Vector, values: Vector, colour: str, name: str, width: float = 1.4) -> go.Scatter:
@@ -75,6 +113,7 @@ def _empty_joint_rows(names: tuple[str, ...]) -> go.Figure:
     row_px = float(np.clip(520 / rows, 100, 170))
     plot_px = rows * row_px + (rows - 1) * _ROW_GAP_PX
     figure = make_subplots(
+        figure=new_figure(plot_px),
         rows=rows,
         cols=1,
         shared_xaxes=True,
@@ -164,3 +203,48 @@ def decimate(x: Vector, y: Vector, max_points: int = MAX_POINTS) -> tuple[Vector
     highest = starts + np.where(unknown, -np.inf, stretches).argmax(axis=1)
     kept = np.union1d(lowest, highest)
     return x[kept], y[kept]
+
+
+@cache
+def template() -> dict[str, Any]:
+    """Return Plotly's own template on white with our changes, as it stands in a figure's JSON."""
+    plotlys = pio.templates["plotly_white"].to_plotly_json()
+    return {"layout": _merged(plotlys["layout"], _OURS)}
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a nested table in which each change replaces the value in `base`."""
+    return {
+        **base,
+        **{
+            key: _merged(base.get(key, {}), value) if isinstance(value, dict) else value
+            for key, value in changes.items()
+        },
+    }
+
+
+def figure_json(figure: go.Figure) -> str:
+    """Return a figure as plotly.js reads it, with the common template."""
+    return str(to_json_plotly(_packed(with_template(figure.to_dict()))))
+
+
+def with_template(figure: dict[str, Any]) -> dict[str, Any]:
+    """Return a figure's JSON with the common template."""
+    return {**figure, "layout": {**figure["layout"], "template": template()}}
+
+
+def typed_array(values: NDArray[Any]) -> dict[str, str]:
+    """Return numbers as plotly.js has them in one dimension, with the seven digits that show."""
+    data = np.ascontiguousarray(values, dtype="<f4").tobytes()
+    return {"dtype": "f4", "bdata": base64.b64encode(data).decode()}
+
+
+def _packed(value: Any) -> Any:
+    """Return a part of a figure with its arrays, which Plotly has packed, made half as large."""
+    if isinstance(value, dict):
+        if value.get("dtype") == "f8" and "shape" not in value:
+            return typed_array(np.frombuffer(base64.b64decode(value["bdata"]), "<f8"))
+        return {key: _packed(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_packed(each) for each in value]
+    return value

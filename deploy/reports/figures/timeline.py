@@ -52,7 +52,7 @@ def timeline(run: RunData) -> go.Figure | None:
     if not spans:
         return None
     end_s = max(span[3] for span in spans)
-    figure = go.Figure()
+    figure = style.new_figure(_HEIGHT_PX, "time (s)", legend=True)
     for mode in reversed(Mode):
         own = [(role, start, end) for role, its, start, end in spans if its is mode]
         name = mode.name.lower()
@@ -74,14 +74,13 @@ def timeline(run: RunData) -> go.Figure | None:
                         "line": {"color": "white", "width": 1}},
                 hovertext=[style.plain(event.detail) for event in events], hoverinfo="text+x",
             )  # fmt: skip
-    style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
         barmode="overlay",
         bargap=0.35,
         margin={"b": _BELOW_PX},  # the legend takes two rows where a page is narrow
         legend={"yref": "container", "y": 0, "yanchor": "bottom", "traceorder": "reversed"},
     )
-    figure.update_xaxes(title_text="time (s)", range=[0.0, max(end_s, 1e-9) * 1.01])
+    figure.update_xaxes(range=[0.0, max(end_s, 1e-9) * 1.01])
     figure.update_yaxes(categoryorder="array", categoryarray=[str(role) for role in _ROLES])
     return figure
 
@@ -154,17 +153,16 @@ def _percentiles(series: Sequence[tuple[str, Vector, str]], height_px: float) ->
     """A line for each name, values and colour, over percentiles spaced by 1 / (1 − p)."""
     if not series:
         return None
-    figure = go.Figure([_curve(*each) for each in series])
-    style.apply(figure, height_px, legend=True)
+    curves = [_curve(*each) for each in series]
+    figure = style.new_figure(height_px, "percentile", "µs", curves, legend=True)
     longest = max(len(values) for _, values, _ in series)
     ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
     figure.update_xaxes(
         type="log",
-        title_text="percentile",
         tickvals=[1.0 / (1.0 - p / 100.0) for p in ticks],
         ticktext=[f"{p:.6g} %" for p in ticks],
     )
-    figure.update_yaxes(type="log", title_text="µs", dtick=1, tickformat=",")
+    figure.update_yaxes(type="log", dtick=1, tickformat=",")
     return figure
 
 
@@ -179,17 +177,15 @@ def deadline_misses(run: RunData) -> go.Figure | None:
     misses, _ = np.histogram(times_s[missed], edges)
     ticks, _ = np.histogram(times_s, edges)
     percent = 100.0 * misses / np.maximum(ticks, 1)
-    figure = go.Figure(
-        go.Bar(
-            x=(edges[:-1] + edges[1:]) / 2, y=percent, customdata=misses,
-            marker={"color": style.ALARM, "line": {"width": 0}},
-            hovertemplate="%{x:.3g} s: %{customdata} ticks, %{y:.1f} %<extra></extra>",
-        )
+    figure = style.new_figure(460, "time (s)", "missed ticks (%)")
+    figure.add_bar(
+        x=(edges[:-1] + edges[1:]) / 2, y=percent, customdata=misses,
+        marker={"color": style.ALARM, "line": {"width": 0}},
+        hovertemplate="%{x:.3g} s: %{customdata} ticks, %{y:.1f} %<extra></extra>",
     )  # fmt: skip
-    style.apply(figure, 460)
     figure.update_layout(bargap=0)
-    figure.update_xaxes(title_text="time (s)", range=[0.0, edges[-1]])
-    figure.update_yaxes(title_text="missed ticks (%)", rangemode="tozero")
+    figure.update_xaxes(range=[0.0, edges[-1]])
+    figure.update_yaxes(rangemode="tozero")
     return figure
 
 

@@ -16,7 +16,7 @@ from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.recorded_ticks import tick_numbers
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.run.execute import JudgedRun
-from deploy.run.processes.recorder import DATA_ATTACHMENTS
+from deploy.run.recording import DATA_ATTACHMENTS
 from deploy.run.run_folder import RunFolderError, load_run, read_manifest, read_summary
 from deploy.run.simulate import CLOCK as SIMULATED
 from deploy.scenario.effective import values_in_common

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus_schema.can.cansimple.codec import CanSimpleCodec
-from bus_schema.can.cansimple.master import CanSimpleMaster
+from bus_schema.can.cansimple.protocol import CanSimpleMaster
 from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame

@@ -138,6 +138,8 @@ REFUSED = [
           ("drive:2@1", "kind:node@time"), ("drive:2@-1s", "kind:node@time"),
           ("drive:2@1s+", "kind:node@time"),
           ("fire:2@1s", "drive, silent, encoder-frozen, over-temperature"))],
+    ("drives paper_arm --set link.can.eds=/etc/hostname", "", "that is an EDS of a CiA 402 drive"),
+    ("drives paper_arm --set link.can.protocol=mit --set link.can.fd_process_data=true", "", "MIT"),
     ("drives paper_arm --set link.can.interface=nope", "", "must be an interface of python-can"),
     # what is set
     *[(f"run --set {text}", f"--set {text}:") for text in ("duration_s", "=2", "duration_s=[")],

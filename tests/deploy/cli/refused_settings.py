@@ -122,6 +122,7 @@ TOGETHER = [
         ("link.can.rated_torque_nm=[1, 2]", f"one for {ONE_EACH}"),
         ("link.can.protocol=canasta", "'cia402', 'cansimple', 'mit' or 'damiao'"),
         ("link.can.eds=/etc/hostname", "'/etc/hostname': must be a file that is an EDS"),
+        ("link.can.protocol=cansimple & link.can.eds=my.eds", "'my.eds': must be left out"),
         ("link.can.faults.drives=['drive:9@1s']", "must name one of the nodes 1, 2, 3"),
         ("rate_hz=2000", "the nearest rate that fits is 1000 Hz"),
         ("link.uplink.jitter_ms=1", "link.uplink = {'jitter_ms': 1.0}: must be delay_ms alone"),

@@ -21,12 +21,11 @@ SPANS = {"narrow": [24.0, 31.0], "decade": [3.0, 45.0], "wide": [1e-4, 100.0]}
 
 def curve(span):
     points = [
-        study_figures.Point(x, {"worst_rms_rad": {"mean": y, "lowest": y, "highest": y}}, "")
+        (x, {"worst_rms_rad": {"mean": y, "lowest": y, "highest": y}, "worst_point": "0"})
         for x, y in enumerate(1e-3 * value for value in span)
     ]
-    return study_figures.curves(
-        [study_figures.Curve("smc", 0, 0, points)], "delay", study_figures.WORST_RMS
-    )
+    line, study = study_figures.Curve("smc", 0, 0, points), study_figures.DrawnStudy({}, str)
+    return study_figures.curves(study, [line], "delay", study_figures.WORST_RMS)
 
 
 def rows(span):

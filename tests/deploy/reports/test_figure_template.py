@@ -6,7 +6,7 @@ import plotly.graph_objects as go
 import plotly.io as pio
 import pytest
 
-from deploy.reports.figure_json import figure_json, no_template, template
+from deploy.reports.figures.style import figure_json, new_figure, template
 
 
 def keys_of(table, before=()):
@@ -33,17 +33,11 @@ def test_the_template_is_plotlys_own_on_white_where_it_is_not_ours():
     }  # fmt: skip
 
 
-def test_a_figure_gets_the_template_when_it_is_written_and_not_before():
-    with no_template():
-        figure = go.Figure(layout={"height": 300})
-    assert figure.to_plotly_json() == {"data": [], "layout": {"height": 300}}
-    written = json.loads(figure_json(figure))
-    assert written["layout"] == {"height": 300, "template": template()}
+@pytest.mark.parametrize("make", [lambda: new_figure(300), lambda: go.Figure(layout_height=300)])
+def test_a_figure_of_ours_or_of_others_is_written_with_the_template(make):
+    layout = json.loads(figure_json(make()))["layout"]
+    assert (layout["height"], layout["template"]) == (300, template())
 
 
-def test_figures_of_others_keep_their_template():
-    before = pio.templates.default
-    with pytest.raises(ZeroDivisionError), no_template():
-        raise ZeroDivisionError
-    assert pio.templates.default == before == "plotly"
-    assert go.Figure().layout.template.layout.to_plotly_json()
+def test_a_figure_of_ours_is_made_without_the_large_template():
+    assert len(new_figure(300).to_json()) < 200 < len(go.Figure().to_json())

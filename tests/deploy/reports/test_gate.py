@@ -10,8 +10,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 import funnel_hil as interface
-from deploy.reports.gate import Gate, Gauged, build_gate, gauged
-from deploy.reports.gate_files import since_when
+from deploy.reports.gate import Entry, Gate, Gauged, build_gate, gauged, since_when
 from deploy.scenario.yaml_files import ScenarioError
 from tests.warm_process import ROOT
 
@@ -57,8 +56,8 @@ def test_sentence_names_what_fell_by_how_much_and_since_when():
     fell = delay(15.0)
     said = gate.failures([fell])["arm, law"]
     assert said == "arm, law: fell by 5 from 20 ms to 15 ms, more than the 1 ms allowed"
-    entries = [{"commit": commit, "values": {"arm, law": value}}
-               for commit, value in (("a", 20.0), ("b", 21.0), ("c", 15.0))]  # fmt: skip
+    values = {"a": 20.0, "b": 21.0, "c": 15.0}
+    entries = [Entry(commit, "", {"arm, law": value}) for commit, value in values.items()]
     assert since_when(entries, fell) == "; it was 21 at b, and fell at c"
     assert since_when(entries[2:], fell) == ""
 

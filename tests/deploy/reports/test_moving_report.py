@@ -17,8 +17,8 @@ from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
-from deploy.reports.figure_json import figure_json
 from deploy.reports.figures.space import arm_motion, tip_path
+from deploy.reports.figures.style import figure_json
 from deploy.reports.page import LIBRARY_FILE, library_address, share_library
 from deploy.reports.run_panels import RUN_PANELS
 from deploy.reports.run_reports import write_comparison_report, write_report

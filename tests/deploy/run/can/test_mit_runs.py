@@ -48,7 +48,7 @@ def test_a_cycle_is_a_request_a_command_and_two_replies_for_each_drive(plain: Ca
     torques = [command_of(data, RANGES).torque_nm for data in said]
     commanded = plain.data.tables["joint_commands"]["effort"][:, 1]
     assert set(commanded) <= set(torques)
-    assert to_shoulder[-1] == special(Special.EXIT)  # where a master leaves them
+    assert to_shoulder[-1] == special(Special.DISABLE)  # where a master leaves them
 
 
 def test_targets_travel_in_the_frames_and_bounds_are_kept(tmp_path: Path) -> None:

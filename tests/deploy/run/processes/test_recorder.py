@@ -19,10 +19,8 @@ from bus_schema.zenoh.access import bundle_key_expression
 from bus_schema.zenoh.bundles import HEAD, Span
 from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
-from deploy.run.processes import message_counts
 from deploy.run.processes import recorder as recorder_module
-from deploy.run.processes.message_counts import EventBudget, GapCounter, PlantSenders
-from deploy.run.processes.recorder import Recorder
+from deploy.run.processes.recorder import EventBudget, GapCounter, PlantSenders, Recorder
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
@@ -150,7 +148,7 @@ def test_what_waits_for_a_bundle_that_never_comes_is_recorded_in_the_end(bench: 
 
 
 def test_made_up_ids_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(message_counts, "_MOST_STREAMS", 2)
+    monkeypatch.setattr(recorder_module, "_MOST_STREAMS", 2)
     gaps = GapCounter(Counter())
     for sender, sequence in ((b"1", 1), (b"2", 1), (b"3", 5), (b"4", 7), (b"2", 3)):
         gaps.note("joint_states", sender, sequence)

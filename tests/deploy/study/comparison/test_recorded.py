@@ -21,7 +21,7 @@ from deploy.reports.comparison_tables import (
 )
 from deploy.reports.results import write_run_results
 from deploy.reports.verdict import verdict_on_runs
-from deploy.run.processes.recorder import record_failures
+from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, read_summary
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
