@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _SHOWN_KEYS = 12
 _LONGEST = 120
+_LOGGED_PER_REASON = 5
 
 
 class BusError(Exception):
@@ -30,6 +33,25 @@ class InvalidMessageError(BusError, ValueError):
     def __init__(self, reason: str, explanation: str) -> None:
         super().__init__(explanation)
         self.reason = reason
+
+
+class Rejections:
+    """Counter of messages rejected on arrival; a flood of them fills counters, not logs.
+
+    Attributes:
+        counts: number of rejections by reason.
+    """
+
+    def __init__(self, what: str, logger: logging.Logger) -> None:
+        self._what = what
+        self._logger = logger
+        self.counts: Counter[str] = Counter()
+
+    def note(self, error: InvalidMessageError) -> None:
+        """Count a rejection."""
+        self.counts[error.reason] += 1
+        if self.counts[error.reason] <= _LOGGED_PER_REASON:
+            self._logger.warning("%s ignored: %s", self._what, error)
 
 
 class PeerSilentError(BusError, TimeoutError):

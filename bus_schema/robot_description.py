@@ -15,7 +15,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number, joint_ends
 from bus_schema.urdf.drive_values import DriveValues, drive_values
-from bus_schema.urdf.inertia import check_moved_masses, judge_inertias, massless_inertias
+from bus_schema.urdf.inertia import judge_inertias
 from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
 from bus_schema.urdf.resolved import (
     attach_payload,
@@ -142,9 +142,7 @@ def _described(
     check_urdf(root)
     roles = joint_roles(root, driven)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
-    check_moved_masses(root, moving)
-    oddities = _warnings_of(path, root, moving)
-    warnings = [*judge_inertias(root, moving, repair=repair), *oddities]
+    warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)
@@ -181,10 +179,6 @@ def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
         for name in long_axes(root)
         if name in moving
     ]
-    if massless := ", ".join(massless_inertias(root, moving)):
-        said.append(
-            f"{massless}: inertia without mass, which no rigid body has; it is used as given"
-        )
     if missing := missing_meshes(root, path.parent):
         said.append(
             f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: they are"

@@ -14,18 +14,16 @@ import time
 from dataclasses import dataclass
 
 from bus_schema.arrays import Matrix
-from bus_schema.errors import InvalidMessageError
+from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.limits import JointLimits, name_of
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages import topics
 from bus_schema.messages.header import join_stamp
 from bus_schema.messages.layout import Record
-from bus_schema.messages.rejections import Rejections
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.compiled import bind
-from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.compiled import all_finite, bind
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation

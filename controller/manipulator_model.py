@@ -14,7 +14,7 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
-from controller.rigid_bodies import RigidBodies
+from controller.rigid_bodies.dynamics import RigidBodies
 from controller.rigid_bodies.vectors import invert, product
 
 

@@ -10,13 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.errors import InvalidMessageError
+from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from bus_schema.messages.rejections import Rejections
-from bus_schema.runtime.compiled import bind
-from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.compiled import all_finite, bind
 
 _REMEMBERED = 1000
 """Messages remembered; a link reorders far fewer."""

@@ -9,10 +9,9 @@ from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, Registry
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import setitem
 from typing import Any, ParamSpec, TypeVar, cast
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime import kernel_cache
 
 logger = logging.getLogger(__name__)
@@ -125,6 +126,15 @@ def copying(source: Matrix, target: Matrix) -> Callable[[], None]:
 @compiled
 def _copy(source: Matrix, target: Matrix) -> None:
     target[:] = source
+
+
+@compiled
+def all_finite(values: Vector | Matrix) -> bool:
+    """Whether no entry of an array is infinite or NaN."""
+    for value in values.flat:  # noqa: SIM110 (compiled: a loop is the fast form)
+        if not math.isfinite(value):
+            return False
+    return True
 
 
 def c_function(library: ctypes.CDLL, name: str, result: str, *arguments: str) -> Any:

@@ -17,7 +17,7 @@ from typing import IO
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from controller.errors import ControllerError
 
 _LAST_WORDS = 2000

@@ -24,36 +24,36 @@ from deploy.run.stop_signals import stop_at_once
 from deploy.scenario.foreign_code import code_is_named
 
 COMMANDS = {
-    "run": "run:run",
-    "simulate": "run:simulate",
-    "view": "view:view",
-    "controller": "processes:controller",
-    "plant": "processes:plant",
-    "record": "processes:record",
-    "relay": "processes:relay",
-    "link": "link:link",
-    "trace": "trace:app",
-    "latency": "latency:latency",
-    "keys": "keys:app",
-    "compare": "study.studies:compare",
-    "sweep": "study.studies:sweep",
-    "margin": "study.studies:margin",
-    "report": "study.experiments:report",
-    "diff": "study.experiments:diff",
-    "replay": "study.replay:replay",
-    "reference": "export:reference",
-    "bench": "study.experiments:bench",
-    "drives": "drives:drives",
-    "robot": "robot:robot",
-    "doctor": "doctor:doctor",
-    "scenarios": "runs:scenarios",
-    "export": "export:export",
-    "runs": "runs:app",
-    "ros-package": "ros2:ros_package",
-    "ros2-control": "ros2:ros2_control",
-    "includes": "doctor:includes",
+    "run": "cli.run:run",
+    "simulate": "cli.run:simulate",
+    "view": "cli.view:view",
+    "controller": "cli.processes:controller",
+    "plant": "cli.processes:plant",
+    "record": "cli.processes:record",
+    "relay": "cli.processes:relay",
+    "link": "cli.link:link",
+    "trace": "cli.trace:app",
+    "latency": "cli.latency:latency",
+    "keys": "cli.keys:app",
+    "compare": "cli.study.studies:compare",
+    "sweep": "cli.study.studies:sweep",
+    "margin": "cli.study.studies:margin",
+    "report": "cli.study.recorded:report",
+    "diff": "cli.study.recorded:diff",
+    "replay": "cli.study.recorded:replay",
+    "reference": "cli.export:reference",
+    "bench": "bench.bench:bench",
+    "drives": "cli.drives:drives",
+    "robot": "cli.robot:robot",
+    "doctor": "cli.doctor:doctor",
+    "scenarios": "cli.runs:scenarios",
+    "export": "cli.export:export",
+    "runs": "cli.runs:app",
+    "ros-package": "cli.ros2:ros_package",
+    "ros2-control": "cli.ros2:ros2_control",
+    "includes": "cli.doctor:includes",
 }
-"""The place of each command in this package: ``module:function``, or ``module:app`` for a group."""
+"""Where each command is below `deploy`: ``module:function``, or ``module:app`` for a group."""
 
 LOOKING = {"view", "report", "diff", "reference", "robot", "export", "ros2-control"}
 """Commands that only read: they run no law, program or process that a scenario names."""
@@ -100,7 +100,7 @@ class LazyCommand(TyperCommand):
     def load(self) -> Any:
         """Import the command."""
         module, _, attribute = COMMANDS[self.name or ""].partition(":")
-        found = getattr(import_module(f"deploy.cli.{module}"), attribute)
+        found = getattr(import_module(f"deploy.{module}"), attribute)
         if isinstance(found, typer.Typer):
             group = typer.main.get_command(found)
             group.name = self.name
@@ -113,7 +113,7 @@ class LazyCommand(TyperCommand):
 def summary_of(name: str) -> str:
     """Read the first paragraph of a command's help from its source, without importing it."""
     module, _, attribute = COMMANDS[name].partition(":")
-    file = Path(__file__).parent.joinpath(*module.split(".")).with_suffix(".py")
+    file = Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
     tree = ast.parse(file.read_text(encoding="utf-8"))
     functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
     text = ast.get_docstring(functions.get(attribute, tree)) or ""

@@ -11,9 +11,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Vector, percentiles
 from bus_schema.errors import InputError
-from bus_schema.percentiles import percentiles
 from bus_schema.runtime.realtime import go_realtime
 from deploy.measure.link_probe import MeasuredLink, ProbeTimes, evaluate, probe
 from deploy.measure.probe_frames import LEAST_BYTES, MOST_BYTES, ProbeServer

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -143,7 +144,7 @@ def _middle(arm: RobotDescription) -> Vector:
 def _joints_table(setup: Setup) -> Table:
     """Driven joints in their order, with limits and inertias; in m and N where they slide."""
     robot = setup.robot
-    rows: list[list[Value]] = []
+    rows = []
     for i, name in enumerate(robot.joint_names):
         unit, force = ("m", "N") if robot.slides[i] else ("rad", "N m")
         rows.append(
@@ -156,35 +157,36 @@ def _joints_table(setup: Setup) -> Table:
                 _limit(setup.governing_inertia_kg_m2[i], "kg" if robot.slides[i] else "kg m²"),
             ]
         )
-    headings = ("Joint", "Kind", "Range", "Effort", "Speed", "Inertia")
-    return Table("Driven joints", [Column(each, is_text=True) for each in headings], rows)
+    return _table("Driven joints", ["Joint", "Kind", "Range", "Effort", "Speed", "Inertia"], rows)
 
 
 def _other_joints_table(setup: Setup) -> Table:
     """Joints that follow others or are held, and why."""
-    rows: list[list[Value]] = [
+    rows = [
         [each.name, f"follows {each.leader}", f"× {each.multiplier:g} + {each.offset:g}"]
         for each in setup.robot.followers
     ]
     rows += [[each.name, "held", each.reason] for each in setup.robot.held]
-    columns = [Column(each, is_text=True) for each in ("Joint", "State", "Detail")]
-    return Table("Other joints", columns, rows)
+    return _table("Other joints", ["Joint", "State", "Detail"], rows)
 
 
 def _gains_table(setup: Setup) -> Table:
     """The gains that follow from the arm's inertia, for the scenario's law."""
     rows = [[name, _values(value)] for name, value in setup.gains._asdict().items()]
-    columns = [Column("Gain", is_text=True), Column("Per joint", is_text=True)]
-    return Table(f"Gains of {setup.scenario.controller.law}", columns, rows)
+    return _table(f"Gains of {setup.scenario.controller.law}", ["Gain", "Per joint"], rows)
 
 
 def _drives_table(arm: RobotDescription) -> Table:
     """Motors and friction that a first scenario gives the arm, and where they come from."""
     drives = drives_of(arm)
     values = {"rotor_inertia_kg_m2": drives.rotors, **drives.friction}
-    rows: list[list[Value]] = [[name, _values(value)] for name, value in values.items()]
-    columns = [Column("Value", is_text=True), Column("Per joint", is_text=True)]
-    return Table(f"Motors and friction: {drives.data}", columns, rows)
+    rows = [[name, _values(value)] for name, value in values.items()]
+    return _table(f"Motors and friction: {drives.data}", ["Value", "Per joint"], rows)
+
+
+def _table(title: str, headings: list[str], rows: Sequence[Sequence[Value]]) -> Table:
+    columns = [Column(heading, is_text=True) for heading in headings]
+    return Table(title, columns, [list(row) for row in rows])
 
 
 def _funnel_line(setup: Setup) -> str:

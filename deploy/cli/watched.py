@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Callable
 
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from deploy.run.exit_codes import FAULT
 from deploy.run.stop_signals import STOPS
 

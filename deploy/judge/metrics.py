@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import PERCENTILES, Matrix, Vector, percentiles
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from bus_schema.percentiles import PERCENTILES, percentiles
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import disagreement, judge_bounds, lacks_end, plant_count
 from deploy.judge.chattering import chatter_shares

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.percentiles import PERCENTILES
 
 _MOST_NOTES = 20
 _COUNT = TypeAdapter(Annotated[int, Field(strict=True, ge=0, lt=1 << 53)])

@@ -38,6 +38,10 @@ from plant_emulator.drives.fault_plan import parse_fault
 _EXCHANGES: WeakKeyDictionary[InProcessBus, FrameExchange] = WeakKeyDictionary()
 """A bus of its own for each simulation: those in threads of one process must not meet."""
 
+_KIND = ["link.kind"]
+_PROTOCOL = [*_KIND, "link.can.protocol"]
+"""Keys beside the one that an error names."""
+
 
 class CanKind(LinkKind[DrivenArm]):
     """``can``: states and torques are frames; telemetry goes over Zenoh, or stays in the process.
@@ -61,11 +65,8 @@ class CanKind(LinkKind[DrivenArm]):
         node_ids = check_drives(can, robot, run.plant, takes_targets=run.takes_targets)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
-            raise ConfigurationError(
-                f"{side}.drive_feedback.enabled", True,
-                f"false over CAN with {protocol.title}: these drives accept only torques",
-                ["link.kind", "link.can.protocol"],
-            )  # fmt: skip
+            allowed = f"false over CAN with {protocol.title}: these drives accept only torques"
+            raise ConfigurationError(f"{side}.drive_feedback.enabled", True, allowed, _PROTOCOL)
         check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_delays(run, protocol)
         for text in can.faults.drives:
@@ -80,11 +81,11 @@ class CanKind(LinkKind[DrivenArm]):
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if link.can.interface == "virtual" and not one_process:
-            raise ConfigurationError(
-                "link.can.interface", "virtual",
-                "reaches no other process: must be udp_multicast, socketcan or hardware for"
-                " run; simulate runs in one process", ["link.kind"],
-            )  # fmt: skip
+            allowed = (
+                "reaches no other process: must be udp_multicast, socketcan or hardware for run;"
+                " simulate runs in one process"
+            )
+            raise ConfigurationError("link.can.interface", "virtual", allowed, _KIND)
         check_can_bus(link.can)
 
     def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
@@ -187,31 +188,24 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
         if not given.is_constant:
             refusal = "delay_ms alone"
         if shown and refusal is not None:
-            raise ConfigurationError(
-                f"link.{name}", shown,
-                f"must be {refusal}, with link.kind = can: link.can.bitrate and"
-                " link.can.faults describe the bus", ["link.kind", "link.can.protocol"],
-            )  # fmt: skip
+            allowed = (
+                f"must be {refusal}, with link.kind = can: link.can.bitrate and link.can.faults"
+                " describe the bus"
+            )
+            raise ConfigurationError(f"link.{name}", shown, allowed, _PROTOCOL)
     if link.playout_ms:
-        raise ConfigurationError(
-            "link.playout_ms", link.playout_ms, "must be left out with link.kind = can",
-            ["link.kind"],
-        )  # fmt: skip
+        allowed = "must be left out with link.kind = can"
+        raise ConfigurationError("link.playout_ms", link.playout_ms, allowed, _KIND)
 
 
 def _check_fd(can: CanConfiguration, protocol: DriveProtocol) -> None:
-    if not can.fd_process_data:
-        return
-    if not protocol.has_fd_process_data:
-        raise ConfigurationError(
-            "link.can.fd_process_data", True, f"must be false with {protocol.title}",
-            ["link.kind", "link.can.protocol"],
-        )  # fmt: skip
-    if not can.fd:
-        raise ConfigurationError(
-            "link.can.fd", False, "must be true with link.can.fd_process_data = true",
-            ["link.kind", "link.can.fd_process_data"],
-        )  # fmt: skip
+    key = "link.can.fd_process_data"
+    if can.fd_process_data and not protocol.has_fd_process_data:
+        allowed = f"must be false with {protocol.title}"
+        raise ConfigurationError(key, True, allowed, _PROTOCOL)
+    if can.fd_process_data and not can.fd:
+        allowed = f"must be true with {key} = true"
+        raise ConfigurationError("link.can.fd", False, allowed, [*_KIND, key])
 
 
 def _free_udp_port() -> int:

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bus_schema.arrays import Vector
-from bus_schema.percentiles import percentiles
+from bus_schema.arrays import Vector, percentiles
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.scenario.yaml_files import ScenarioError
 

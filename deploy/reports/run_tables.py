@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.percentiles import PERCENTILES
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
 from deploy.reports import quantities

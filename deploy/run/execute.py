@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from bus_schema.recording.atomic_files import write_json
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict, verdict_of

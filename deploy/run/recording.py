@@ -14,26 +14,14 @@ from bus_schema.recording.mcap_log import McapLog, record_afterwards
 from bus_schema.robot_description import RobotDescription
 from bus_schema.view.arm_view import ArmView
 from bus_schema.zenoh.bundle_order import ALTERED_BUNDLE
-from controller import reference_file
 from deploy.scenario.effective import portable_scenario
-from deploy.scenario.referenced_files import DELAY_KEYS, data_files
+from deploy.scenario.referenced_files import DATA_FILES, data_files
 from deploy.scenario.setup import Setup
 
 logger = logging.getLogger(__name__)
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
-DATA_ATTACHMENTS = {
-    **dict(
-        zip(
-            DELAY_KEYS,
-            ("uplink_delays.txt", "downlink_delays.txt", "uplink_trace", "downlink_trace"),
-            strict=True,
-        )
-    ),
-    reference_file.KEY: "reference.csv",
-}
-"""Names, in a recording, of the files that a scenario refers to, by dotted key."""
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
@@ -63,7 +51,7 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
     log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
     for key, file in data_files(scenario).items():
-        log.attach(DATA_ATTACHMENTS[key], "text/plain", file.read_bytes())
+        log.attach(DATA_FILES[key], "text/plain", file.read_bytes())
     log.add_metadata(
         RUN_METADATA,
         {"scenario": scenario.name, "law": scenario.controller.name, "clock": clock, "link": link},

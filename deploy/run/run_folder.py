@@ -27,7 +27,6 @@ from deploy.judge.run_data import RunData, build_run_data
 from deploy.run.new_folder import FolderLock, missing_recording, new_folder
 from deploy.run.recording import (
     DAMAGING,
-    DATA_ATTACHMENTS,
     FAILURES_METADATA,
     LOST_METADATA,
     REJECTED_METADATA,
@@ -36,6 +35,7 @@ from deploy.run.recording import (
     SCENARIO_ATTACHMENT,
 )
 from deploy.scenario.effective import write_scenario
+from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.warnings import all_warnings
@@ -178,7 +178,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
         robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
         overrides = [f"robot.urdf={robot}"]
-        for key, name in DATA_ATTACHMENTS.items():
+        for key, name in DATA_FILES.items():
             if name in contents.attachments:
                 copy = Path(folder) / name
                 copy.write_bytes(contents.attachments[name])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -20,7 +20,7 @@ from pydantic import Field, model_validator
 from bus_schema.arrays import Vector, elementwise
 from bus_schema.configuration import ConfigurationError, Number, StrictModel
 from bus_schema.errors import did_you_mean
-from deploy.scenario.yaml_files import override
+from deploy.scenario.yaml_files import leaves, override
 
 _NOT_DRAWN = ("seed", "uncertainty")
 """Keys with numbers that do not describe the plant."""
@@ -235,18 +235,13 @@ def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:
     return np.array(found, dtype=np.float64) if isinstance(found, list) else float(entries[0])
 
 
-def number_keys(scenario: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def number_keys(scenario: Mapping[str, Any]) -> list[str]:
     """Return the dotted keys of all numbers of a scenario, including numbers per joint.
 
     Args:
         scenario: the scenario's values, plain and nested.
-        prefix: the beginning of all keys.
     """
-    for name, value in scenario.items():
-        if isinstance(value, Mapping):
-            yield from number_keys(value, f"{prefix}{name}.")
-        elif number_at(scenario, name) is not None:
-            yield f"{prefix}{name}"
+    return [key for key, _ in leaves(scenario) if number_at(scenario, key) is not None]
 
 
 def _may_be_drawn(key: str) -> bool:

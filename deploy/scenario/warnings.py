@@ -25,19 +25,17 @@ def scenario_warnings(setup: Setup) -> list[str]:
     """Return warnings about accepted but suspicious settings, a sentence each."""
     robot, scenario = setup.robot, setup.scenario
     said = [*robot.warnings, *setup.reference.warnings]
-    if scenario.limits.torque_nm is None and scenario.plant.actuator.saturation_nm is None:
-        lacking = _unlimited(robot.joint_names, robot.effort_limits_nm)
-        if lacking:
+    saturation_nm = scenario.plant.actuator.saturation_nm
+    for what, given, limits, quantity, remedy in (
+        ("effort", scenario.limits.torque_nm if saturation_nm is None else saturation_nm,
+         robot.effort_limits_nm, "torques", "limits.torque_nm or plant.actuator.saturation_nm"),
+        ("velocity", scenario.limits.velocity_rad_s, robot.velocity_limits_rad_s, "speeds",
+         "limits.velocity_rad_s"),
+    ):  # fmt: skip
+        if given is None and (lacking := _unlimited(robot.joint_names, limits)):
             said.append(
-                f"no effort limit in the URDF for {lacking}: torques are UNLIMITED there; set"
-                " limits.torque_nm or plant.actuator.saturation_nm"
-            )
-    if scenario.limits.velocity_rad_s is None:
-        lacking = _unlimited(robot.joint_names, robot.velocity_limits_rad_s)
-        if lacking:
-            said.append(
-                f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
-                " limits.velocity_rad_s"
+                f"no {what} limit in the URDF for {lacking}: {quantity} are UNLIMITED there;"
+                f" set {remedy}"
             )
     actuator = scenario.plant.actuator
     if actuator.gear_stiffness_nm_rad is not None and actuator.encoder_side == "link":

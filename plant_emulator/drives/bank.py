@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
-from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.rejections import Rejections
+from bus_schema.errors import InvalidMessageError, Rejections
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Loop, Send
 

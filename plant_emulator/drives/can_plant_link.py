@@ -24,8 +24,7 @@ from bus_schema.link.interface import SCENARIO_WAIT_S, CommandArrival, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
-from bus_schema.runtime.clock import Clock
-from bus_schema.runtime.lateness import HostLateness
+from bus_schema.runtime.clock import Clock, HostLateness
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from plant_emulator.drives.strangers import Strangers
 from plant_emulator.drives.sync_phase import SyncPhase

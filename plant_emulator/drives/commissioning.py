@@ -8,10 +8,9 @@ import numpy as np
 
 from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.can.protocol import PROTOCOLS
-from bus_schema.configuration import expand
+from bus_schema.configuration import Registry, expand
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank

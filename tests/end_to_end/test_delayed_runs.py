@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-from contextlib import suppress
 from pathlib import Path
 
 from running import Watcher, funnel_hil_here, processes_of, settings, started
@@ -24,20 +22,6 @@ def least_round_trip_ms(data: RunData) -> float:
     return float(round_trips_ns[round_trips_ns >= 0].min()) * 1e-6
 
 
-def relay_of(folder: Path) -> int:
-    """Process id of the relay of a run, which the run's parent of processes started as well."""
-    plant = processes_of(folder)["plant"]
-    parent = Path(f"/proc/{plant}/stat").read_text().rpartition(")")[2].split()[1]
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            with suppress(OSError):
-                its_parent = (entry / "stat").read_text().rpartition(")")[2].split()[1]
-                words = (entry / "cmdline").read_bytes().decode().replace("\0", " ").split()
-                if its_parent == parent and "relay" in words:
-                    return int(entry.name)
-    raise AssertionError("there is no relay")
-
-
 def test_no_command_comes_back_sooner_than_the_relay_lets_it(tmp_path: Path) -> None:
     run = funnel_hil_here(*DELAYED, *settings(duration_s=1), out=tmp_path / "run")
     assert run.code == 0, run.output
@@ -54,7 +38,7 @@ def test_run_ends_with_its_relay_and_names_it(tmp_path: Path) -> None:
     with started(*DELAYED, *settings(duration_s=60), out=tmp_path / "run") as run:
         with Watcher(run.plant_endpoint()) as watcher:
             watcher.await_time(0.3, run)
-            os.kill(relay_of(run.folder), signal.SIGTERM)
+            run.send(signal.SIGTERM, "relay")
             ended = run.end()
         assert processes_of(run.folder) == {}
     assert ended.code == 1

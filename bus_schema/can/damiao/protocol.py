@@ -98,7 +98,8 @@ class DamiaoMaster(MitMaster):
         written = self._ask_register(joint, Request.WRITE, register, value)
         if written != value:
             raise DriveError(
-                f"drive {self._node_ids[joint]} takes {written:g} for {value} in {register.name}"
+                f"drive {self._node_ids[joint]} has {written:g} instead of {value} in"
+                f" {register.name}"
             )
 
     def _ask_register(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -17,23 +16,6 @@ _POLL_S = 0.1
 _PLAIN_LINE_S = 3.0
 _BAR_WIDTH = 12
 _WHOLE = Column(no_wrap=True, overflow="ellipsis")
-
-
-class _Shape(NamedTuple):
-    """Optional parts of a live line, beside progress, speed and note."""
-
-    name: bool
-    bar: bool
-    time_left: bool
-
-
-_SHAPES = (
-    _Shape(name=True, bar=True, time_left=True),
-    _Shape(name=True, bar=False, time_left=True),
-    _Shape(name=True, bar=False, time_left=False),
-    _Shape(name=False, bar=False, time_left=False),
-)
-"""From wide to narrow. The first that fits is shown."""
 
 
 class CommandProgress:
@@ -49,15 +31,13 @@ class CommandProgress:
     def __init__(self, console: Console, name: str, total: float, unit: str) -> None:
         self._console, self._unit, self._note = console, unit, ""
         self._total, self._done, self._done_before = total, 0.0, 0.0
-        self._columns = (
+        self._is_brief = False
+        self._bar = Progress(
             TextColumn("{task.description}", style="bold", markup=False, table_column=_WHOLE),
             BarColumn(bar_width=_BAR_WIDTH),
             TextColumn("{task.fields[line]}", markup=False, table_column=_WHOLE),
-        )
-        self._shape = 0
-        self._bar = Progress(
-            *self._columns, console=console, transient=True, disable=not console.is_terminal
-        )
+            console=console, transient=True, disable=not console.is_terminal,
+        )  # fmt: skip
         self._task = self._bar.add_task(name, total=total, line="starting")
         self._started_s = self._printed_s = time.monotonic()
         self._is_printed, self._printed_done = True, -1.0
@@ -124,22 +104,16 @@ class CommandProgress:
             self.say(self._line())
 
     def _fitting_line(self) -> str:
-        """Return the text beside name and bar, and hide these if there is little room.
+        """Return the line beside name and bar. If it has no room, it replaces both, for good.
 
-        Hidden parts do not come back: a line whose parts come and go is hard to read. A text that
-        is still too long is cut off.
+        Parts that come and go could not be read. A line that is still too long loses its end.
         """
         name = self._bar.tasks[self._task].description
-        for index in range(self._shape, len(_SHAPES)):
-            shape = _SHAPES[index]
-            line = self._line(time_left=shape.time_left)
-            beside = shape.name * (cell_len(name) + 1) + shape.bar * (_BAR_WIDTH + 1)
-            room = self._console.width - beside
-            if cell_len(line) <= room:
-                break
-        self._shape = index
-        shown = zip(self._columns, (shape.name, shape.bar, True), strict=True)
-        self._bar.columns = tuple(column for column, is_shown in shown if is_shown)
+        line, room = self._line(), self._console.width
+        if cell_len(f"{name}  {line}") + _BAR_WIDTH > room:
+            self._is_brief = True
+        if self._is_brief:
+            line, self._bar.columns = self._line(time_left=False), self._bar.columns[-1:]
         text = Text(line)
         text.truncate(room, overflow="ellipsis")
         return text.plain

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bus_schema.errors import silent_peer
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from deploy.run.exit_codes import BAD_INPUT, INTERRUPTED
 from deploy.run.processes.role_process import Options, start_role
 from deploy.run.processes.status import StatusMessage, StatusReporter

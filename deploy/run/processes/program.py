@@ -12,7 +12,7 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
 from deploy.run.processes.child import SILENT, ChildProcess, Failure
 from deploy.run.processes.role_process import CANNOT_START, start_program
@@ -132,4 +132,4 @@ class ControllerProcess(ChildProcess):
         if said == SILENT:
             return None
         how = "had to be stopped" if self._was_asked_to_stop else "ended after the plant"
-        return Failure(f"{who} {how}; its last words: {said}", is_cause=False)
+        return Failure(f"{who} {how}; end of its standard error: {said}", is_cause=False)

@@ -23,7 +23,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
 KERNEL = """
 import subprocess, sys
 import numpy as np
-from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.compiled import all_finite
 print(all_finite(np.zeros(1)), flush=True)
 if len(sys.argv) == 1:
     sys.exit(subprocess.run([sys.executable, __file__, "child"]).returncode)
@@ -50,7 +50,7 @@ def ran(tmp_path: Path, preamble: str = "", **environment: str | None) -> tuple[
 
 def kept(tmp_path: Path) -> int:
     folder = tmp_path / "temporary" / f"funnel-hil-{os.getuid()}"
-    return len(list(folder.rglob("finite.all_finite*.nbc")))
+    return len(list(folder.rglob("compiled.all_finite*.nbc")))
 
 
 @pytest.mark.parametrize("case", ["no home", "cache is a file"])

@@ -3,16 +3,20 @@ from __future__ import annotations
 import io
 import logging
 import re
+import threading
 
 import pytest
 from rich.console import Console
 
+from bus_schema.runtime.compiled import COMPILES, HAS_SAID
+from deploy.cli import one_run
 from deploy.cli.commands import LogLines
 from deploy.cli.study.studies import RunCounter
 from deploy.cli.terminal import progress as progress_module
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
 from deploy.run.processes.status import StatusMessage
+from tests.warm_process import HANG_S
 
 
 @pytest.fixture
@@ -110,3 +114,32 @@ def test_what_is_logged_beside_a_live_line_has_a_line_of_its_own(monkeypatch):
         logger.warning("something is odd")
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.file.getvalue())
     assert "something is odd" in re.split(r"[\r\n]+", plain)
+
+
+def test_compilation_by_several_processes_is_reported_once(console, monkeypatch):
+    monkeypatch.delenv(HAS_SAID)
+    with CommandProgress(console, "arm", 8, "s") as progress:
+        handle = status_handler(progress)
+        for role in ("plant", "controller"):
+            handle(StatusMessage(role, "compiles", {}))
+    assert lines(console) == [COMPILES]
+
+
+def test_report_is_loaded_once_the_plant_has_ended(monkeypatch):
+    loaded, shown = threading.Semaphore(0), []
+    monkeypatch.setattr(one_run, "load_report", loaded.release)
+    handle = one_run.loading_report(shown.append)
+    early = [
+        StatusMessage("plant", "note", {}),
+        StatusMessage("plant", "progress", {"time_s": 0.2}),
+        StatusMessage("controller", "result", {}),
+    ]
+    for message in early:
+        handle(message)
+    assert not loaded.acquire(blocking=False)
+    results = [StatusMessage("plant", "result", {})] * 2  # of a plant that was started again, too
+    for message in results:
+        handle(message)
+    assert loaded.acquire(timeout=HANG_S)
+    assert not loaded.acquire(blocking=False)
+    assert shown == [*early, *results]

@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
 from deploy.cli.export import export
-from deploy.cli.study.experiments import report
-from deploy.cli.study.replay import replay
+from deploy.cli.study.recorded import replay, report
 from deploy.judge.bounds import judge_bounds
 from deploy.judge.metrics import summarise
 from deploy.judge.recorded_ticks import known_ticks

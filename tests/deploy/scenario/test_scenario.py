@@ -73,9 +73,17 @@ def test_all_mistakes_are_told_at_once() -> None:
     assert "seed = -1: must be" in str(refused.value)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_effective_scenario_says_all_that_was_in_force(name: str, tmp_path: Path) -> None:
-    short = ["duration_s=0.05", "plant.encoder.velocity_noise_rad_s=0.001"]
+DRIVES = (
+    "controller.delay_compensation={enabled: true, expected_round_trip_ms: 12.5}",
+    "controller.drive_feedback.enabled=true", "plant.drive_feedback.damping_nm_s=4",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "more"), [*((name, ()) for name in NAMES), ("paper_arm", DRIVES)])
+def test_effective_scenario_says_all_that_was_in_force(
+    name: str, more: tuple[str, ...], tmp_path: Path
+) -> None:
+    short = ["duration_s=0.05", "plant.encoder.velocity_noise_rad_s=0.001", *more]
     if load_setup(name).scenario.link.kind == "can":
         short.append(
             "link.can.interface=virtual"

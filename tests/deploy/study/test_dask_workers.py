@@ -21,53 +21,22 @@ from deploy.study.dask_workers import DaskWorkers
 from deploy.study.folder import StudyFolder
 from deploy.study.runner import carry_out
 from deploy.study.sweep import load_sweep
+from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import Here
 from tests.warm_process import ROOT, WarmProcess
 
-DEADLY_LAW = """
-import os
-from controller.control_law import Diagnostics
-
-class Deadly:
-    def __init__(self, model):
-        self.diagnostics = Diagnostics(model.joints)
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        os._exit(1)
-"""
-GATED_LAW = """
-import time
-from pathlib import Path
-import numpy as np
-from controller.control_law import Diagnostics
-
-HERE = Path({folder!r})
-
-class Gated:
-    # A law at rest whose runs begin when they are let, so that a sweep can be caught in the middle
-    def __init__(self, model):
-        self.diagnostics = Diagnostics(model.joints)
-        self.rest, self.has_begun = np.zeros(model.joints), False
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        if not self.has_begun:
-            self.has_begun = True
-            self.begin()
-        return self.rest
-
-    def begin(self):
-        with open(HERE / "begun", "ab", buffering=0) as begun:
-            begun.write(b".")
-            place = begun.tell()
-        while place > int((HERE / "let").read_text() or 0):
-            time.sleep(0.01)
-"""
+# Runs of the latter begin when they are let, so that a sweep can be caught in the middle.
+DEADLY = "import os\nos._exit(1)"
+GATED = """if not hasattr(self, "has_begun"):
+    import time
+    from pathlib import Path
+    self.has_begun = True
+    here = Path({folder!r})
+    with open(here / "begun", "ab", buffering=0) as begun:
+        begun.write(b".")
+        place = begun.tell()
+    while place > int((here / "let").read_text() or 0):
+        time.sleep(0.01)"""
 EVERY = 10**6
 WAIT_S = 300.0
 
@@ -86,7 +55,7 @@ def cluster(tmp_path_factory):
     nobody starts again when it dies.
     """
     folder = tmp_path_factory.mktemp("cluster")
-    (folder / "deadly.py").write_text(DEADLY_LAW)
+    own_law(folder, DEADLY, "deadly")
     place = folder / "scheduler.json"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(folder)])}
 
@@ -121,8 +90,14 @@ def write_sweep(file, grid, **more):
     return file
 
 
+def write_gated_sweep(folder, seeds):
+    """A sweep of two points, whose runs wait for a `Gate`."""
+    grid, gated = {"link.uplink.delay_ms": [0, 1]}, {"controller.law": "gated:Own"}
+    return write_sweep(folder / "long.yaml", grid, seeds=seeds, set=gated)
+
+
 class Gate:
-    """Lets the runs of sweeps whose law is `gated:Gated` begin.
+    """Lets the runs of sweeps whose law is `gated:Own` begin.
 
     Args:
         folder: where the law is written.
@@ -132,7 +107,7 @@ class Gate:
         self._let, self._begun = folder / "let", folder / "begun"
         self._begun.touch()
         self.let(0)
-        (folder / "gated.py").write_text(GATED_LAW.format(folder=str(folder)))
+        own_law(folder, GATED.format(folder=str(folder)), "gated")
 
     def let(self, runs):
         """Let so many runs begin in all."""
@@ -205,9 +180,7 @@ def test_a_scheduler_that_does_not_answer_is_refused(funnel_hil, definition, tmp
 
 def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil, cluster, tmp_path):
     address, worker = cluster
-    gate = Gate(tmp_path)
-    gated, uplink_ms = {"controller.law": "gated:Gated"}, {"link.uplink.delay_ms": [0, 1]}
-    definition = write_sweep(tmp_path / "long.yaml", uplink_ms, seeds=30, set=gated)
+    gate, definition = Gate(tmp_path), write_gated_sweep(tmp_path, seeds=30)
     command = start(definition, tmp_path / "out", "--scheduler", address, cwd=tmp_path)
     gate.let(4)
     gate.wait_for(6)  # each worker is in the middle of a run
@@ -222,9 +195,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil,
 
 
 def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_path, monkeypatch):
-    gate = Gate(tmp_path)
-    gated, uplink_ms = {"controller.law": "gated:Gated"}, {"link.uplink.delay_ms": [0, 1]}
-    definition = write_sweep(tmp_path / "long.yaml", uplink_ms, seeds=40, set=gated)
+    gate, definition = Gate(tmp_path), write_gated_sweep(tmp_path, seeds=40)
     out = tmp_path / "out"
     words = (definition, out, "--workers", "1")
     killed = start(*words, cwd=tmp_path)
@@ -277,14 +248,14 @@ def compile_something():
 
 
 def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):
-    (tmp_path / "deadly.py").write_text(DEADLY_LAW)
-    definition = write_sweep(tmp_path / "d.yaml", {"controller.law": ["pid", "deadly:Deadly"]})
+    laws = {"controller.law": ["pid", own_law(tmp_path, DEADLY, "deadly")]}
+    definition = write_sweep(tmp_path / "d.yaml", laws)
     command = start(definition, tmp_path / "out", "--scheduler", cluster[0], cwd=tmp_path)
     assert command.wait(timeout=WAIT_S) == 0
     survivor, deadly = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pylist()
     assert survivor["error"] is None
     assert "ended the process of every worker" in deadly["error"]
-    assert deadly["controller.law"] == "deadly:Deadly"
+    assert deadly["controller.law"] == "deadly:Own"
 
 
 def test_stranger_on_this_machine_cannot_use_our_own_cluster():

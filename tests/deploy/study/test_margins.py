@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 
@@ -18,6 +17,7 @@ from deploy.study.margin import MarginDefinition, MarginSearch
 from deploy.study.quantities import Steps
 from deploy.study.runner import retrace
 from deploy.study.study import SHIPPED
+from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
 
@@ -57,42 +57,23 @@ def test_a_run_that_fails_does_not_hold(tmp_path):
     assert margin.summary(folder.rows)["cases"][0]["margin"] == 2.0
 
 
-LAW = """\
-import numpy as np
-from pathlib import Path
-from controller.control_law import Diagnostics
-
-RUNS = Path({runs!r})
-
-
-class Unlucky:
-    def __init__(self, model):
-        self.diagnostics, self.none, self.has_begun = Diagnostics(3), np.zeros(3), False
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        if not self.has_begun:
-            self.has_begun = True
-            RUNS.write_text(RUNS.read_text() + "x")
-            if len(RUNS.read_text()) == {fails}:
-                raise MemoryError
-        return self.none
-"""
+UNLUCKY = """if not hasattr(self, "has_begun"):
+    from pathlib import Path
+    self.has_begun = True
+    runs = Path({runs!r})
+    runs.write_text(runs.read_text() + "x")
+    if len(runs.read_text()) == {fails}:
+        raise MemoryError"""
 
 
 @pytest.mark.parametrize("fails", [1, 3])
 def test_a_run_that_fails_by_accident_leaves_the_margin_open(
-    funnel_hil, tmp_path, monkeypatch, fails
+    funnel_hil, tmp_path, import_folder, fails
 ):
     (runs := tmp_path / "runs.txt").write_text("")
-    (tmp_path / "unlucky.py").write_text(LAW.format(runs=str(runs), fails=fails))
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "unlucky", raising=False)
-    monkeypatch.chdir(tmp_path)
+    law = own_law(tmp_path, UNLUCKY.format(runs=str(runs), fails=fails), "unlucky")
     out = tmp_path / "out"
-    words = ["margin", "--laws", "unlucky:Unlucky", "--limit", "2", "--resolution", "1"]
+    words = ["margin", "--laws", law, "--limit", "2", "--resolution", "1"]
     words += ["--seeds", "1", "--offsets", "0.1", "--set", "duration_s=0.02"]
     words += ["--set", "metrics.from_s=0", "--workers", "1", "--out", out]
     code, output = funnel_hil(*words)

@@ -22,6 +22,7 @@ from deploy.study.comparison.comparison import Comparison
 from deploy.study.margin import Margin
 from deploy.study.robustness import margin_study
 from deploy.study.sweep import Sweep
+from tests.deploy.own_laws import own_law
 
 
 def load_setups(scenario, overrides, laws):
@@ -240,23 +241,10 @@ def test_compare_is_told_its_laws_by_their_option(law):
         compare(law)
 
 
-def test_the_scenarios_own_law_is_always_among_all(tmp_path, monkeypatch):
-    (tmp_path / "own_law_of_study.py").write_text(
-        "import numpy as np\n"
-        "from controller.control_law import Diagnostics\n"
-        "class Idle:\n"
-        "    def __init__(self, model):\n"
-        "        self._none = np.zeros(3)\n"
-        "        self.diagnostics = Diagnostics(3)\n"
-        "    def torque(self, tracking):\n"
-        "        return self._none\n"
-        "    def reset(self):\n"
-        "        pass\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    file = tmp_path / "mine.yaml"
-    file.write_text("{extends: paper_arm, name: mine, controller: {law: 'own_law_of_study:Idle'}}")
-    everyone = [*LAWS, "own_law_of_study:Idle"]
+def test_the_scenarios_own_law_is_always_among_all(tmp_path, import_folder):
+    law, file = own_law(tmp_path, "pass"), tmp_path / "mine.yaml"
+    file.write_text(f"{{extends: paper_arm, name: mine, controller: {{law: '{law}'}}}}")
+    everyone = [*LAWS, law]
     setups = load_setups(str(file), [], None)
     assert [setup.scenario.controller.law for setup in setups] == everyone
     both = Margin({"scenarios": [str(file), "paper_arm"]}, Path("margin"))

@@ -27,6 +27,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.recorded import recorded_runs
 from tests.damage import damage_at
+from tests.deploy.own_laws import own_law
 
 SHORT = ("duration_s=0.3", "metrics.from_s=0")
 
@@ -75,29 +76,12 @@ def test_gains_of_laws_that_no_run_has_are_no_difference(folder, tmp_path):
     assert list(compared.differing) == ["controller.law", "controller.gains.ftsmc.eta"]
 
 
-LAW_OF_ONES_OWN = """
-from controller.control_law import Diagnostics
-
-class Stiff:
-    def __init__(self, model, stiffness):
-        self.stiffness, self.diagnostics = stiffness, Diagnostics(model.joints)
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        return -self.stiffness * tracking.error - 10.0 * tracking.error_rate
-"""
-
-
-def test_gains_of_a_law_of_ones_own_are_a_difference(tmp_path, monkeypatch):
-    (tmp_path / "law_with_stiffness.py").write_text(LAW_OF_ONES_OWN)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    law, idle = "controller.law=law_with_stiffness:Stiff", "controller.gains.ftsmc.eta=0.1"
-    soft = record(tmp_path / "soft", law, "controller.gains.custom={stiffness: 50.0}")
-    stiff = record(tmp_path / "stiff", law, "controller.gains.custom={stiffness: 90.0}", idle)
-    compared = recorded_runs([soft, stiff])
-    assert compared.differing == {"controller.gains.custom.stiffness": ["50.0", "90.0"]}
+def test_gains_of_a_law_of_ones_own_are_a_difference(tmp_path, import_folder):
+    law, idle = f"controller.law={own_law(tmp_path, 'pass')}", "controller.gains.ftsmc.eta=0.1"
+    early = record(tmp_path / "early", law, "controller.gains.custom={at_tick: 5}")
+    late = record(tmp_path / "late", law, "controller.gains.custom={at_tick: 9}", idle)
+    compared = recorded_runs([early, late])
+    assert compared.differing == {"controller.gains.custom.at_tick": ["5", "9"]}
 
 
 def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
@@ -311,8 +295,8 @@ def test_a_comparison_reported_later_keeps_how_the_process_ended(tmp_path, funne
     out = tmp_path / "laws"
     words = ["--set", "controller.process=[sh, -c, 'echo no such robot >&2; exit 3']"]
     words += [word for change in SHORT for word in ("--set", change)]
-    code, _ = funnel_hil("compare", "--laws", "process", *words, "--out", out)
-    assert code == 1
+    code, said = funnel_hil("compare", "--laws", "process", *words, "--out", out)
+    assert code == 1, said
     (faults,) = (run["faults"] for run in read_summary(out)["laws"].values())
     assert "no such robot" in faults[0]
     funnel_hil("report", out)

@@ -1,4 +1,4 @@
-"""The commands `report`, `diff` and `bench`."""
+"""Commands for recorded runs: `report`, `diff` and `replay`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import typer
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
+from controller.laws.custom import is_custom
 from deploy.cli.common import judging, show_places
-from deploy.cli.options import (
-    NoReport,
-    Out,
-    Overwrite,
-)
+from deploy.cli.options import NoReport, Out, Overwrite
 from deploy.cli.study.studies import conclude_comparison, report_study
 from deploy.cli.terminal.show_run import show_summary
+from deploy.judge.arithmetic import difference_of_arithmetic
+from deploy.judge.run_data import RunData
 from deploy.reports.comparison_tables import (
     difference_table,
     recorded_joint_tables,
@@ -25,10 +24,21 @@ from deploy.reports.comparison_tables import (
 )
 from deploy.reports.results import conditions_in, write_diff_results, write_run_results
 from deploy.reports.terminal import print_table
-from deploy.reports.verdict import verdict_on_runs
+from deploy.reports.verdict import PARTIAL, damaged, verdict_on_runs
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.new_folder import new_folder
-from deploy.run.run_folder import ResultFolder, RunFolder, load_run, provenance, read_summary
+from deploy.run.replay import Replay
+from deploy.run.replay import replay as replay_run
+from deploy.run.run_folder import (
+    ResultFolder,
+    RunFolder,
+    load_run,
+    provenance,
+    read_manifest,
+    read_summary,
+)  # fmt: skip
+from deploy.run.stop_signals import WITHIN_S, stop_at_once
+from deploy.scenario.yaml_files import ScenarioError, naming
 from deploy.study.comparison.comparison import KIND
 from deploy.study.comparison.recorded import KIND as DIFF
 from deploy.study.comparison.recorded import RecordedRuns, read_again, recorded_runs
@@ -84,21 +94,6 @@ def report(
         raise typer.Exit(FAULT if data.damage else FINISHED)
 
 
-def bench(
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the numbers to a file.")
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Use fewer and shorter repetitions, for a rough result.")
-    ] = False,
-) -> None:
-    """Measure run times on this machine, as ratios to reference operations."""
-    from deploy.bench.bench import run_bench  # imports what nothing else needs
-
-    sections = run_bench(Console(), json_file, quick=quick)
-    raise typer.Exit(FINISHED if all(section.ratios for section in sections) else FAULT)
-
-
 def _show_diff(
     compared: RecordedRuns, folder: ResultFolder, console: Console, *, draws_report: bool = True
 ) -> None:
@@ -114,3 +109,56 @@ def _show_diff(
     for reason in verdict.reasons:
         console.print(reason, markup=False, highlight=False)
     show_places(console, folder)
+
+
+def replay(
+    run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")],
+    allow_custom_law: Annotated[
+        bool,
+        typer.Option("--allow-custom-law", help="Run the custom law that the recording names."),
+    ] = False,
+) -> None:
+    """Feed a recorded run to its law again, and compare the torques bit for bit."""
+    data, contents = load_run(run_dir)
+    _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
+    stop_at_once(WITHIN_S, may_hold_lock=is_custom(data.setup.scenario.controller.law))
+    with naming(run_dir):
+        master_skips = data.setup.link_kind.controller_leads and data.clock == "realtime"
+        result = replay_run(data.setup, contents, master_skips=master_skips)
+    stop_at_once()
+    recorded = read_manifest(run_dir if run_dir.is_dir() else run_dir.parent)
+    _show_replay(result, data, difference_of_arithmetic(recorded, provenance()))
+    raise typer.Exit(FINISHED if result.is_identical and not data.damage else FAULT)
+
+
+def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
+    """Check that the law of a recording exists and may run."""
+    law = data.setup.scenario.controller.law
+    if data.setup.scenario.controller.process is not None:
+        raise ScenarioError(
+            f"{run_dir}: {data.controller}: is not a law that funnel-hil can replay"
+        )
+    if is_custom(law) and not allow_custom_law:
+        raise ScenarioError(
+            f"{run_dir}: controller.law = {law!r}: is not a shipped law; --allow-custom-law runs"
+            " the module or program of that name, which is code of the user"
+        )
+
+
+def _show_replay(result: Replay, data: RunData, difference: str) -> None:
+    console = Console()
+    if data.damage:
+        console.print(damaged(data.damage), markup=False)
+    elif not data.complete:
+        console.print(PARTIAL)
+    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
+    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
+    if result.failure:
+        console.print(f"the replay stopped early: {result.failure}", markup=False, highlight=False)
+    if not result.is_identical:
+        console.print(f"[bold red]different[/] from command {result.first_difference} on")
+        if difference:
+            console.print(difference, markup=False, highlight=False)
+        return
+    until = " as far as can be read" if data.damage else " until it failed" * bool(result.failure)
+    console.print(f"[bold green]identical[/]{until}")
