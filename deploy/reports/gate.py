@@ -22,10 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.verdict import Verdict
-from deploy.reports.study_texts import case_name, shown_value
+from deploy.reports.study_texts import case_name
 from deploy.run.run_folder import read_json
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import OF_BOUND
+from deploy.study.study import OF_BOUND, shown_value
 
 _ENTRIES = "history.jsonl"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
@@ -241,7 +241,8 @@ def read_history(folder: Path) -> list[Entry]:
 
 def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) -> None:
     """Write all entries, and the page that draws them."""
-    from deploy.reports.page import Fact, Page, Panel, ReportHead, write_page  # heavy
+    from deploy.reports.page import Fact, Page, Panel, write_page  # heavy
+    from deploy.reports.verdict import ReportHead
 
     folder.mkdir(parents=True, exist_ok=True)
     lines = (f"{_ENTRY.dump_json(entry).decode()}\n" for entry in entries)
