@@ -1,9 +1,9 @@
-"""Array types shared by every room, and tables with named columns."""
+"""Array types shared by every room, tables with named columns, and percentiles."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,3 +33,21 @@ def records(rows: int, columns: Mapping[str, ArrayLike]) -> Records:
     for name, values in columns.items():
         table[name] = values
     return table
+
+
+PERCENTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
+"""Percentiles of times in ``summary.json``, with their shares."""
+
+
+def percentiles(values: NDArray[Any], counts: NDArray[Any] | None = None) -> dict[str, Any]:
+    """Return exact percentiles, each a value that occurred; null where there are no values.
+
+    Args:
+        values: shape (values,).
+        counts: how often each value occurred; once by default.
+    """
+    if not (values.size if counts is None else counts.any()):
+        return dict.fromkeys(PERCENTILES)
+    shares = list(PERCENTILES.values())
+    found = np.quantile(values, shares, weights=counts, method="inverted_cdf")
+    return dict(zip(PERCENTILES, np.asarray(found, dtype=np.float64).tolist(), strict=True))

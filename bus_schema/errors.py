@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 _SHOWN_KEYS = 12
 _LONGEST = 120
+_LOGGED_PER_REASON = 5
 
 
 class BusError(Exception):
@@ -30,6 +33,25 @@ class InvalidMessageError(BusError, ValueError):
     def __init__(self, reason: str, explanation: str) -> None:
         super().__init__(explanation)
         self.reason = reason
+
+
+class Rejections:
+    """Counter of messages rejected on arrival; a flood of them fills counters, not logs.
+
+    Attributes:
+        counts: number of rejections by reason.
+    """
+
+    def __init__(self, what: str, logger: logging.Logger) -> None:
+        self._what = what
+        self._logger = logger
+        self.counts: Counter[str] = Counter()
+
+    def note(self, error: InvalidMessageError) -> None:
+        """Count a rejection."""
+        self.counts[error.reason] += 1
+        if self.counts[error.reason] <= _LOGGED_PER_REASON:
+            self._logger.warning("%s ignored: %s", self._what, error)
 
 
 class PeerSilentError(BusError, TimeoutError):
@@ -62,9 +84,9 @@ class ScenarioMismatchError(BusError):
     def __init__(self, peer: str, keys: Sequence[str], *, may_be_forged: bool = False) -> None:
         shown = ", ".join(keys[:_SHOWN_KEYS])
         more = f" and {len(keys) - _SHOWN_KEYS} more" if len(keys) > _SHOWN_KEYS else ""
-        forged = f"; or a stranger claims to be the {peer}: link.security keeps strangers out"
+        forged = f"; or another program claims to be the {peer}: link.security prevents this"
         super().__init__(
-            f"the {peer} runs another scenario; what differs: {shown}{more}: start both with the"
+            f"the {peer} runs another scenario; different keys: {shown}{more}: start both with the"
             f" same file and the same --set{forged if may_be_forged else ''}"
         )
         self.keys = list(keys)

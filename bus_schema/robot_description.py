@@ -15,7 +15,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number, joint_ends
 from bus_schema.urdf.drive_values import DriveValues, drive_values
-from bus_schema.urdf.inertia import check_moved_masses, judge_inertias, massless_inertias
+from bus_schema.urdf.inertia import judge_inertias
 from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
 from bus_schema.urdf.resolved import (
     attach_payload,
@@ -138,13 +138,11 @@ def _described(
     path: Path, text: str, root: ET.Element, driven: Sequence[str] | None, *, repair: bool
 ) -> RobotDescription:
     if not any(joint.get("type") in MOVING_TYPES for joint in root.findall("joint")):
-        raise RobotDescriptionError("has no revolute or continuous joint, nor a prismatic one")
+        raise RobotDescriptionError("has no revolute, continuous or prismatic joint")
     check_urdf(root)
     roles = joint_roles(root, driven)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
-    check_moved_masses(root, moving)
-    oddities = _warnings_of(path, root, moving)
-    warnings = [*judge_inertias(root, moving, repair=repair), *oddities]
+    warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)
@@ -169,27 +167,22 @@ def _check_ranges(names: Sequence[str], lower: Vector, upper: Vector) -> None:
     for name, low, high in zip(names, lower, upper, strict=True):
         if low >= high:
             raise RobotDescriptionError(
-                f"joint {name} has no room between lower={low:g} and upper={high:g}: lower must be"
-                " less than upper; or the joint continuous, fixed, or not among robot.joints"
+                f"joint {name} has lower={low:g} and upper={high:g}: lower must be less than"
+                " upper, or the joint must be continuous, fixed, or not in robot.joints"
             )
 
 
 def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
     """Return warnings about accepted but suspicious contents of a file."""
     said = [
-        f"the axis of joint {name} is no unit vector: it is taken as a direction alone"
+        f"the axis of joint {name} is not a unit vector: only its direction is used"
         for name in long_axes(root)
         if name in moving
     ]
-    if massless := ", ".join(massless_inertias(root, moving)):
-        said.append(
-            f"{massless}: inertia without mass, which no body has: it counts all the same, as"
-            " the file has it"
-        )
     if missing := missing_meshes(root, path.parent):
         said.append(
-            f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: pictures"
-            " lack them, and the physics needs none"
+            f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: they are"
+            " missing in pictures; the physics does not need them"
         )
     return said
 
@@ -204,7 +197,7 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
     if root.tag not in ("robot", "mujoco"):
         raise RobotDescriptionError(
-            f"{path} is no URDF, nor MJCF: its root element is <{root.tag}>"
+            f"{path} is neither URDF nor MJCF: its root element is <{root.tag}>"
         )
     return text, root
 

@@ -111,22 +111,10 @@ def _errors_and_bounds(
         published[_UPPER, i], published[_LOWER, i] = bounds[UPPER, i], -bounds[LOWER, i]
 
 
-class _Row:
-    """A row of a table as an attribute: assigning to it copies the values into the row."""
-
-    def __set_name__(self, owner: type[Diagnostics], name: str) -> None:
-        self._index = owner.PUBLISHED.index(name)
-
-    def __get__(self, owner: Diagnostics, _kind: type[Diagnostics]) -> Vector:
-        row: Vector = owner.published[self._index]
-        return row
-
-    def __set__(self, owner: Diagnostics, values: Vector) -> None:
-        owner.published[self._index] = values
-
-
 class Diagnostics:
     """A law's report of its internal state, shape (joints,) each; NaN for missing values.
+
+    Assigning to one of these arrays copies the values into it, as others keep references to it.
 
     Attributes:
         transformed_error: ε; sliding_variable: s, rad/s; network_output: N m.
@@ -135,21 +123,21 @@ class Diagnostics:
     """
 
     PUBLISHED = ("transformed_error", "sliding_variable", "network_output")
-    transformed_error = _Row()
-    sliding_variable = _Row()
-    network_output = _Row()
+    transformed_error: Vector
+    sliding_variable: Vector
+    network_output: Vector
+    network_norm: Vector
 
     def __init__(self, joints: int) -> None:
         self.published: Matrix = np.full((len(self.PUBLISHED), joints), np.nan)
-        self._network_norm: Vector = np.full(1, np.nan)
+        self.transformed_error, self.sliding_variable, self.network_output = self.published
+        self.network_norm = np.full(1, np.nan)
 
-    @property
-    def network_norm(self) -> Vector:
-        return self._network_norm
-
-    @network_norm.setter
-    def network_norm(self, value: Vector | float) -> None:
-        self._network_norm[:] = value
+    def __setattr__(self, name: str, values: object) -> None:
+        if name in Diagnostics.__annotations__ and name in vars(self):
+            getattr(self, name)[...] = values
+        else:
+            super().__setattr__(name, values)
 
 
 TRANSFORMED_ERROR, SLIDING_VARIABLE, NETWORK_OUTPUT = range(3)

@@ -6,8 +6,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Records, Vector
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
-from bus_schema.runtime.compiled import bind, compiled
-from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.compiled import all_finite, bind, compiled
 from controller.errors import ControllerError
 
 _NOT_FINITE = -1

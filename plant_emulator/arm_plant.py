@@ -75,7 +75,7 @@ class ArmPlant:
         self._grid = grid
         engine = engine_in_force(configuration)
         self.physics = physics_in_force(configuration)
-        self._arm = engine.arm_type(
+        self._bodies = engine.arm_type(
             ArmSpecification(
                 robot, grid, self.torques, configuration.physics.integrator,
                 configuration.payload_kg,
@@ -85,12 +85,12 @@ class ArmPlant:
             )
         )  # fmt: skip
         self._faults = (
-            ArmFaults(faults, robot.joint_names, randoms[2], self._arm) if faults else None
+            ArmFaults(faults, robot.joint_names, randoms[2], self._bodies) if faults else None
         )
-        self._arm.place(start_position_rad)
-        self.position: Vector = self._arm.position
-        self.velocity: Vector = self._arm.velocity
-        self.motion: Matrix = self._arm.motion
+        self._bodies.place(start_position_rad)
+        self.position: Vector = self._bodies.position
+        self.velocity: Vector = self._bodies.velocity
+        self.motion: Matrix = self._bodies.motion
         trains = self.torques.tables.trains
         sees_motors = trains.is_elastic and configuration.actuator.encoder_side == "motor"
         seen = trains.rotors if sees_motors else self.motion
@@ -113,7 +113,7 @@ class ArmPlant:
             RobotDescriptionError: the physics engine cannot load the arm.
         """
         if configuration.gui and not os.environ.get("DISPLAY"):
-            raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
+            raise ConfigurationError("plant.gui", True, "needs a display, but DISPLAY is not set")
         random = np.random.default_rng()
         _stop_damping(configuration, robot)
         gains = no_drive_feedback(robot.joints)
@@ -160,7 +160,7 @@ class ArmPlant:
         if joints.tobytes() != held.tobytes():  # a tenth of np.array_equal's time
             held[:] = joints
             if not self._is_braked:
-                self._arm.hold(held.tolist())
+                self._bodies.hold(held.tolist())
 
     def stop(self) -> None:
         """Begin the configured safe stop, which cannot be revoked."""
@@ -198,7 +198,7 @@ class ArmPlant:
 
     def close(self) -> None:
         """Free the physics engine."""
-        self._arm.close()
+        self._bodies.close()
 
     def _clear_command(self) -> None:
         """Clear torque and target, so that drives stop following it."""
@@ -216,14 +216,14 @@ class ArmPlant:
     def _go(self, first: int, end: int) -> None:
         if self._is_braked:
             self.torques.rest()
-            self._arm.advance_braked(end - first)
+            self._bodies.advance_braked(end - first)
         else:
-            self._arm.advance(first, end)
+            self._bodies.advance(first, end)
 
     def _set_brakes(self, *, engaged: bool) -> None:
-        self._arm.set_brakes(engaged=engaged)
+        self._bodies.set_brakes(engaged=engaged)
         if not engaged and self.torques.held.any():
-            self._arm.hold(self.torques.held.tolist())
+            self._bodies.hold(self.torques.held.tolist())
         self._is_braked = engaged
 
 

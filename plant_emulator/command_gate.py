@@ -10,13 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.errors import InvalidMessageError
+from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from bus_schema.messages.rejections import Rejections
-from bus_schema.runtime.compiled import bind
-from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.compiled import all_finite, bind
 
 _REMEMBERED = 1000
 """Messages remembered; a link reorders far fewer."""
@@ -48,10 +46,10 @@ class SenderNumbers:
         known = self._contents.get(number)
         if known is not None:
             if known != contents:
-                self.second_source = f"its number {number} came with two contents"
+                self.second_source = f"two commands with number {number} have different contents"
             return False
         if number < self._highest - _REMEMBERED:
-            self.second_source = f"its number {number} came after {self._highest}"
+            self.second_source = f"number {number} came after {self._highest}"
         self._highest = max(number, self._highest)
         self._contents[number] = contents
         if len(self._contents) > _REMEMBERED:
@@ -164,7 +162,9 @@ class CommandGate:
         if stamp_ns == self._awaited_ns:
             self.is_waiting = False
         if stamp_ns <= self.newest_ns:
-            raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
+            raise InvalidMessageError(
+                "stale", "its state is not newer than that of the last command"
+            )
         self.newest_ns = stamp_ns
         self._newest_sequence = arrival.sequence
         if arrival.sender != self.commander:
@@ -182,9 +182,11 @@ class CommandGate:
             if arrival.sender and number:
                 is_known = not self._numbers.is_new(number, arrival.payload)
             if is_known or (number <= self._newest_sequence and self._newest_sequence):
-                raise InvalidMessageError("replayed", "its number is no newer than the last one's")
+                raise InvalidMessageError(
+                    "replayed", "its number is not newer than that of the last command"
+                )
         elif self.commander is not None and not self._has_left(self.commander):
-            raise InvalidMessageError("other_commander", "another session is in command")
+            raise InvalidMessageError("other_commander", "another session is the commander")
 
 
 def _given(target: Matrix) -> Matrix | None:

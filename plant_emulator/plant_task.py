@@ -11,8 +11,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.faults.fault import Fault
-from plant_emulator.faults.scheduler import ScheduledAction
+from plant_emulator.faults.fault import Fault, ScheduledAction
 
 
 class TruthWatch(Protocol):

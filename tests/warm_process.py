@@ -31,7 +31,7 @@ HANG_S = 300.0
 """Longer than anything here takes on a slow machine; only a hang lasts so long."""
 
 IMPORTED = (
-    "deploy.cli.processes", "deploy.cli.one_run", "deploy.cli.study.experiments",
+    "deploy.cli.processes", "deploy.cli.one_run", "deploy.cli.study.recorded",
     "deploy.cli.study.studies", "deploy.reports.run_reports",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
@@ -102,6 +102,20 @@ class WarmProcess:
         if self.returncode is None and select.select([self._status], [], [], timeout_s)[0]:
             self.returncode = int(self._status.readline())
         return self.returncode
+
+
+def cold(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in a Python that starts from nothing."""
+    return cold_python("-m", "deploy.cli", *words, **environment)
+
+
+def cold_python(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python from nothing; it finds our packages wherever it works."""
+    return subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, errors="replace",
+        env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400", **environment}, check=False,
+        timeout=HANG_S,
+    )  # fmt: skip
 
 
 @contextmanager

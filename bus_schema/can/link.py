@@ -23,8 +23,7 @@ from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, n
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
-from bus_schema.runtime.clock import Clock, TickGrid
-from bus_schema.runtime.lateness import HostLateness
+from bus_schema.runtime.clock import Clock, HostLateness, TickGrid
 
 logger = logging.getLogger(__name__)
 

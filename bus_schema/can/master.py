@@ -62,6 +62,7 @@ class CanMaster(ABC):
         self._is_stopping = False
         self._target: Matrix | None = None
         self._strangers: Counter[str] = Counter()
+        self._other_format: Counter[str] = Counter()
         self._samplings, self._answers = 0, [0] * len(node_ids)
         self._skipped = np.zeros((2, len(node_ids)))
         self._now_ns = 0
@@ -183,16 +184,20 @@ class CanMaster(ABC):
         return ", ".join(str(self._node_ids[joint]) for joint in sorted(joints))
 
     def strangers(self) -> str:
-        """Who else is on the bus and acts as master or as one of the drives; empty if nobody is."""
-        sentences = []
+        """Who else acts as master or drive, and drives with another frame format; may be empty."""
+        sentences = [
+            f"states came in {count} {format_} frames, and link.can.fd_process_data is"
+            f" {str(self._can.fd_process_data).lower()}: drives and scenario must agree"
+            for format_, count in self._other_format.items()
+        ]
         if self._strangers:
             what = ", ".join(f"{name} ({count})" for name, count in self._strangers.items())
             sentences.append(f"another master is on this bus: it sent {what}")
         for node_id, joint in self._joint_of.items():
             if self._answers[joint] > self._samplings:
                 sentences.append(
-                    f"drive {node_id} sent {self._answers[joint]} states and was asked for"
-                    f" {self._samplings}: another one has its address, or another master asks"
+                    f"drive {node_id} sent {self._answers[joint]} states for {self._samplings}"
+                    " requests: another drive has its address, or another master sends requests"
                 )
         return "; ".join(sentences)
 
@@ -266,8 +271,16 @@ class CanMaster(ABC):
             self._handle_report(frame)
 
     def _note_stranger(self, frame: CanFrame) -> None:
-        """Count what only the master sends: a bus gives nobody its own frames back."""
-        if frame.is_error or frame.is_extended or (frame.is_fd and not self._can.fd_process_data):
+        """Count what only the master sends: a bus gives nobody its own frames back.
+
+        States in the other frame format, CAN FD or classical, are counted too.
+        """
+        if frame.is_error or frame.is_extended:
+            return
+        other = frame._replace(is_fd=not frame.is_fd)
+        if self._codec.read_state(other, *self._skipped) is not None:
+            self._other_format["CAN FD" if frame.is_fd else "classical"] += 1
+        if frame.is_fd and not self._can.fd_process_data:
             return
         name = self._only_master_sends(frame)
         if name is not None:

@@ -9,10 +9,9 @@ from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, Registry
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 
 
@@ -50,12 +49,21 @@ class DriveProtocol(ABC):
             ConfigurationError: a value does not fit the robot, or drives cannot have such gains.
         """
 
-    def check(self, can: CanConfiguration) -> None:  # noqa: B027 (a protocol may have none)
-        """Check values that concern this protocol alone.
+    def check(self, can: CanConfiguration, *, takes_targets: bool) -> None:  # noqa: ARG002
+        """Check the description of the drives.
+
+        Args:
+            can: section ``link.can`` of the scenario.
+            takes_targets: whether targets come with the torques.
 
         Raises:
-            ConfigurationError: one cannot be used.
+            ConfigurationError: it cannot be used.
         """
+        if can.eds is not None:
+            raise ConfigurationError(
+                "link.can.eds", can.eds, f"must be left out with {self.title}, which has no EDS",
+                ["link.can.protocol"],
+            )  # fmt: skip
 
     def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
         """Frames that a drive answers and that change nothing; none if there are no such frames."""

@@ -11,6 +11,9 @@ from bus_schema.can.master import DriveError
 from bus_schema.can.protocol import DriveProtocol
 from bus_schema.link.can_configuration import CanConfiguration
 
+FORMAT = "CAN FD"
+"""Name of an answer that comes with each: 1 if the drive sent it in a CAN FD frame, else 0."""
+
 _QUIET_S = 0.1
 _FROM_A_FLOOD = 10_000
 
@@ -34,7 +37,7 @@ def ask_drives(
             answer = protocol.answer(frame)
             if answer is not None:
                 node_id, name, value = answer
-                found[node_id][name] = value
+                found[node_id] |= {name: value, FORMAT: float(frame.is_fd)}
                 quiet_from_s = time.monotonic() + _QUIET_S
     return dict(found)
 
@@ -51,6 +54,6 @@ def require_no_others(
     if strange := sorted(ask_drives(bus, protocol, can, others).keys() - {*known}):
         nodes = ", ".join(map(str, strange))
         raise DriveError(
-            f"drives with addresses {nodes} answer on this bus and are not the scenario's: nothing"
-            " was commanded; take them off the bus, or choose another (link.can.channel)"
+            f"drives with addresses {nodes} answer on this bus but are not in the scenario, so"
+            " nothing was commanded; disconnect them, or choose another bus (link.can.channel)"
         )

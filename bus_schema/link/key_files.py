@@ -34,7 +34,7 @@ class KeyFolder:
         try:
             return KeyFolder(Path(folder).expanduser())
         except RuntimeError as error:
-            raise FileNotFoundError(f"{folder}: {error}; an absolute path does without") from error
+            raise FileNotFoundError(f"{folder}: {error}; use an absolute path") from error
 
     @property
     def authority(self) -> Path:

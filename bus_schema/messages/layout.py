@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
 
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.header import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS
 from bus_schema.messages.types import TYPESTORE
-from bus_schema.messages.zero_messages import numeric_fields, zero_message
 
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Limit far above all our messages; larger payloads are refused before they are parsed."""
@@ -113,7 +113,7 @@ class MessageLayout:
         self.type_name = type_name
         self._lengths = defaultdict(lambda: length, lengths or {})
         self._strings = {name: list(values) for name, values in (strings or {}).items()}
-        message = zero_message(type_name, self._lengths, self._strings)
+        message = _zero_message(type_name, self._lengths, self._strings)
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         self.size = len(self.template)
         self.dtype = self._numpy_type(message)
@@ -138,7 +138,7 @@ class MessageLayout:
             self._decode_foreign(payload, into)
         nanosec = into.nanosec[0]
         if nanosec >= NANOSECONDS:
-            raise InvalidMessageError("malformed", "its stamp is no time")
+            raise InvalidMessageError("malformed", "its stamp is not a valid time")
         return into.sec[0] * NANOSECONDS + nanosec
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
@@ -186,7 +186,7 @@ class MessageLayout:
         """Return all numeric fields as a NumPy type, at the offsets where rosbags writes them."""
         template = np.frombuffer(self.template, np.uint8)
         fields: dict[str, tuple[np.dtype[Any], int]] = {}
-        for path, kind, owner, name in numeric_fields(message):
+        for path, kind, owner, name in _numeric_fields(message):
             zero, ones = getattr(owner, name), np.frombuffer(b"\1" * kind.itemsize, kind.base)
             setattr(owner, name, ones if kind.shape else ones[0].item())
             encoded = TYPESTORE.serialize_cdr(message, self.type_name)
@@ -252,3 +252,45 @@ def _permutation(received: list[str], expected: list[str], name: str) -> list[in
     if sorted(received) != sorted(expected):
         raise InvalidMessageError("wrong_names", f"{name} is {received!r}, expected {expected!r}")
     return [received.index(value) for value in expected]
+
+
+def _zero_message(
+    type_name: str, lengths: Mapping[str, int], strings: Mapping[str, list[str]], prefix: str = ""
+) -> Any:
+    """Return a message of a type with arrays of these lengths, all zero, and these strings.
+
+    Its numbers are NumPy scalars of the type that they have on the wire.
+    """
+    values: dict[str, Any] = {}
+    fields: Any = TYPESTORE.fielddefs[type_name][1]
+    for field, (kind, argument) in fields:
+        path = prefix + field
+        if kind == Nodetype.NAME:
+            values[field] = _zero_message(argument, lengths, strings, path + ".")
+        elif kind == Nodetype.BASE:
+            values[field] = "" if argument[0] == "string" else _numpy_type(argument[0]).type(0)
+        elif argument[0][1][0] == "string":
+            values[field] = strings.get(path, [])
+        else:
+            length = lengths[path] if kind == Nodetype.SEQUENCE else argument[1]
+            values[field] = np.zeros(length, _numpy_type(argument[0][1][0]))
+    return TYPESTORE.types[type_name](**values)
+
+
+def _numeric_fields(
+    message: Any, prefix: str = ""
+) -> Iterator[tuple[str, np.dtype[Any], Any, str]]:
+    """Yield each number and array of a `_zero_message`: dotted name, type, owner, and name there.
+
+    They come in wire order; empty arrays are left out.
+    """
+    for name, value in vars(message).items():
+        if hasattr(value, "__msgtype__"):
+            yield from _numeric_fields(value, f"{prefix}{name}.")
+        elif isinstance(value, np.ndarray | np.generic) and value.size:
+            yield prefix + name, np.dtype((value.dtype, value.shape)), message, name
+
+
+def _numpy_type(base: str) -> np.dtype[Any]:
+    """Return the NumPy type of a base type of ROS 2, little endian."""
+    return np.dtype({"bool": "uint8", "octet": "uint8"}.get(base, base)).newbyteorder("<")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import time
+import zlib
+from pathlib import Path
 from typing import Protocol
 
 _yield_cpu = ctypes.CDLL(None).sched_yield
@@ -104,6 +107,13 @@ class MonotonicClock:
         return -remaining_ns
 
 
+def own_kernel() -> int:
+    """Return a number of the running kernel: its processes have one monotonic clock; 0: unknown."""
+    with contextlib.suppress(OSError):
+        return zlib.crc32(Path("/proc/sys/kernel/random/boot_id").read_bytes())
+    return 0
+
+
 class TickGrid:
     """The absolute grid of ticks and substeps of a run.
 
@@ -142,3 +152,28 @@ class TickGrid:
 
     def tick_at_or_before(self, instant_ns: int) -> int:
         return instant_ns // self.period_ns
+
+
+_RECENTLY_NS = 1_000_000_000
+_WORTH_NAMING_NS = 20_000_000
+
+
+class HostLateness:
+    """Largest lateness of this host within the last second."""
+
+    def __init__(self) -> None:
+        self._worst_ns, self._at_ns = 0, 0
+
+    def note(self, late_ns: int, now_ns: int) -> None:
+        """Note by how much this host is late at this time of the run."""
+        if late_ns >= self._worst_ns or now_ns - self._at_ns > _RECENTLY_NS:
+            self._worst_ns, self._at_ns = late_ns, now_ns
+
+    def in_words(self, now_ns: int) -> str:
+        """Explain a fault by this host's lateness; empty if this host was in time."""
+        if self._worst_ns < _WORTH_NAMING_NS or now_ns - self._at_ns > _RECENTLY_NS:
+            return ""
+        return (
+            f"this host was late by {self._worst_ns * 1e-6:.0f} ms,"
+            f" {self._at_ns * 1e-9:.2f} s into the run"
+        )

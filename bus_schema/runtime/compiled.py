@@ -10,21 +10,22 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import logging
+import math
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import setitem
 from typing import Any, ParamSpec, TypeVar, cast
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime import kernel_cache
 
 logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
 """Environment variable: the message about compiling was shown, also for child processes."""
 COMPILES = (
-    "compiling the numerical kernels of this kind of run, which takes up to half a minute: each"
-    " kind needs it once on a machine, and again after a change of version"
+    "compiling the numerical kernels for this kind of run, once per machine and version; this"
+    " takes up to half a minute"
 )
 """The message."""
 P = ParamSpec("P")
@@ -68,7 +69,7 @@ class _CompiledBefore(_Cache):  # type: ignore[misc]
         try:
             super().save_overload(signature, machine_code)
         except OSError as error:
-            kernel_cache.report_refusal(f"a compiled kernel cannot be kept ({error})")
+            kernel_cache.report_refusal(f"a compiled kernel cannot be stored ({error})")
 
 
 def say_that_it_compiles(say: Callable[[str], None]) -> None:
@@ -125,6 +126,15 @@ def copying(source: Matrix, target: Matrix) -> Callable[[], None]:
 @compiled
 def _copy(source: Matrix, target: Matrix) -> None:
     target[:] = source
+
+
+@compiled
+def all_finite(values: Vector | Matrix) -> bool:
+    """Whether no entry of an array is infinite or NaN."""
+    for value in values.flat:  # noqa: SIM110 (compiled: a loop is the fast form)
+        if not math.isfinite(value):
+            return False
+    return True
 
 
 def c_function(library: ctypes.CDLL, name: str, result: str, *arguments: str) -> Any:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
-
-from bus_schema.runtime.signal_names import signal_name
 
 _WAIT_S, _MEMORY_BYTES = 9.0, 1 << 30
 
@@ -60,3 +59,11 @@ def limit_this_process(cpu_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def signal_name(number: int) -> str:
+    """Return a signal's name, such as SIGABRT; real-time signals in between have none."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -2,8 +2,9 @@
 
 ``<dynamics damping friction>`` of a joint, and in the ``<transmission>`` of one joint alone its
 ``<actuator>`` with rotor_inertia (value or text, kg m², in any namespace, such as Drake's) and, if
-that is of the motor's own shaft, gear_ratio or mechanicalReduction. Exporters write zero for
-unknown values; a text that is no number counts as unknown too.
+that is of the motor's own shaft, gear_ratio or mechanicalReduction; and with stiffness and damping,
+which our conversion of MJCF writes there. Exporters write zero for unknown values; a text that is
+no number counts as unknown too.
 """
 
 from __future__ import annotations
@@ -28,38 +29,47 @@ class DriveValues(NamedTuple):
         rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared.
         friction_nm: dry friction.
         damping_nm_s: viscous friction.
+        servo_stiffness_nm_rad: gain of the drive's own loop around a target position.
+        servo_damping_nm_s: its gain around a target velocity.
     """
 
     rotor_inertia_kg_m2: Vector
     friction_nm: Vector
     damping_nm_s: Vector
+    servo_stiffness_nm_rad: Vector
+    servo_damping_nm_s: Vector
 
 
 def drive_values(root: ET.Element, joint_names: Sequence[str]) -> DriveValues:
     """Return the values of some joints."""
-    rotors = dict(_rotor(each) for each in root.findall("transmission"))
+    motors = dict(_motor(each) for each in root.findall("transmission"))
     found = {joint.get("name"): joint.find("dynamics") for joint in root.findall("joint")}
 
     def dynamics(attribute: str) -> Vector:
         texts = {name: each.get(attribute, "0") for name, each in found.items() if each is not None}
         return np.array([_number(texts.get(name, "0")) for name in joint_names])
 
-    inertia = np.array([rotors.get(name, 0.0) for name in joint_names])
-    return DriveValues(inertia, dynamics("friction"), dynamics("damping"))
+    def motor(tag: str) -> Vector:
+        return np.array([motors.get(name, {}).get(tag, 0.0) for name in joint_names])
+
+    return DriveValues(
+        motor("rotor_inertia"), dynamics("friction"), dynamics("damping"),
+        motor("stiffness"), motor("damping"),
+    )  # fmt: skip
 
 
-def _rotor(transmission: ET.Element) -> tuple[str | None, float]:
-    """Return a transmission's joint, and its rotor's inertia as felt there; zero without one."""
-    joints, values = transmission.findall("joint"), dict[str, float]()
+def _motor(transmission: ET.Element) -> tuple[str | None, dict[str, float]]:
+    """Return a transmission's joint, and values of its motor, the rotor's inertia as felt there."""
+    joints = transmission.findall("joint")
     if len(joints) != 1:
-        return None, 0.0
-    name = joints[0].get("name")
-    for element in transmission.findall("actuator/*"):
-        tag = element.tag.rpartition("}")[2]
-        if tag in ("rotor_inertia", *_RATIOS):
-            values[tag] = _number(element.get("value") or element.text or "")
+        return None, {}
+    values = {
+        element.tag.rpartition("}")[2]: _number(element.get("value") or element.text or "")
+        for element in transmission.findall("actuator/*")
+    }
     ratio = next((values[tag] for tag in _RATIOS if tag in values), 1.0)
-    return name, values.get("rotor_inertia", 0.0) * ratio**2
+    values["rotor_inertia"] = values.get("rotor_inertia", 0.0) * ratio**2
+    return joints[0].get("name"), values
 
 
 def _number(text: str) -> float:

@@ -13,6 +13,7 @@ import re
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
@@ -43,6 +44,7 @@ _SHAPES = {
 """The nearest URDF shape for each simple geom."""
 _Frame = tuple[Vector, Vector]
 """Position (m) and orientation (quaternion) of a frame."""
+_AFFINE = mujoco.mjtBias.mjBIAS_AFFINE
 _KINDS = {_JOINT.mjJNT_HINGE: "revolute", _JOINT.mjJNT_SLIDE: "prismatic"}
 
 
@@ -68,12 +70,12 @@ def urdf_from_mjcf(root: ET.Element) -> tuple[ET.Element, list[str]]:
         raise
     except (ValueError, mujoco.FatalError) as error:
         raise RobotDescriptionError(f"MuJoCo: {_reason(error, root)}") from error
-    urdf, efforts = ET.Element("robot", name=root.get("model", "mjcf")), _efforts(model)
+    urdf, drives = ET.Element("robot", name=root.get("model", "mjcf")), _drives(model)
     ET.SubElement(urdf, "link", name="world")
     origins = [np.zeros(3)]
     for body in range(1, model.nbody):  # each body after its parent
-        origins.append(_write_body(urdf, model, body, origins, efforts))
-    return urdf, [f"MJCF: {each}" for each in (*free, *_left_out(model, efforts))]
+        origins.append(_write_body(urdf, model, body, origins, drives))
+    return urdf, [f"MJCF: {each}" for each in (*free, *_left_out(model, drives))]
 
 
 def _prepare(root: ET.Element) -> None:
@@ -81,7 +83,7 @@ def _prepare(root: ET.Element) -> None:
     check_depth(root, _DEEPEST)
     for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
         raise RobotDescriptionError(
-            f"{_shown(found)}: must be left out, as only a tree of bodies can be emulated"
+            f"{_shown(found)}: must be left out, because only a tree of bodies can be emulated"
         )
     for parent in list(root.iter()):
         for child in list(parent):
@@ -95,11 +97,11 @@ def _prepare(root: ET.Element) -> None:
     for element in elements:
         if element.tag in _MACROS or "file" in element.attrib:
             raise RobotDescriptionError(
-                f"{_shown(element)} is not understood: write out what it stands for"
+                f"{_shown(element)} is not supported: write its contents out"
             )
         for name, text in element.attrib.items():
             if any(_NOT_FINITE.fullmatch(part) for part in text.split()):
-                raise RobotDescriptionError(f"{name} of {_shown(element)} is no finite number")
+                raise RobotDescriptionError(f"{name} of {_shown(element)} is not a finite number")
 
 
 def _one_element_a_line(root: ET.Element) -> str:
@@ -176,43 +178,88 @@ def _require_weightless(by_geoms: Any, body: Any, geom: Any) -> None:
         )
 
 
-def _efforts(model: Any) -> dict[int, float]:
-    """Return the largest torque (N m) or force (N) of each driven joint; inf for none.
+@dataclass
+class _Drive:
+    """Limits and gains that the actuators of a joint have there; inf where there is no limit.
 
-    A motor's effort is its largest control times its gear; force ranges of the actuator or the
-    joint limit it too. Efforts of other actuators are unknown.
+    Attributes:
+        effort: N m or N.
+        velocity: rad/s or m/s, of velocity servos.
+        lower: rad or m, the lower end of the range of the joint and of its position servos.
+        upper: the upper end.
+        stiffness: N m/rad or N/m, of position servos.
+        damping: N m s/rad or N s/m, of all servos.
     """
-    efforts: dict[int, float] = dict.fromkeys(() if model.nu else range(model.njnt), math.inf)
-    for actuator in map(model.actuator, range(model.nu)):
+
+    effort: float = 0.0
+    velocity: float = math.inf
+    lower: float = -math.inf
+    upper: float = math.inf
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+    def limit_range(self, ends: Vector) -> None:
+        """Keep the part of the range that lies between both ends."""
+        self.lower, self.upper = max(self.lower, ends.min()), min(self.upper, ends.max())
+
+    def add(self, actuator: Any) -> None:
+        """Add an actuator of the joint.
+
+        Its force is gain · control + bias[0] + bias[1] · length + bias[2] · speed, the length being
+        the joint's position times the gear. A motor has a gain alone. A servo comes to rest where
+        the force is zero.
+        """
+        gear, bias = float(actuator.gear[0]), actuator.biasprm
+        forces = actuator.gainprm[0] * actuator.ctrlrange
+        is_limited = bool(actuator.ctrllimited[0]) and gear != 0.0
+        has_own_state = bool(actuator.dyntype[0])  # its control is no force and no target
         largest = abs(actuator.forcerange).max() if actuator.forcelimited[0] else math.inf
-        is_motor = not (actuator.gaintype[0] or actuator.biastype[0] or actuator.dyntype[0])
-        if is_motor and actuator.ctrllimited[0]:
-            largest = min(largest, abs(actuator.gainprm[0] * actuator.ctrlrange).max())
-        joint = int(actuator.trnid[0])
-        efforts[joint] = efforts.get(joint, 0.0) + abs(actuator.gear[0]) * largest
-    for joint in efforts:
+        if is_limited and not (actuator.gaintype[0] or actuator.biastype[0] or has_own_state):
+            largest = min(largest, abs(forces).max())
+        self.effort += abs(gear) * largest if gear else 0.0
+        if actuator.gaintype[0] or actuator.biastype[0] != _AFFINE:
+            return
+        self.stiffness -= bias[1] * gear**2
+        self.damping -= bias[2] * gear**2
+        if is_limited and not has_own_state:
+            if bias[1] < 0.0:
+                self.limit_range((forces + bias[0]) / (-bias[1] * gear))
+            elif bias[2] < 0.0:
+                speeds = abs((forces + bias[0]) / (bias[2] * gear))
+                self.velocity = min(self.velocity, speeds.max())
+
+
+def _drives(model: Any) -> dict[int, _Drive]:
+    """Return the drives of all joints that have actuators; without any in the file, of all."""
+    free = range(0 if model.nu else model.njnt)
+    drives = {joint: _Drive(effort=math.inf) for joint in free}
+    for actuator in map(model.actuator, range(model.nu)):
+        drives.setdefault(int(actuator.trnid[0]), _Drive()).add(actuator)
+    for joint, drive in drives.items():
+        if model.jnt_limited[joint]:
+            drive.limit_range(model.jnt_range[joint])
         if model.jnt_actfrclimited[joint]:
-            efforts[joint] = min(efforts[joint], abs(model.jnt_actfrcrange[joint]).max())
-    return efforts
+            drive.effort = min(drive.effort, abs(model.jnt_actfrcrange[joint]).max())
+    return drives
 
 
-def _left_out(model: Any, efforts: dict[int, float]) -> Iterator[str]:
+def _left_out(model: Any, drives: dict[int, _Drive]) -> Iterator[str]:
     """Return warnings about elements that a URDF cannot represent."""
     joints = [model.joint(joint) for joint in range(model.njnt)]
-    if passive := ", ".join(joint.name for joint in joints if joint.id not in efforts):
+    if passive := ", ".join(joint.name for joint in joints if joint.id not in drives):
         yield f"{passive}: no actuator drives them; they are held"
-    driven = [joint for joint in joints if joint.id in efforts]
+    driven = [joint for joint in joints if joint.id in drives]
     if any(joint.stiffness.any() for joint in driven):
         yield "stiffness of its joints is left out"
     if names := ", ".join(f"body {model.body(i).name}" for i in model.body_gravcomp.nonzero()[0]):
-        yield f"gravcomp of {names} is left out: gravity pulls on all of it here"
+        yield f"gravcomp of {names} is left out: gravity acts on the whole arm"
     if (gravity := model.opt.gravity.tolist()) != [0.0, 0.0, -9.81]:
         shown = " ".join(f"{part:g}" for part in gravity)
         yield f"its gravity {shown} is left out: it is 0 0 -9.81 here"
 
 
 def _write_body(
-    urdf: ET.Element, model: Any, body: int, origins: list[Vector], efforts: dict[int, float]
+    urdf: ET.Element, model: Any, body: int, origins: list[Vector], drives: dict[int, _Drive]
 ) -> Vector:
     """Write a body and the joints before it.
 
@@ -221,7 +268,7 @@ def _write_body(
         model: the compiled model.
         body: the body's number.
         origins: origins of the links before it, each in its body's frame.
-        efforts: largest torque (N m) or force (N) of the joints that are not held.
+        drives: drives of the joints that are not held.
 
     Returns:
         The origin of the link, at the body's last joint.
@@ -233,7 +280,7 @@ def _write_body(
     for index, joint in enumerate(map(model.joint, range(first, first + joints)), start=1):
         at = at + _rotated(joint.pos - origin, turn)
         link = name if index == joints else f"{name}_{index}"
-        _write_joint(urdf, joint, efforts.get(joint.id), (parent, link), (at, turn))
+        _write_joint(urdf, joint, drives.get(joint.id), (parent, link), (at, turn))
         if link != name:  # it weighs nothing, and is refused if it has to move
             ET.SubElement(urdf, "link", name=link)
         parent, at, turn, origin = link, np.zeros(3), np.eye(4)[0], joint.pos
@@ -244,33 +291,37 @@ def _write_body(
 
 
 def _write_joint(
-    urdf: ET.Element, joint: Any, effort: float | None, ends: tuple[str, str], frame: _Frame
+    urdf: ET.Element, joint: Any, drive: _Drive | None, ends: tuple[str, str], frame: _Frame
 ) -> None:
-    """Write a joint; a joint without an effort is held."""
+    """Write a joint; a joint without a drive is held."""
     (at, turn), (reference,) = frame, joint.qpos0
-    kind, limited = _KINDS[_JOINT(joint.type[0])], bool(joint.limited[0])
+    kind = _KINDS[_JOINT(joint.type[0])]
     if kind == "prismatic":
         at = at - reference * _rotated(joint.axis, turn)
     else:
         back, before, turn = np.zeros(4), turn, np.zeros(4)
         mujoco.mju_axisAngle2Quat(back, joint.axis, -reference)
         mujoco.mju_mulQuat(turn, before, back)
-        kind = kind if limited else "continuous"
-    if effort is None:
+    if drive is None:
         _connect(urdf, (joint.name, "fixed"), ends, (at, turn))
         return
+    names = ("lower", "upper", "effort", "velocity")
+    limit = {name: each for name in names if math.isfinite(each := getattr(drive, name))}
+    if kind == "revolute" and "lower" not in limit:
+        kind = "continuous"
     element = _connect(urdf, (joint.name, kind), ends, (at, turn))
     ET.SubElement(element, "axis", xyz=_text(joint.axis))
-    limit = {"lower": joint.range[0], "upper": joint.range[1]} if limited else {}
-    if effort < math.inf:
-        limit["effort"] = effort
     ET.SubElement(element, "limit", {key: _text(value) for key, value in limit.items()})
     friction = {"damping": joint.damping, "friction": joint.frictionloss}
     ET.SubElement(element, "dynamics", {key: _text(value) for key, value in friction.items()})
     transmission = ET.SubElement(urdf, "transmission")
     ET.SubElement(transmission, "joint", name=joint.name)
     actuator = ET.SubElement(transmission, "actuator")
-    ET.SubElement(actuator, "rotor_inertia", value=_text(joint.armature))
+    motor = {
+        "rotor_inertia": joint.armature, "stiffness": drive.stiffness, "damping": drive.damping
+    }  # fmt: skip
+    for name, value in motor.items():
+        ET.SubElement(actuator, name, value=_text(value))
 
 
 def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None:

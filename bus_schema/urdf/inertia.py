@@ -17,93 +17,84 @@ _SLIGHT = 0.15
 """Typical errors in real robots' files: few digits, or boxes fitted to meshes."""
 
 
-def odd_inertias(root: ET.Element) -> dict[str, Vector]:
-    """Return links' principal moments, kg m², if one is negative or exceeds the sum of the others.
-
-    An excess within rounding is ignored. The URDF must have passed `check_urdf`.
-    """
-    found = {}
-    for link in root.findall("link"):
-        if link.find("inertial") is None:
-            continue
-        principal = np.sort(eigenvalues(_tensor(link))[0])
-        if _excess(principal) > _ROUNDING or principal[0] < 0.0:
-            found[link.get("name", "")] = principal
-    return found
-
-
 def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[str]:
-    """Return warnings about impossible inertias that `mend_inertias` will replace.
+    """Return warnings about inertias that are replaced, or belong to no real body.
 
     Args:
-        root: the URDF.
+        root: the URDF, which passed `check_urdf`.
         moving: names of the joints that move; fixed links may have any inertia.
         repair: also accept inertias that are far from possible ones.
 
     Raises:
-        RobotDescriptionError: an inertia is too far off.
+        RobotDescriptionError: a moving link has no inertia, or one too far from possible ones.
     """
-    said = []
-    mover = movers(root, moving)
-    for link, principal in odd_inertias(root).items():
-        excess = _excess(principal)
-        if mover[link] is None:
-            continue
-        if excess > _SLIGHT and not repair:
+    movers = _movers(root, moving)
+    moved = {name: link for link in root.findall("link") if (name := link.get("name")) in movers}
+    heavy = {movers[name] for name, link in moved.items() if mass_of(link) or any(inertia_of(link))}
+    for joint in root.findall("joint"):
+        if (name := joint.get("name", "")) in moving and name not in heavy:
             raise RobotDescriptionError(
-                f"link {link} has principal moments of inertia"
-                f" {principal.tolist()}; none may be negative or exceed the"
-                " sum of the others (robot.repair: true raises the smaller ones until they do not)"
+                f"link {joint_ends(joint)[1]}, which joint {name} moves, has no inertia, nor has"
+                " any link fixed to it: give it an <inertial> with a mass, make the joint fixed, or"
+                " leave it out of robot.joints"
             )
-        if excess <= _ROUNDING:
-            continue
+    said = [warning for name in moved if (warning := _judged(name, moved[name], repair=repair))]
+    massless = [name for name in moved if not mass_of(moved[name]) and any(inertia_of(moved[name]))]
+    if massless:
         said.append(
-            f"the inertia of link {link} breaks the triangle rule by {100 * excess:.2g} %"
-            " of its largest moment: its smaller moments are raised until it does not"
+            f"{', '.join(massless)}: inertia without mass, which no body has: it counts all the"
+            " same, as the file has it"
         )
     return said
 
 
-def massless_inertias(root: ET.Element, moving: set[str]) -> list[str]:
-    """Return names of moving links with a rotational inertia but no mass."""
-    mover = movers(root, moving)
-    return [
-        name
-        for link in root.findall("link")
-        if mover[name := link.get("name", "")] is not None
-        and mass_of(link) == 0.0
-        and any(inertia_of(link))
-    ]
-
-
-def movers(root: ET.Element, moving: set[str]) -> dict[str, str | None]:
-    """Return the last moving joint on the way to each link; None for fixed links."""
-    carriers: dict[str, tuple[str, str]] = {}
-    for joint in root.findall("joint"):
-        parent, child = joint_ends(joint)
-        carriers[child] = (joint.get("name", ""), parent)
-
-    def mover(link: str) -> str | None:
-        while link in carriers:
-            joint, link = carriers[link]
-            if joint in moving:
-                return joint
-        return None
-
-    return {name: mover(name) for link in root.findall("link") if (name := link.get("name", ""))}
-
-
 def mend_inertias(root: ET.Element) -> None:
     """Replace impossible inertias by the nearest possible ones with the same largest moment."""
-    odd = odd_inertias(root)
     for link in root.findall("link"):
-        if link.get("name") in odd:
-            tensor = _mended(_tensor(link))
-            element = link.find("inertial/inertia")
+        principal = _principal(link)
+        if _excess(principal) > _ROUNDING or principal[0] < 0.0:
+            tensor, element = _mended(_tensor(link)), link.find("inertial/inertia")
             assert element is not None
             places = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
             for name, place in zip(INERTIA, places, strict=True):
                 element.set(name, repr(float(tensor[place])))
+
+
+def _movers(root: ET.Element, moving: set[str]) -> dict[str, str]:
+    """Return the last moving joint on the way to each link that moves."""
+    joints = {joint_ends(joint)[1]: joint for joint in root.findall("joint")}
+    movers: dict[str, str] = {}
+    for end in joints:
+        link = end
+        while (joint := joints.get(link)) is not None:
+            if (name := joint.get("name", "")) in moving:
+                movers[end] = name
+                break
+            link, _ = joint_ends(joint)
+    return movers
+
+
+def _judged(name: str, link: ET.Element, *, repair: bool) -> str:
+    """Return a warning if `mend_inertias` will visibly replace a moving link's inertia."""
+    principal = _principal(link)
+    excess = _excess(principal)
+    if excess > _SLIGHT and not repair:
+        raise RobotDescriptionError(
+            f"link {name} has principal moments of inertia {principal.tolist()}; none may be"
+            " negative or exceed the sum of the others (robot.repair: true raises the smaller ones"
+            " until they do not)"
+        )
+    if excess <= _ROUNDING:
+        return ""
+    return (
+        f"the inertia of link {name} breaks the triangle rule by {100 * excess:.2g} % of its"
+        " largest moment: its smaller moments are raised until it does not"
+    )
+
+
+def _principal(link: ET.Element) -> Vector:
+    """Return a link's principal moments in ascending order, kg m², shape (3,)."""
+    return np.sort(eigenvalues(_tensor(link))[0])
 
 
 def _mended(tensor: Matrix) -> Matrix:
@@ -125,29 +116,3 @@ def _excess(principal: NDArray[np.floating]) -> float:
 def _tensor(link: ET.Element) -> Matrix:
     xx, xy, xz, yy, yz, zz = inertia_of(link)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def check_moved_masses(root: ET.Element, moving: set[str]) -> None:
-    """Refuse moving links without inertia: a torque would accelerate them infinitely.
-
-    Args:
-        root: the URDF.
-        moving: names of the joints that move.
-
-    Raises:
-        RobotDescriptionError: a moving link and all links fixed to it have no mass.
-    """
-    mover = movers(root, moving)
-    heavy = {
-        mover[link.get("name", "")]
-        for link in root.findall("link")
-        if mass_of(link) > 0.0 or any(inertia_of(link))
-    }
-    for joint in root.findall("joint"):
-        name = joint.get("name", "")
-        if name in moving and name not in heavy:
-            raise RobotDescriptionError(
-                f"link {joint_ends(joint)[1]}, which joint {name} moves, has no inertia, nor has"
-                " any link fixed to it: give it an <inertial> with a mass, make the joint fixed, or"
-                " leave it out of robot.joints"
-            )

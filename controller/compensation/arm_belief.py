@@ -17,7 +17,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 from controller.manipulator_model import ManipulatorModel
-from controller.rigid_bodies import RigidBodies
+from controller.rigid_bodies.dynamics import RigidBodies
 
 SMOOTHING_RAD_S = 0.02
 """Velocity v at which dry friction has most of its size; below, it is all but viscous."""

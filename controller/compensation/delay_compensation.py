@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.runtime.compiled import bind, compiled
-from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.compiled import all_finite, bind, compiled
 from controller.compensation.arm_belief import ArmBelief, NominalArm, first_belief, forget
 from controller.compensation.command_timeline import (
     HELD,

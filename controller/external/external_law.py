@@ -1,7 +1,15 @@
-"""A control law whose torques come from a program."""
+"""A control law whose torques come from a program.
+
+Questions and answers are records of IEEE doubles in the machine's byte order. The program reads
+questions from its standard input and writes answers to its standard output. A question is `HEADER`
+values and then `ROWS` rows of one value per joint; an answer is one value, `DONE` or any other
+number for a failure, and then a torque per joint, N m. Each question has one answer; the end of
+input is the end of the run. `funnel_hil_law.h` defines it in C.
+"""
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -11,7 +19,29 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, Positive, StrictModel
 from controller.control_law import Diagnostics, Tracking
 from controller.external.program import ExternalLawError, LawProgram, why_not_startable
-from controller.external.protocol import DONE, HEADER, ROWS, VERSION, Question
+
+VERSION = 1
+DONE = 0.0
+
+
+class Question(IntEnum):
+    """Kinds of questions."""
+
+    RESET = 0
+    """Forget everything; the torques of the answer are ignored."""
+    TORQUE = 1
+    """Return the torques for a situation."""
+
+
+HEADER = ("question", "version", "joints", "time_s", "step_s", "horizon_s", "spare_1", "spare_2")
+"""Names of the leading values; times as in `controller.control_law.Tracking`."""
+ROWS = (
+    "position_rad", "velocity_rad_s",
+    "reference_position_rad", "reference_velocity_rad_s", "reference_acceleration_rad_s2",
+    "upper_bound_rad", "lower_bound_rad", "torque_limit_nm",
+)  # fmt: skip
+"""Rows after the header. Position minus reference must stay between the bounds, of which the lower
+is negative; limits are the actuators', inf for none."""
 
 Word = Annotated[str, Field(min_length=1)]
 
@@ -106,6 +136,6 @@ class ExternalLaw:
             return f"reports failure {status:g}"
         began = self._answer.tobytes()[:_SHOWN_BYTES]
         return (
-            f"says {began!r}… where an answer begins with 0, or the number of a failure"
-            " (its standard output is for answers alone; what it prints must go to standard error)"
+            f"sent {began!r}…, but an answer begins with 0 or the number of a failure (standard"
+            " output is only for answers; other text must go to standard error)"
         )

@@ -8,22 +8,42 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from bus_schema.errors import InputError
 from bus_schema.recording.atomic_files import write_json
-from deploy.bench.loop import measure_control_steps, measure_loop_costs, measure_real_time
+from deploy.bench.loop import (
+    measure_control_steps,
+    measure_loop_costs,
+    measure_real_time,
+    measure_sweep,
+)
 from deploy.bench.measure import Costs, Section
-from deploy.bench.sweep import measure_sweep
 from deploy.reports.tables import number
+from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import provenance
 from deploy.scenario.yaml_files import ScenarioError
 
 FAILED = "could not be measured:"
 _SCENARIO = "paper_arm"
+
+
+def bench(
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the numbers to a file.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer and shorter repetitions: a first impression.")
+    ] = False,
+) -> None:
+    """Measure what things cost on this machine, as ratios of medians side by side."""
+    sections = run_bench(Console(), json_file, quick=quick)
+    raise typer.Exit(FINISHED if all(section.ratios for section in sections) else FAULT)
 
 
 def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[Section]:

@@ -1,11 +1,15 @@
-"""Cost of a tick: control step, physics, simulation, and the loop in lockstep and real time."""
+"""Cost of a tick, simulated, in lockstep and in real time, and of a run in a sweep."""
 
 from __future__ import annotations
 
 import itertools
+import tempfile
+import threading
+import time
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +25,10 @@ from deploy.run.network.links import with_free_endpoints
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.study.dask_workers import DaskWorkers
+from deploy.study.folder import StudyFolder
+from deploy.study.runner import carry_out
+from deploy.study.sweep import Sweep
 from plant_emulator.physics.engines import ENGINES
 
 SIMULATE = "tick of simulate"
@@ -28,6 +36,10 @@ LOCKSTEP = "tick of run in lockstep"
 ROUND_TRIP = "round trip of the real loop"
 WAKE_UP_P50, WAKE_UP_P99 = (f"wake-up lateness of the plant, {each}" for each in ("p50", "p99"))
 _PERIOD = "period of the loop"
+BARE = "run of simulate"
+ONE = "run of a sweep on 1 worker"
+TWO = "run of a sweep on 2 workers"
+_DELAYS = "link.uplink.delay_ms, link.downlink.delay_ms"
 _PAIRS = 8
 """Simulations and bare physics start instantly, so more of them are compared."""
 _ENGINES_COMPARED_ON = "iiwa"
@@ -212,3 +224,42 @@ def _wall_us(run: RunData) -> float:
     if not ended:
         raise RuntimeError("a run did not come to its end")
     return float(ended["wall_s"]) / run.setup.ticks * 1e6
+
+
+def measure_sweep(scenario: str, seconds: float, runs: int, repetitions: int) -> Section:
+    """Measure a sweep of short runs, and as many bare simulations in this process.
+
+    Args:
+        scenario: name or path.
+        seconds: length of each run on the run's clock.
+        runs: number of runs; the workers are warm before the first.
+        repetitions: how often everything is measured.
+    """
+    overrides = [f"duration_s={seconds}", "metrics.from_s=0"]
+    setup = load_setup(scenario, overrides)
+    grid = {_DELAYS: [0.01 * index for index in range(runs)]}
+    fixed = {"duration_s": seconds, "metrics.from_s": 0}
+    values = {"name": "bench", "scenario": scenario, "set": fixed, "grid": grid}
+    sweep = Sweep(values, Path("bench"))
+    with DaskWorkers(1) as one, DaskWorkers(2) as two:
+        costs = interleave(
+            {
+                BARE: lambda: cost_us(lambda: simulate(setup), runs),
+                ONE: lambda: _sweep_us(sweep, one),
+                TWO: lambda: _sweep_us(sweep, two),
+            },
+            repetitions,
+        )
+    ratios = [ratio(costs, ONE, BARE), ratio(costs, ONE, TWO)]
+    notes = [f"Each is {runs} runs of {seconds:g} s; sweeps write rows, scenarios and table too."]
+    return Section(f"Sweep of {setup.scenario.name}", costs, ratios, notes)
+
+
+def _sweep_us(sweep: Sweep, workers: DaskWorkers) -> float:
+    """Return the cost of one run of a whole sweep, in µs of wall time."""
+    with tempfile.TemporaryDirectory() as path:
+        folder = StudyFolder(Path(path), sweep)
+        started_ns = time.perf_counter_ns()
+        carry_out(sweep, workers, folder, threading.Event())
+        folder.write(completed=True)
+        return (time.perf_counter_ns() - started_ns) / sweep.expected * 1e-3

@@ -1,4 +1,4 @@
-"""Commands that end with exit code 3 where a margin falls."""
+"""The gate of a command: it ends with exit code 3 if a margin is too small."""
 
 from __future__ import annotations
 

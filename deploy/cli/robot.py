@@ -1,8 +1,9 @@
-"""`funnel-hil robot`: what is understood of an arm."""
+"""The command `robot`: shows how the program reads an arm's file."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,33 +29,36 @@ from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
 STARTER_COMMENT = """\
 # A first scenario: rest to rest at 30 % of the joints' speeds. robot.drive_data names what is
-# ESTIMATED (see the documentation of plant.actuator): put in your own.
+# ESTIMATED (see the documentation of plant.actuator): replace it by your own data.
 """
 
 
 def robot(
     file: Annotated[
-        str, typer.Argument(help="A URDF or xacro file, or what a scenario's robot.urdf may be.")
+        str, typer.Argument(help="A URDF, xacro or MJCF file, or any other value of robot.urdf.")
     ],
     joints: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Drive these, hold all others.")
+        str | None, typer.Option(metavar="A,B,…", help="Drive these joints, and hold all others.")
     ] = None,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Mend inertias that no body has, however far off.")
+        bool, typer.Option("--repair", help="Replace inertias that no rigid body can have.")
     ] = False,
     include: Annotated[
-        list[Path] | None, typer.Option(metavar="FOLDER", help="More folders that xacro may read.")
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", help="Folder that xacro may read; repeatable."),
     ] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the arm.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the arm to this file.")
+    ] = None,
     scenario: Annotated[
         bool, typer.Option("--scenario", help="Write a first scenario for the arm.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False),
+        typer.Option(metavar="FILE.yaml", help="File for --scenario.", show_default=False),
     ] = None,
 ) -> None:
-    """Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd."""
+    """Show how an arm's file is read: joints, limits, inertias, gains and warnings."""
     os.environ[INCLUDE] = os.pathsep.join([*map(str, include or []), os.environ.get(INCLUDE, "")])
     chosen = None if joints is None else [name.strip() for name in joints.split(",")]
     try:
@@ -83,7 +87,7 @@ def robot(
 
 
 def write_starter(values: dict[str, Any], file: Path) -> None:
-    """Write a starter scenario, and say what to do with it.
+    """Write a first scenario, and print the commands that run it.
 
     Raises:
         InputError: the file exists.
@@ -95,7 +99,7 @@ def write_starter(values: dict[str, Any], file: Path) -> None:
         why = f"cannot be written: {error.strerror}; --out names another"
         raise InputError(f"{file}: {why}") from error
     print(f"scenario: {file}\nfunnel-hil simulate {file} runs it")
-    print(f"funnel-hil margin {file} finds how much delay it takes")
+    print(f"funnel-hil margin {file} finds how much delay it tolerates")
 
 
 def at_rest(
@@ -105,7 +109,7 @@ def at_rest(
     repair: bool = False,
     duration_s: float = 1.0,
 ) -> Setup:
-    """A scenario in which the arm holds still, checked as any other.
+    """Return a scenario in which the arm holds still, checked like any other.
 
     Args:
         arm: the arm.
@@ -129,7 +133,7 @@ def at_rest(
 
 
 def _middle(arm: RobotDescription) -> Vector:
-    """Zero where the ranges have it, else their middle; shape (joints,)."""
+    """Return zero for ranges that contain it, otherwise their middle; shape (joints,)."""
     inside = (arm.lower_rad < 0.0) & (arm.upper_rad > 0.0)
     with np.errstate(invalid="ignore"):
         middle = 0.5 * (arm.lower_rad + arm.upper_rad)
@@ -140,7 +144,7 @@ def _middle(arm: RobotDescription) -> Vector:
 def _joints_table(setup: Setup) -> Table:
     """Driven joints in their order, with limits and inertias; in m and N where they slide."""
     robot = setup.robot
-    rows: list[list[Value]] = []
+    rows = []
     for i, name in enumerate(robot.joint_names):
         unit, force = ("m", "N") if robot.slides[i] else ("rad", "N m")
         rows.append(
@@ -153,35 +157,36 @@ def _joints_table(setup: Setup) -> Table:
                 _limit(setup.governing_inertia_kg_m2[i], "kg" if robot.slides[i] else "kg m²"),
             ]
         )
-    headings = ("Joint", "Kind", "Range", "Effort", "Speed", "Inertia")
-    return Table("Driven joints", [Column(each, is_text=True) for each in headings], rows)
+    return _table("Driven joints", ["Joint", "Kind", "Range", "Effort", "Speed", "Inertia"], rows)
 
 
 def _other_joints_table(setup: Setup) -> Table:
     """Joints that follow others or are held, and why."""
-    rows: list[list[Value]] = [
+    rows = [
         [each.name, f"follows {each.leader}", f"× {each.multiplier:g} + {each.offset:g}"]
         for each in setup.robot.followers
     ]
     rows += [[each.name, "held", each.reason] for each in setup.robot.held]
-    columns = [Column(each, is_text=True) for each in ("Joint", "What it does", "How or why")]
-    return Table("Other joints", columns, rows)
+    return _table("Other joints", ["Joint", "What it does", "How or why"], rows)
 
 
 def _gains_table(setup: Setup) -> Table:
     """The gains that follow from the arm's inertia, for the scenario's law."""
     rows = [[name, _values(value)] for name, value in setup.gains._asdict().items()]
-    columns = [Column("Gain", is_text=True), Column("Per joint", is_text=True)]
-    return Table(f"Gains of {setup.scenario.controller.law}", columns, rows)
+    return _table(f"Gains of {setup.scenario.controller.law}", ["Gain", "Per joint"], rows)
 
 
 def _drives_table(arm: RobotDescription) -> Table:
     """Motors and friction that a first scenario gives the arm, and where they come from."""
     drives = drives_of(arm)
     values = {"rotor_inertia_kg_m2": drives.rotors, **drives.friction}
-    rows: list[list[Value]] = [[name, _values(value)] for name, value in values.items()]
-    columns = [Column("Value", is_text=True), Column("Per joint", is_text=True)]
-    return Table(f"Motors and friction: {drives.data}", columns, rows)
+    rows = [[name, _values(value)] for name, value in values.items()]
+    return _table(f"Motors and friction: {drives.data}", ["Value", "Per joint"], rows)
+
+
+def _table(title: str, headings: list[str], rows: Sequence[Sequence[Value]]) -> Table:
+    columns = [Column(heading, is_text=True) for heading in headings]
+    return Table(title, columns, [list(row) for row in rows])
 
 
 def _funnel_line(setup: Setup) -> str:

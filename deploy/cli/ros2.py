@@ -1,4 +1,4 @@
-"""What ROS 2 needs of us: `ros-package` for message types, `ros2-control` for an arm."""
+"""The commands `ros-package` and `ros2-control`: files for ROS 2."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 
 CONTROLLER = "joint_trajectory_controller"
-_DEPENDENCIES = ("builtin_interfaces", "std_msgs")
 _PACKAGE_XML = """\
 <?xml version="1.0"?>
 <package format="3">
@@ -28,10 +27,11 @@ _PACKAGE_XML = """\
   <version>{version}</version>
   <description>Messages of funnel-hil.</description>
   <maintainer email="noreply@example.org">funnel-hil</maintainer>
-  <license>{license}</license>
+  <license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
   <buildtool_depend>rosidl_default_generators</buildtool_depend>
-{depends}
+  <depend>builtin_interfaces</depend>
+  <depend>std_msgs</depend>
   <exec_depend>rosidl_default_runtime</exec_depend>
   <member_of_group>rosidl_interface_packages</member_of_group>
   <export><build_type>ament_cmake</build_type></export>
@@ -42,10 +42,11 @@ cmake_minimum_required(VERSION 3.8)
 project({package})
 find_package(ament_cmake REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
-{found}
+find_package(builtin_interfaces REQUIRED)
+find_package(std_msgs REQUIRED)
 rosidl_generate_interfaces(${{PROJECT_NAME}}
 {messages}
-  DEPENDENCIES {dependencies}
+  DEPENDENCIES builtin_interfaces std_msgs
 )
 ament_export_dependencies(rosidl_default_runtime)
 ament_package()
@@ -59,33 +60,28 @@ def ros2_control(
         Path | None, typer.Option(help="Folder; by default <scenario>_ros2_control.")
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace files there that differ.")
+        bool, typer.Option("--overwrite", help="Replace existing files that differ.")
     ] = False,
 ) -> None:
-    """Write the arm's URDF with its ros2_control element, and a controllers.yaml for it."""
+    """Write the arm's URDF with a ros2_control element, and a controllers.yaml."""
     setup = load_setup(scenario, overrides or [])
     folder = out or Path(f"{setup.scenario.name}_ros2_control")
     texts = {
         folder / "robot.urdf": description(setup.robot),
         folder / "controllers.yaml": yaml.safe_dump(controllers_of(setup), sort_keys=False),
     }
-    try:
-        if not overwrite:
-            _require_nothing_else(texts)
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, text in texts.items():
-            write_whole(file, text)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written: {error.strerror}") from error
+    if not overwrite:
+        _require_nothing_else(texts)
+    _write_all(texts)
     print(folder)
 
 
 def _require_nothing_else(texts: Mapping[Path, str]) -> None:
-    """Check that no file is there with another text, which may be somebody's work."""
+    """Refuse to replace a file with other contents, which someone may have edited."""
     for file, text in texts.items():
-        if file.exists() and file.read_bytes() != text.encode():
+        if file.is_file() and file.read_bytes() != text.encode():
             raise InputError(
-                f"{file}: is there already and differs from what would be written: must be moved"
+                f"{file}: exists and differs from the new file: must be moved"
                 " away, or give --overwrite or another --out"
             )
 
@@ -121,37 +117,27 @@ def controllers_of(setup: Setup) -> dict[str, Any]:
 
 
 def ros_package(
-    folder: Annotated[Path, typer.Argument(help="Where to put it, such as ~/ros2_ws/src.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Parent folder of the package, such as ~/ros2_ws/src.")
+    ],
 ) -> None:
-    """Write our message types as a ROS 2 package, for colcon to build."""
+    """Write the message types of funnel-hil as a ROS 2 package for colcon."""
     package = folder / PACKAGE
-    messages = [
-        file
-        for file in resources.files("bus_schema.messages").joinpath("msg").iterdir()
-        if file.name.endswith(".msg")
-    ]
-    try:
-        (package / "msg").mkdir(parents=True, exist_ok=True)
-        for file in messages:
-            write_whole(package / "msg" / file.name, file.read_text(encoding="utf-8"))
-        names = sorted(file.name for file in messages)
-        write_whole(package / "package.xml", _package_xml())
-        write_whole(package / "CMakeLists.txt", _cmake(names))
-    except OSError as error:
-        raise InputError(f"{package}: cannot be written: {error.strerror}") from error
+    source = resources.files("bus_schema.messages").joinpath("msg")
+    names = sorted(file.name for file in source.iterdir() if file.name.endswith(".msg"))
+    listed = "\n".join(f'  "msg/{name}"' for name in names)
+    texts = {f"msg/{name}": source.joinpath(name).read_text(encoding="utf-8") for name in names} | {
+        "package.xml": _PACKAGE_XML.format(package=PACKAGE, version=version("funnel-hil")),
+        "CMakeLists.txt": _CMAKE.format(package=PACKAGE, messages=listed),
+    }
+    _write_all({package / name: text for name, text in texts.items()})
     typer.echo(package)
 
 
-def _package_xml() -> str:
-    return _PACKAGE_XML.format(
-        package=PACKAGE, version=version("funnel-hil"), license="Apache-2.0",
-        depends="\n".join(f"  <depend>{name}</depend>" for name in _DEPENDENCIES),
-    )  # fmt: skip
-
-
-def _cmake(names: list[str]) -> str:
-    return _CMAKE.format(
-        package=PACKAGE, dependencies=" ".join(_DEPENDENCIES),
-        found="\n".join(f"find_package({name} REQUIRED)" for name in _DEPENDENCIES),
-        messages="\n".join(f'  "msg/{name}"' for name in names),
-    )  # fmt: skip
+def _write_all(texts: Mapping[Path, str]) -> None:
+    for file, text in texts.items():
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(file, text)
+        except OSError as error:
+            raise InputError(f"{file.parent}: cannot be written: {error.strerror}") from error

@@ -11,7 +11,7 @@ from deploy.cli.options import RunOptions, SimulateOptions, taking
 
 @taking(RunOptions)
 def run(options: RunOptions) -> None:
-    """Run controller, plant and recorder as separate processes, and judge the run."""
+    """Run controller, plant and recorder as processes, and report whether bounds were kept."""
     from deploy.run.processes.role_process import prepare  # help and errors need none of it
 
     prepare()
@@ -22,7 +22,7 @@ def run(options: RunOptions) -> None:
 
 @taking(SimulateOptions)
 def simulate(options: SimulateOptions) -> None:
-    """Run a scenario in one process and in virtual time."""
+    """Run a scenario in one process, in virtual time."""
     from deploy.cli.one_run import run_in_virtual_time
 
     run_in_virtual_time(options)

@@ -54,7 +54,7 @@ def difference_of_arithmetic(one: Mapping[str, Any], other: Mapping[str, Any]) -
     ]
     if not found:
         return ""
-    return f"The arithmetic differs ({', '.join(found)}), which alone may change the last bits."
+    return f"The arithmetic differs ({', '.join(found)}), which may change the last bits."
 
 
 def _computing(manifest: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bus_schema.percentiles import PERCENTILES
+from bus_schema.arrays import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError

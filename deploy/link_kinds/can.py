@@ -25,9 +25,11 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
 from bus_schema.messages.topics import Role
+from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
 from bus_schema.zenoh.link import open_telemetry
 from deploy.link_kinds.kind import LinkKind, LinkRun
+from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission
 from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
@@ -35,6 +37,10 @@ from plant_emulator.drives.fault_plan import parse_fault
 
 _EXCHANGES: WeakKeyDictionary[InProcessBus, FrameExchange] = WeakKeyDictionary()
 """A bus of its own for each simulation: those in threads of one process must not meet."""
+
+_KIND = ["link.kind"]
+_PROTOCOL = [*_KIND, "link.can.protocol"]
+"""Keys beside the one that an error names."""
 
 
 class CanKind(LinkKind[DrivenArm]):
@@ -51,29 +57,23 @@ class CanKind(LinkKind[DrivenArm]):
     brings_plant_status = False
     controller_leads = True
     simulates_process_faults = False
-    no_link_faults = "without link.kind can, where link.can.faults says what befalls the bus"
+    no_link_faults = "without link.kind: can, for which link.can.faults has the faults of the bus"
 
     def check(self, run: LinkRun) -> None:
         can, robot = run.link.can, run.robot
         protocol = PROTOCOLS.build(can.protocol)
-        node_ids = protocol.node_ids(can, robot.joints)
-        _check_fd(can, protocol)
+        node_ids = check_drives(can, robot, run.plant, takes_targets=run.takes_targets)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
-            raise ConfigurationError(
-                f"{side}.drive_feedback.enabled", True,
-                f"false over CAN with {protocol.title}: these drives take torques alone",
-                ["link.kind", "link.can.protocol"],
-            )  # fmt: skip
+            allowed = f"false over CAN with {protocol.title}: these drives take torques alone"
+            raise ConfigurationError(f"{side}.drive_feedback.enabled", True, allowed, _PROTOCOL)
         check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_delays(run, protocol)
-        commission(can, robot, run.plant)
         for text in can.faults.drives:
             try:
                 parse_fault(text, node_ids)
             except ConfigurationError as error:
                 raise ConfigurationError("link.can.faults.drives", text, error.allowed) from error
-        protocol.check(can)
 
     def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:
         can = run.link.can
@@ -81,11 +81,11 @@ class CanKind(LinkKind[DrivenArm]):
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if link.can.interface == "virtual" and not one_process:
-            raise ConfigurationError(
-                "link.can.interface", "virtual",
-                "reaches no other process: must be udp_multicast, socketcan or hardware for"
-                " run; simulate runs in one process", ["link.kind"],
-            )  # fmt: skip
+            allowed = (
+                "reaches no other process: must be udp_multicast, socketcan or hardware for run;"
+                " simulate runs in one process"
+            )
+            raise ConfigurationError("link.can.interface", "virtual", allowed, _KIND)
         check_can_bus(link.can)
 
     def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
@@ -127,6 +127,21 @@ class CanKind(LinkKind[DrivenArm]):
         return link(bus.leave_turns) if isinstance(bus, ExchangeNode) else link()
 
 
+def check_drives(
+    can: CanConfiguration, robot: RobotDescription, plant: PlantConfiguration, *,
+    takes_targets: bool,
+) -> tuple[int, ...]:  # fmt: skip
+    """Return the addresses of a scenario's drives, whatever its link is.
+
+    Raises:
+        ConfigurationError: the drives do not fit their protocol or the robot.
+    """
+    protocol = PROTOCOLS.build(can.protocol)
+    protocol.check(can, takes_targets=takes_targets)
+    _check_fd(can, protocol)
+    return tuple(each.node_id for each in commission(can, robot, plant))
+
+
 def _codec(run: LinkRun) -> CanCodec:
     protocol = PROTOCOLS.build(run.link.can.protocol)
     return protocol.codec(run.link.can, run.robot, run.drive)
@@ -164,7 +179,7 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
     """Check that messages are delayed at most, and only where time waits for them."""
     link, refusal = run.link, None
     if not run.lockstep:
-        refusal = "without delays where clock is realtime"
+        refusal = "without delays if clock is realtime"
     elif protocol.answers_torques:
         refusal = f"without delays with {protocol.title}, whose drives answer every frame"
     for name in ("uplink", "downlink"):
@@ -173,31 +188,24 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
         if not given.is_constant:
             refusal = "delay_ms alone"
         if shown and refusal is not None:
-            raise ConfigurationError(
-                f"link.{name}", shown,
+            allowed = (
                 f"must be {refusal}, with link.kind = can: what a CAN bus does to frames is up to"
-                " link.can.bitrate and link.can.faults", ["link.kind", "link.can.protocol"],
-            )  # fmt: skip
+                " link.can.bitrate and link.can.faults"
+            )
+            raise ConfigurationError(f"link.{name}", shown, allowed, _PROTOCOL)
     if link.playout_ms:
-        raise ConfigurationError(
-            "link.playout_ms", link.playout_ms, "must be left out with link.kind = can",
-            ["link.kind"],
-        )  # fmt: skip
+        allowed = "must be left out with link.kind = can"
+        raise ConfigurationError("link.playout_ms", link.playout_ms, allowed, _KIND)
 
 
 def _check_fd(can: CanConfiguration, protocol: DriveProtocol) -> None:
-    if not can.fd_process_data:
-        return
-    if not protocol.has_fd_process_data:
-        raise ConfigurationError(
-            "link.can.fd_process_data", True, f"must be false with {protocol.title}",
-            ["link.kind", "link.can.protocol"],
-        )  # fmt: skip
-    if not can.fd:
-        raise ConfigurationError(
-            "link.can.fd", False, "must be true with link.can.fd_process_data = true",
-            ["link.kind", "link.can.fd_process_data"],
-        )  # fmt: skip
+    key = "link.can.fd_process_data"
+    if can.fd_process_data and not protocol.has_fd_process_data:
+        allowed = f"must be false with {protocol.title}"
+        raise ConfigurationError(key, True, allowed, _PROTOCOL)
+    if can.fd_process_data and not can.fd:
+        allowed = f"must be true with {key} = true"
+        raise ConfigurationError("link.can.fd", False, allowed, [*_KIND, key])
 
 
 def _free_udp_port() -> int:

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from bus_schema.arrays import Vector
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, Registry
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import ControllerLink, PlantLink
-from bus_schema.registry import Registry
 from bus_schema.runtime.clock import Clock
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.plant_task import PlantTask
@@ -150,6 +149,29 @@ class InProcessKind(LinkKind[ArmPlant]):
         return InProcessControllerLink(shared_bus(run))
 
 
+class ZenohKind(InProcessKind):
+    """``zenoh``: between processes; simulations use ``in_process``."""
+
+    name = "zenoh"
+
+    def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
+        """Do nothing: every machine has the requirements."""
+
+    def open_plant(self, run: LinkRun, arm: ArmPlant, clock: Clock) -> PlantLink:
+        if run.bus is not None:
+            return super().open_plant(run, arm, clock)
+        from bus_schema.zenoh.link import ZenohPlantLink  # simulations do without
+
+        return ZenohPlantLink(run.link, clock, lockstep=run.lockstep, agreement=run.agreement)
+
+    def open_controller(self, run: LinkRun) -> ControllerLink:
+        if run.bus is not None:
+            return super().open_controller(run)
+        from bus_schema.zenoh.link import ZenohControllerLink
+
+        return ZenohControllerLink(run.link, lossless=run.lockstep, agreement=run.agreement)
+
+
 def shared_bus(run: LinkRun) -> InProcessBus:
     """Return the bus of a run in one process; see `check_machine` for other runs."""
     assert run.bus is not None
@@ -159,7 +181,7 @@ def shared_bus(run: LinkRun) -> InProcessBus:
 LINK_KINDS: Registry[LinkKind[Any]] = Registry(
     "link.kind",
     {
-        "zenoh": "deploy.link_kinds.zenoh:ZenohKind",
+        "zenoh": "deploy.link_kinds.kind:ZenohKind",
         "in_process": "deploy.link_kinds.kind:InProcessKind",
         "can": "deploy.link_kinds.can:CanKind",
     },

@@ -119,7 +119,7 @@ def build_gate(at_least: str | None, baseline: Path | None, tolerance: str | Non
         ScenarioError: a number cannot be read, or the baseline holds no results.
     """
     if tolerance is not None and baseline is None:
-        raise ScenarioError(f"--tolerance {tolerance}: must come with --baseline")
+        raise ScenarioError(f"--tolerance {tolerance}: needs --baseline")
     limit, unit = _size("--at-least", at_least)
     allowed, other = _size("--tolerance", tolerance)
     if unit and other and unit != other:
@@ -145,12 +145,13 @@ def require_unit(gate: Gate, unit: str) -> None:
     if gate.unit and gate.unit != unit.partition(" ")[0]:
         raise ScenarioError(
             f"--at-least or --tolerance: unit {shown(gate.unit)}: must be"
-            f" {unit.partition(' ')[0] or 'left out'}, as the result is in {unit or 'no unit'}"
+            f" {unit.partition(' ')[0] or 'left out'}, because the result is in"
+            f" {unit or 'no unit'}"
         )
     for each in gate.baseline.values():
         if each.unit != unit:
             raise ScenarioError(
-                f"--baseline: has {each.name} in {each.unit or 'no unit'}: must be a result in"
+                f"--baseline: {each.name} is in {each.unit or 'no unit'}: must be a result in"
                 f" {unit or 'no unit'}"
             )
 

@@ -32,13 +32,13 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
-            Fact("Last value tried", texts.value_text(summary["limit"], summary)),
+            Fact("Largest value tried", texts.value_text(summary["limit"], summary)),
             Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
             _durations(summary),
             Fact("Held-arm ceiling",
                  ", ".join(f"{arm} {text}" for arm, text in ceilings.items() if text) or ABSENT,
-                 "The brakes hold the arm until the first command acts: no law can start under"
-                 " more delay."),
+                 "The brakes hold the arm until the first command acts: no law can start with a"
+                 " longer delay."),
         ],
         panels=[
             panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)
@@ -88,7 +88,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             for value in case["values"]
             for point in value["worst_points"]
         ],
-        points_title="The worst points of each value, with the command that runs them again",
+        points_title="The worst points of each value, with the command that repeats them",
     )  # fmt: skip
 
 
@@ -144,10 +144,11 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
     losses = case["losses"]
     bars = [(one["quantity"], one["effect"]) for one in losses["effects"] or []]
     return Panel(
-        "What lost plants have in common", f"losses-{index}", texts.case_title(case),
+        "Common properties of lost plants", f"losses-{index}", texts.case_title(case),
         lambda _: study_figures.effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0),
-        f"{losses['lost_plants']} plants were lost at some value. To the right: they had more of"
-        " it. Grey bars lie within what chance alone may give the strongest of all quantities.",
+        f"{losses['lost_plants']} plants lost their bounds at some value. A bar to the right:"
+        " lost plants had larger values of this quantity. Grey bars are within the range of"
+        " chance.",
     )  # fmt: skip
 
 

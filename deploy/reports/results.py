@@ -16,7 +16,7 @@ from deploy.judge.run_data import RunData
 from deploy.judge.run_rows import read_rows, write_rows
 from deploy.judge.verdict import Verdict, decide, with_verdict
 from deploy.run.confirmation import CONFIRMATION, CONFIRMATION_COLUMNS
-from deploy.run.fault_record import fault_record
+from deploy.run.fault_record import write_fault_record
 from deploy.run.run_folder import ResultFolder, RunFolder, read_manifest, read_summary
 from deploy.run.stop_signals import end_if_asked
 
@@ -46,8 +46,7 @@ def write_run_results(
     summary = summarise(run) | ({CONFIRMATION: confirmed} if confirmed else {})
     write_json(folder.summary, with_verdict(summary, Verdict.INTERRUPTED))  # until all is written
     try:
-        if (record := fault_record(run)) is not None:
-            write_json(folder.fault, record)
+        write_fault_record(run, folder.fault)
         end_if_asked()
         if draws_report:
             write_report = load_report()

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
+from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
@@ -22,7 +23,7 @@ from deploy.run.execute import execute
 from deploy.run.run_folder import RunFolderError, load_run
 from deploy.run.stop_signals import end_if_asked
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError, naming
 from plant_emulator.configuration import PhysicsConfiguration
 from plant_emulator.faults.process_faults import process_faults
 from plant_emulator.physics.engines import ENGINES, engine_name, physics_text
@@ -51,10 +52,7 @@ def check_confirmable(setup: Setup) -> None:
     """
     process = setup.scenario.controller.process
     if process is not None:
-        raise ScenarioError(
-            f"--confirm: {setup.origin.of('controller.process')}: controller.process ="
-            f" {list(process)!r}: must be left out, as the run is simulated again in one process"
-        )
+        _refuse(setup, "controller.process", list(process), "left out, as one process simulates it")
     others = other_physics(setup)
     for name, other in others.items():
         plant = other.scenario.plant
@@ -64,7 +62,7 @@ def check_confirmable(setup: Setup) -> None:
             raise ScenarioError(f"--confirm: {name} cannot load this arm: {error}") from error
     if not others:
         raise ScenarioError(
-            "--confirm: no other physics is installed: pip install "
+            "--confirm: no other physics engine is installed: pip install "
             + " ".join(engine.distribution for engine in ENGINES.values())
         )
 
@@ -75,17 +73,19 @@ def check_repeatable(setup: Setup) -> None:
     Raises:
         ScenarioError: it is not in lockstep, has a user's process, or has faults of processes.
     """
-    scenario, source = setup.scenario, setup.origin
+    scenario = setup.scenario
     if scenario.clock != "lockstep":
-        raise ScenarioError(
-            f"--confirm: {source.of('clock')}: clock = {scenario.clock!r}: must be lockstep, as"
-            " only runs in virtual time are the same again"
-        )
+        allowed = "lockstep: only runs in virtual time are the same"
+        _refuse(setup, "clock", scenario.clock, allowed)
     if scenario.controller.process is not None or process_faults(scenario.faults):
-        raise ScenarioError(
-            f"--confirm: {source.of('faults')}: must be without controller.process and faults of"
-            " processes, as the run is simulated again in one process"
-        )
+        kinds = [fault.kind for fault in scenario.faults]
+        allowed = "without controller.process and faults of processes, as one process simulates it"
+        _refuse(setup, "faults", kinds, allowed)
+
+
+def _refuse(setup: Setup, key: str, value: object, allowed: str) -> NoReturn:
+    with naming(setup.origin):
+        raise ConfigurationError(key, value, f"must be {allowed} again with --confirm")
 
 
 def simulated_otherwise(setup: Setup, path: Path) -> list[str]:

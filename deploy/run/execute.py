@@ -18,18 +18,18 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from bus_schema.recording.atomic_files import write_json
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict, verdict_of
-from deploy.run.fault_record import fault_record
+from deploy.run.fault_record import write_fault_record
 from deploy.run.network.links import free_ports
 from deploy.run.network.real_delay import RealDelay
 from deploy.run.processes.child import RunOutcome
 from deploy.run.processes.launcher import Launcher
-from deploy.run.processes.recorder import record_failures
 from deploy.run.processes.role_process import end_with_parent
 from deploy.run.processes.status import StatusMessage, StatusReporter
+from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, RunFolderError, load_run
 from deploy.run.simulate import failed_simulation, simulate
 from deploy.run.stop_signals import on_stop
@@ -98,8 +98,7 @@ class JudgedRun:
     def keep(self, folder: RunFolder) -> None:
         """Write its summary, and the record of its fault, to its folder."""
         write_json(folder.summary, self.summary)
-        if (record := fault_record(self.data)) is not None:
-            write_json(folder.fault, record)
+        write_fault_record(self.data, folder.fault)
 
 
 class How(Protocol):
@@ -158,7 +157,7 @@ class InProcesses:
     def run(self, setup: Setup, folder: RunFolder | None) -> JudgedRun:
         assert folder is not None
         launcher = Launcher(
-            setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log,
+            setup, folder,
             delay=self.delay, awaits_controller=self.awaits_controller, viewer=self.viewer,
         )  # fmt: skip
         self.on_start(launcher.request_stop)
@@ -265,7 +264,7 @@ def _main(path: Path, parent_pid: int) -> None:
     """Start the processes of a run; write their failures to standard output."""
     folder = RunFolder(path)
     setup = load_setup(str(folder.scenario))
-    launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
+    launcher = Launcher(setup, folder)
     on_stop(launcher.request_stop)
     end_with_parent(parent_pid)
     outcome = launcher.run(lambda _message: None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.header import stamps_ns
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Topic
+from bus_schema.recording.atomic_files import write_json
 from deploy.judge.run_data import RunData
 
 KEPT = 100
@@ -21,16 +23,16 @@ _FIELDS = {
 }
 
 
-def fault_record(run: RunData) -> dict[str, Any] | None:
-    """Return the record of a run's first fault, ready for JSON; None without a fault.
+def write_fault_record(run: RunData, file: Path) -> None:
+    """Write the record of a run's first fault; nothing without a fault.
 
     It contains only messages that the recorder received.
     """
     faults = [event for event in run.events if event.kind == EventKind.FAULT]
     if not faults:
-        return None
+        return
     first = min(faults, key=lambda event: event.stamp_ns)
-    return {
+    record = {
         "source": first.source,
         "at_s": first.stamp_ns * 1e-9,
         "detail": first.detail,
@@ -43,6 +45,7 @@ def fault_record(run: RunData) -> dict[str, Any] | None:
         "states": _last(run, topics.JOINT_STATES, first.stamp_ns),
         "commands": _last(run, topics.JOINT_COMMANDS, first.stamp_ns),
     }
+    write_json(file, record)
 
 
 def _last(run: RunData, topic: Topic, until_ns: int) -> list[dict[str, Any]]:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
+import numpy as np
+
 from bus_schema.arrays import Vector
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
@@ -46,26 +48,35 @@ class Replay:
         return self.first_difference is None and self.digest == self.recorded_digest
 
 
-def replay(setup: Setup, contents: LogContents) -> Replay:
+def replay(setup: Setup, contents: LogContents, *, master_skips: bool = False) -> Replay:
     """Feed the recorded joint states to a new law.
 
     Args:
         setup: the recorded scenario.
         contents: the recording; if it is partial, or a fault hit the controller, it is compared as
             far as it goes.
+        master_skips: the law may have missed states, as a master of drives does in real time.
     """
     states = contents.payloads[topics.JOINT_STATES.name]
     recorded = contents.payloads[topics.JOINT_COMMANDS.name]
     bus = InProcessBus(VirtualClock())
-    loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
+    link, answered, missing = InProcessControllerLink(bus), states, ""
+    if master_skips:
+        link.start_ns = 0
+        answered, missing = _states_answered(setup, contents)
+        recorded = recorded[: len(answered)]
+    loop = ControlLoop(setup.control_task(), link)
     loop.warm_up()
     has_status = setup.link_kind.brings_plant_status
-    statuses = _statuses_beside(contents) if has_status else [None] * len(states)
-    failure = _cycle_through(loop, states, statuses)
+    statuses = _statuses_beside(contents) if has_status else [None] * len(answered)
+    failure = _cycle_through(loop, answered, statuses) or missing
     replayed = [command.payload for command in bus.commands]
     rounding = setup.link_kind.wire_rounding(setup.link_run(lockstep=True))
     if rounding is not None:
         replayed = _as_delivered(setup, replayed, rounding)
+    if master_skips:  # a command is recorded with the stamp of the drives' state before it
+        beside = zip(replayed, recorded, strict=False)
+        replayed = [new[: _STAMP.start] + old[_STAMP] + new[_STAMP.stop :] for new, old in beside]
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
@@ -79,6 +90,39 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
         recorded_digest=digest(states, recorded),
         failure=failure,
     )
+
+
+def _states_answered(setup: Setup, contents: LogContents) -> tuple[list[bytes], str]:
+    """Return the states that the law answered, with the stamps that their master gave them.
+
+    In real time a master skips states that come too late, and stamps by its own ticks. Each
+    control status has the stamp and the errors of the state that was answered.
+
+    Returns:
+        The states, and which one was not found; empty if all were.
+    """
+    names = setup.robot.joint_names
+    layouts = [topics.layout(each, names) for each in (topics.JOINT_STATES, topics.CONTROL_STATUS)]
+    (state_layout, status_layout), (state, status) = layouts, map(Record, layouts)
+    payloads, answered = iter(contents.payloads[topics.JOINT_STATES.name]), []
+    for message in contents.payloads[topics.CONTROL_STATUS.name]:
+        stamp_ns = status_layout.decode(message, status)
+        for payload in payloads:
+            state_layout.decode(payload, state)
+            if _is_answer(status, state):
+                answered.append(payload[: _STAMP.start] + message[_STAMP] + payload[_STAMP.stop :])
+                break
+        else:
+            return answered, f"no recorded state is the one answered at {1e-9 * stamp_ns:.3f} s"
+    return answered, ""
+
+
+def _is_answer(status: Record, state: Record) -> bool:
+    """Return whether a control status has the errors of a state, bit for bit."""
+    said, seen = status.fields, state.fields
+    return np.array_equal(
+        seen["position"] - said["reference_position"], said["error"]
+    ) and np.array_equal(seen["velocity"] - said["reference_velocity"], said["error_rate"])
 
 
 def _statuses_beside(contents: LogContents) -> list[bytes | None]:

@@ -25,9 +25,8 @@ from controller.laws.custom import custom_laws_left_out
 from deploy.judge.arithmetic import libm_fingerprint
 from deploy.judge.run_data import RunData, build_run_data
 from deploy.run.new_folder import FolderLock, missing_recording, new_folder
-from deploy.run.processes.recorder import (
+from deploy.run.recording import (
     DAMAGING,
-    DATA_ATTACHMENTS,
     FAILURES_METADATA,
     LOST_METADATA,
     REJECTED_METADATA,
@@ -36,6 +35,7 @@ from deploy.run.processes.recorder import (
     SCENARIO_ATTACHMENT,
 )
 from deploy.scenario.effective import write_scenario
+from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.warnings import all_warnings
@@ -171,14 +171,14 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
     damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
         raise RunFolderError(
-            f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
+            f"{file}: is not a recording of funnel-hil (it contains no scenario and arm){damage}"
         )
     with tempfile.TemporaryDirectory() as folder:
         scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
         robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
         overrides = [f"robot.urdf={robot}"]
-        for key, name in DATA_ATTACHMENTS.items():
+        for key, name in DATA_FILES.items():
             if name in contents.attachments:
                 copy = Path(folder) / name
                 copy.write_bytes(contents.attachments[name])
@@ -208,7 +208,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
 def _forgeries(rejected: Mapping[str, int]) -> list[str]:
     """Explain in a sentence why it is uncertain which messages are the plant's."""
     found = ", ".join(f"{name}: {rejected[name]}" for name in DAMAGING if name in rejected)
-    return [f"somebody else sent in the plant's name ({found})"] if found else []
+    return [f"another sender used the plant's name ({found})"] if found else []
 
 
 def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bus_schema.configuration import ConfigurationError
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.messages.header import stamp_of
@@ -18,10 +19,9 @@ from bus_schema.messages.topics import JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
 from deploy.judge.run_data import RunData, build_run_data
-from deploy.run.processes.logged_view import LoggedView
-from deploy.run.processes.recorder import close_log, open_log
+from deploy.run.recording import LoggedView, close_log, open_log
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import naming
 from plant_emulator.faults.process_faults import ProcessAction, process_actions, process_faults
 from plant_emulator.plant_loop import PlantLoop
 
@@ -182,18 +182,14 @@ def require_simulable(setup: Setup) -> None:
     Raises:
         ScenarioError: the message names the fault.
     """
-    source = setup.origin.of("faults")
-    for fault in process_faults(setup.scenario.faults):
-        if not setup.link_kind.simulates_process_faults:
-            raise ScenarioError(
-                f"{source}: faults: kind = {fault.kind!r}: must be of another kind for"
-                " simulate over this link; run has processes"
-            )
-        if Role(fault.target) is not Role.CONTROLLER:
-            raise ScenarioError(
-                f"{source}: faults: target = {fault.target!r}: must be controller for"
-                " simulate, which has no other process; run has"
-            )
+    with naming(setup.origin):
+        for fault in process_faults(setup.scenario.faults):
+            if not setup.link_kind.simulates_process_faults:
+                allowed = "must be of another kind for simulate over this link; run has processes"
+                raise ConfigurationError("faults: kind", fault.kind, allowed)
+            if Role(fault.target) is not Role.CONTROLLER:
+                allowed = "must be controller for simulate, which has no other process; run has"
+                raise ConfigurationError("faults: target", fault.target, allowed)
 
 
 def failed_simulation(setup: Setup, detail: str) -> Simulation:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +20,7 @@ from controller.configuration import ControllerConfiguration
 from controller.laws import LAWS
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import plain, set_value, to_yaml
+from deploy.scenario.yaml_files import leaves, plain, set_value, to_yaml
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engines import engine_name
 
@@ -167,7 +167,8 @@ def values_in_common(
         setup: the scenario.
         recorded: texts of files that only a recording contains, by dotted key; others are read.
     """
-    values = dict(_leaves(effective_values(setup)))
+    nested = effective_values(setup)
+    values = {key: json.dumps(value, default=str) for key, value in leaves(nested)}
     for key in _OF_EACH_HOST:
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)
@@ -182,14 +183,6 @@ def _text_of(file: Path) -> str:
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _leaves(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{before}{name}.")
-        else:
-            yield f"{before}{name}", json.dumps(value, default=str)
 
 
 def _arm(urdf: str) -> str:

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError, did_you_mean
-from bus_schema.link.channel_configuration import ChannelConfiguration, TraceConfiguration
+from bus_schema.link.channel_configuration import TraceConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.urdf.resolved import pybullet_data
 from bus_schema.user_files import is_file
@@ -21,11 +22,14 @@ from plant_emulator.channel.jitter import read_delays_ms
 from plant_emulator.channel.trace_file import read_trace
 
 DIRECTIONS = ("uplink", "downlink")
-DELAY_KEYS = tuple(
-    f"link.{direction}.{name}"
-    for name in ("distribution_file", "trace.file")
-    for direction in DIRECTIONS
-)
+DATA_FILES = {
+    "link.uplink.distribution_file": "uplink_delays.txt",
+    "link.uplink.trace.file": "uplink_trace",
+    "link.downlink.distribution_file": "downlink_delays.txt",
+    "link.downlink.trace.file": "downlink_trace",
+    REFERENCE_KEY: "reference.csv",
+}
+"""Names, in a recording, of the files that a scenario refers to, by dotted key."""
 ROBOTS = Path(str(resources.files("deploy").joinpath("robots")))
 TRACES = Path(str(resources.files("deploy").joinpath("traces")))
 _PYBULLET_DATA = "pybullet_data:"
@@ -114,7 +118,9 @@ def _find_trace(given: TraceConfiguration, key: str, origin: Origin, duration_s:
         allowed = f"must be below the trace's {length_s:g} s"
         raise ConfigurationError(f"{key}.start_s", start_s, allowed, [f"{key}.file"])
     if not given.loop and start_s + duration_s > length_s:
-        allowed = f"must be true: from start_s on, the trace lasts {length_s - start_s:g} s"
+        allowed = (
+            f"must be true, because the trace lasts only {length_s - start_s:g} s after start_s"
+        )
         raise ConfigurationError(f"{key}.loop", given.loop, allowed, ["duration_s"])
     return path
 
@@ -157,13 +163,13 @@ def _refusing(key: str, value: str) -> Iterator[None]:
 
 
 def data_files(scenario: ScenarioConfiguration) -> dict[str, Path]:
-    """The files of a checked scenario but for its arm, by dotted key."""
-    named: dict[str, str | None] = {}
-    for direction in DIRECTIONS:
-        channel: ChannelConfiguration = getattr(scenario.link, direction)
-        named[f"link.{direction}.distribution_file"] = channel.distribution_file
-        trace = channel.trace
-        named[f"link.{direction}.trace.file"] = None if trace is None else trace.file
-    if isinstance(scenario.reference, CsvConfiguration):
-        named[REFERENCE_KEY] = scenario.reference.file
+    """Return the files of a checked scenario except its arm, by dotted key."""
+    named = {key: _value_at(scenario, key) for key in DATA_FILES}
     return {key: Path(file) for key, file in named.items() if file is not None}
+
+
+def _value_at(section: Any, key: str) -> Any:
+    """Return the value of a dotted key; None if a section on the way is missing."""
+    for name in key.split("."):
+        section = getattr(section, name, None)
+    return section

@@ -22,8 +22,8 @@ from deploy.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
-from plant_emulator.faults.scheduler import ScheduledAction
 from plant_emulator.plant_task import PlantTask
 
 _SECOND_NS = 1_000_000_000

@@ -98,6 +98,7 @@ def starter_scenario(
             "physics": {"engine": "mujoco"},
             "actuator": {"rotor_inertia_kg_m2": _rounded(rotors), "saturation_nm": _rounded(rated)},
             "friction": friction,
+            **_drive_feedback(robot.drives),
         },
         "limits": {"torque_nm": _rounded(rated)},
     }
@@ -128,8 +129,17 @@ def drives_of(robot: RobotDescription) -> Drives:
     )
     data = [_source(*each) for each in sources]
     if not np.isfinite(robot.effort_limits_nm).all():
-        data.insert(0, f"largest torques {ESTIMATED} from its weight where its file has none")
+        data.insert(0, f"largest torques {ESTIMATED} from its weight if its file has none")
     return Drives(rated, rotors, friction, ", ".join(data))
+
+
+def _drive_feedback(drives: DriveValues) -> dict[str, Any]:
+    """Return gains of the drives' own loops, as far as the file has them for all joints."""
+    gains = {
+        "stiffness_nm_rad": drives.servo_stiffness_nm_rad, "damping_nm_s": drives.servo_damping_nm_s
+    }  # fmt: skip
+    known = {key: _rounded(each) for key, each in gains.items() if each.all()}
+    return {"drive_feedback": known} if known else {}
 
 
 def _drives_in_file(robot: RobotDescription, rated: Vector) -> DriveValues:

@@ -6,7 +6,7 @@ virtual time. Seeds have an effect only if a scenario draws random numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from bus_schema.link.channel_configuration import ChangeableConditions, ChannelC
 from controller.laws import LAWS
 from deploy.scenario.scenario import file_values, given_values
 from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import leaves
 from plant_emulator.configuration import NoiseTerm, PlantConfiguration
 
 LAW = "controller.law"
@@ -43,12 +44,12 @@ def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
     """
     idle_keys = _IDLE if given.get(_PROCESS) else (*_IDLE, *_OF_A_BUS)
     for key, value in given.items():
-        for leaf, said in _leaves(key, value):
+        for leaf, said in leaves({key: value}):
             instead = next((text for taken, text in own.items() if _overlap(leaf, taken)), None)
             if instead is not None:
                 raise ConfigurationError(key, value, f"must be given {instead}")
             if any(_overlap(leaf, idle) for idle in idle_keys) and (leaf, said) not in _AS_IT_IS:
-                allowed = "must be left out: it changes nothing in a study, which simulates"
+                allowed = "must be left out: it has no effect in a study, which only simulates"
                 raise ConfigurationError(key, value, allowed)
 
 
@@ -67,12 +68,12 @@ def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> No
         return
     is_simulated = all(setup.scenario.controller.process is None for setup in runs)
     for key, value in given.items():
-        for leaf, said in _leaves(key, value):
+        for leaf, said in leaves({key: value}):
             if leaf.startswith("link.can."):
-                allowed = "must be left out, as link.kind is not can: nothing else reads it"
+                allowed = "must be left out: it has an effect only with link.kind: can"
                 raise ConfigurationError(key, value, allowed)
             if (leaf, said) == ("link.kind", "zenoh") and is_simulated and not _changed(runs):
-                allowed = "must be left out: a study simulates, and nothing goes over Zenoh"
+                allowed = "must be left out: a study only simulates and does not use Zenoh"
                 raise ConfigurationError(key, value, allowed)
 
 
@@ -86,15 +87,6 @@ def _changed(setups: Iterable[Setup]) -> bool:
 def laws_beside(own: str) -> list[str]:
     """Return all shipped laws, and the scenario's own one if it is another."""
     return list(dict.fromkeys([*LAWS, own]))
-
-
-def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Return the keys that a value sets, which may be a section."""
-    if not isinstance(value, dict):
-        yield key, value
-        return
-    for name, inner in value.items():
-        yield from _leaves(f"{key}.{name}", inner)
 
 
 def _overlap(one: str, other: str) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -20,7 +20,7 @@ from pydantic import Field, model_validator
 from bus_schema.arrays import Vector, elementwise
 from bus_schema.configuration import ConfigurationError, Number, StrictModel
 from bus_schema.errors import did_you_mean
-from deploy.scenario.yaml_files import override
+from deploy.scenario.yaml_files import leaves, override
 
 _NOT_DRAWN = ("seed", "uncertainty")
 """Keys with numbers that do not describe the plant."""
@@ -30,10 +30,10 @@ class Draw(StrictModel):
     """Distribution of one number, or of one for each joint.
 
     Attributes:
-        distribution: ``uniform`` or ``log_uniform`` between `least` and `most`, a ``choice`` of
+        distribution: ``uniform`` or ``log_uniform`` between ``from`` and ``to``, a ``choice`` of
             `values`, equally likely, or a ``sign``, −1 or 1.
-        least: (in YAML ``from``) the smallest value.
-        most: (in YAML ``to``) the largest value.
+        least: the smallest value; ``from`` in YAML.
+        most: the largest value; ``to`` in YAML.
         values: values of a ``choice``.
         per: one number for the whole ``arm``, or one for each ``joint``.
         relative: true: the draw is a factor on the scenario's own value; a dotted key: a factor on
@@ -55,15 +55,15 @@ class Draw(StrictModel):
         has_ends = self.least is not None or self.most is not None
         if "uniform" in self.distribution:
             if not has_range or self.values is not None or not self.least < self.most:  # type: ignore[operator]
-                raise ValueError(f"with from < to, and no values, where it is {self.distribution}")
+                raise ValueError(f"with from < to and without values if it is {self.distribution}")
             if self.distribution == "log_uniform" and not self.least > 0.0:  # type: ignore[operator]
-                raise ValueError("with from > 0 where it is log_uniform")
+                raise ValueError("with from > 0 if it is log_uniform")
         elif has_ends:
-            raise ValueError(f"without from and to where it is {self.distribution}")
+            raise ValueError(f"without from and to if it is {self.distribution}")
         elif (self.distribution == "choice") != bool(self.values):
-            raise ValueError("with values where it is choice, and only there")
+            raise ValueError("with values if it is choice, otherwise without")
         if self.distribution == "sign" and self.random_sign:
-            raise ValueError("without random_sign where it is sign, which is one")
+            raise ValueError("without random_sign if it is sign")
         return self
 
     def sample(self, random: np.random.Generator, joints: int) -> float | Vector:
@@ -134,7 +134,9 @@ def check_uncertainty(uncertainty: Uncertainty, scenario: Mapping[str, Any], joi
     for text in uncertainty:
         for key in split_keys(text):
             if keys.count(key) > 1:
-                raise ConfigurationError(f"uncertainty.{text}", key, "must be drawn once")
+                raise ConfigurationError(
+                    f"uncertainty.{text}", key, "must be in the section only once"
+                )
     draw_plant(uncertainty, scenario, joints, seed=0, number=1)
 
 
@@ -188,7 +190,7 @@ class _Drawing:
         elif draw.relative:
             drawn = drawn * own
         if np.ndim(drawn) and not np.ndim(own):
-            allowed = f"must be one number for the arm, as {key} takes one, not one per joint"
+            allowed = f"must be arm: {key} accepts one number, not one per joint"
             raise ConfigurationError(f"uncertainty.{text}", f"per: {draw.per}", allowed)
         return drawn
 
@@ -233,18 +235,13 @@ def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:
     return np.array(found, dtype=np.float64) if isinstance(found, list) else float(entries[0])
 
 
-def number_keys(scenario: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def number_keys(scenario: Mapping[str, Any]) -> list[str]:
     """Return the dotted keys of all numbers of a scenario, including numbers per joint.
 
     Args:
         scenario: the scenario's values, plain and nested.
-        prefix: the beginning of all keys.
     """
-    for name, value in scenario.items():
-        if isinstance(value, Mapping):
-            yield from number_keys(value, f"{prefix}{name}.")
-        elif number_at(scenario, name) is not None:
-            yield f"{prefix}{name}"
+    return [key for key, _ in leaves(scenario) if number_at(scenario, key) is not None]
 
 
 def _may_be_drawn(key: str) -> bool:

@@ -25,29 +25,29 @@ def scenario_warnings(setup: Setup) -> list[str]:
     """Return warnings about accepted but suspicious settings, a sentence each."""
     robot, scenario = setup.robot, setup.scenario
     said = [*robot.warnings, *setup.reference.warnings]
-    if scenario.limits.torque_nm is None and scenario.plant.actuator.saturation_nm is None:
-        lacking = _unlimited(robot.joint_names, robot.effort_limits_nm)
-        if lacking:
+    saturation_nm = scenario.plant.actuator.saturation_nm
+    for what, given, limits, quantity, remedy in (
+        ("effort", scenario.limits.torque_nm if saturation_nm is None else saturation_nm,
+         robot.effort_limits_nm, "torques", "limits.torque_nm or plant.actuator.saturation_nm"),
+        ("velocity", scenario.limits.velocity_rad_s, robot.velocity_limits_rad_s, "speeds",
+         "limits.velocity_rad_s"),
+    ):  # fmt: skip
+        if given is None and (lacking := _unlimited(robot.joint_names, limits)):
             said.append(
-                f"no effort limit in the URDF for {lacking}: torques are UNLIMITED there; set"
-                " limits.torque_nm or plant.actuator.saturation_nm"
-            )
-    if scenario.limits.velocity_rad_s is None:
-        lacking = _unlimited(robot.joint_names, robot.velocity_limits_rad_s)
-        if lacking:
-            said.append(
-                f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
-                " limits.velocity_rad_s"
+                f"no {what} limit in the URDF for {lacking}: {quantity} are UNLIMITED there;"
+                f" set {remedy}"
             )
     actuator = scenario.plant.actuator
     if actuator.gear_stiffness_nm_rad is not None and actuator.encoder_side == "link":
         said.append(
-            "plant.actuator.encoder_side: link measures beyond elastic gears, where no shipped law"
-            " kept its bounds at a first resonance of 15 Hz; motor measures before them"
+            "plant.actuator.encoder_side: link measures on the output side of elastic gears. With"
+            " this, no shipped law kept its bounds at a first resonance of 15 Hz; motor measures"
+            " on the input side"
         )
     if ESTIMATED in (data := scenario.robot.drive_data or ""):
         said.append(
-            f"{data}: replace that in the scenario (funnel-hil robot --scenario writes one)"
+            f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
+            " one)"
         )
     said += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
@@ -69,9 +69,9 @@ def _torque_warning(setup: Setup) -> list[str]:
     more = int((usage.max(axis=0) > 1.0).sum()) - 1
     others = f"; {more} more joint{'s' * (more > 1)} too" if more else ""
     return [
-        f"the reference asks {robot.joint_names[joint]} for {torques[tick, joint]:.3g} N m at"
-        f" {times_s[tick]:.2f} s, {usage[tick, joint]:.2f} times its largest torque"
-        f" {limits[joint]:g} N m{others}: no law can follow it there"
+        f"the reference needs {robot.joint_names[joint]} to deliver {torques[tick, joint]:.3g} N m"
+        f" at {times_s[tick]:.2f} s, {usage[tick, joint]:.2f} times its largest torque"
+        f" {limits[joint]:g} N m{others}: no law can follow it"
     ]
 
 

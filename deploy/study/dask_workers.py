@@ -116,11 +116,11 @@ class DaskWorkers:
             run, future = self._finished.get(timeout=timeout_s)
         except queue.Empty:
             if self._client.status not in ("running", "connecting"):
-                raise ClusterLostError("the Dask scheduler has gone away") from None
+                raise ClusterLostError("the connection to the Dask scheduler is lost") from None
             return None
         self._in_flight -= 1
         if future.status == "cancelled":
-            raise ClusterLostError("the Dask scheduler has gone away")
+            raise ClusterLostError("the connection to the Dask scheduler is lost")
         error = future.exception()
         if error is None:
             return run, future.result()
@@ -182,7 +182,7 @@ def _connect(scheduler: str) -> Client:
         asyncio.run(asyncio.wait_for(_identity(scheduler), _ANSWER_S))
         client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False, security=Security())
     except (OSError, ValueError, TypeError, RuntimeError) as error:  # the last two: of TLS
-        reason = str(error) or f"nothing was heard for {_ANSWER_S:g} s"
+        reason = str(error) or f"no answer for {_ANSWER_S:g} s"
         raise ScenarioError(
             f"--scheduler {scheduler}: must be the address of a Dask scheduler that answers, such"
             f" as tcp://127.0.0.1:8786: {reason}"

@@ -176,8 +176,8 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
     why = hindrances(read_yaml(file), wanted, _digests(study))
     if why:
         raise ScenarioError(
-            f"--out {path}: must be without a study, or hold this one, or one that this one adds"
-            f" to; see {file}: {'; '.join(why[:_SHOWN_HINDRANCES])}"
+            f"--out {path}: has another study, which this one does not extend; see {file}:"
+            f" {'; '.join(why[:_SHOWN_HINDRANCES])}"
         )
     return path
 

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from bus_schema.percentiles import percentiles
+from bus_schema.arrays import percentiles
 from plant_emulator.channel.trace import TraceReplay, curves
 from plant_emulator.channel.trace_file import LOST_NS
 

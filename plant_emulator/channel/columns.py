@@ -128,7 +128,7 @@ def _check_names(
         allowed += f", and perhaps {', '.join(optional)}"
     for place, name in enumerate(names, start=1):
         if name not in known or names.count(name) > 1:
-            said = "is there twice" if name in known else "is unknown"
+            said = "occurs twice" if name in known else "is unknown"
             raise ValueError(f"{path}{where}, column {place} {shown(name)} {said}: {allowed}")
     for name in required:
         if name not in names:
@@ -146,7 +146,7 @@ def _refuse_line(path: Path, content: bytes, delimiter: str, names: Sequence[str
             try:
                 float(cell.strip() or "nan")
             except ValueError:
-                what = f"column {name} = {shown(cell.strip())}: is no number"
+                what = f"column {name} = {shown(cell.strip())}: is not a number"
                 raise ValueError(f"{path}, line {number}, {what}") from None
 
 

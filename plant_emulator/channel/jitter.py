@@ -76,7 +76,7 @@ def _named_delays_ms(path: Path) -> Vector:
     delays_ms = columns.values["delay_ms"]
     columns.refuse_where(
         ~((delays_ms >= 0.0) & (delays_ms < math.inf)), "delay_ms",
-        "a delay is at least 0 and finite; link.uplink.trace also knows lost messages",
+        "a delay is at least 0 and finite; for lost messages use link.uplink.trace",
     )  # fmt: skip
     if not columns.rows:
         raise ValueError(f"{path} holds no delay")
@@ -90,13 +90,14 @@ def _delay(path: Path, number: int, line: str) -> Iterator[float]:
     if not cells:
         return
     if numbers[0] is None:
-        allowed = "a file with names has a column delay_ms"
-        raise ValueError(f"{path}, line {number}: {cells[0]!r} is no number; {allowed}")
+        allowed = "a file with column names needs a column delay_ms"
+        raise ValueError(f"{path}, line {number}: {cells[0]!r} is not a number; {allowed}")
     for place, second in enumerate(numbers[1:], start=2):
         if second is not None:
             raise ValueError(
                 f"{path}, line {number}, column {place} = {cells[place - 1]}: a second number, and"
-                " nothing says which is the delay; a first line with delay_ms in it does"
+                " it is unclear which one is the delay; name the columns in the first line, with"
+                " delay_ms"
             )
     if not 0.0 <= numbers[0] < math.inf:
         raise ValueError(f"{path}, line {number}: a delay is at least 0 and finite")

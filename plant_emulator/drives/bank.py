@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
-from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.rejections import Rejections
+from bus_schema.errors import InvalidMessageError, Rejections
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Loop, Send
 
@@ -42,6 +41,9 @@ class DriveBank:
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
         self._drives = [protocol(each, send) for each in settings]
+        self._routes: dict[int, list[Drive]] = {}
+        for drive in self._drives:
+            drive.on_set_up = self._routes.clear
         self.node_ids = tuple(each.node_id for each in settings)
         self._torque_nm: Vector = np.zeros(len(self._drives))
         self._loops: list[Loop | None] = [None] * len(self._drives)
@@ -156,6 +158,8 @@ class DriveBank:
 
     def describe(self, frame: CanFrame) -> str:
         """A frame in words."""
+        if frame.is_fd and not self._reads_fd:
+            return "a CAN FD frame, which these drives do not read"
         for drive in self._drives:
             text = drive.describe(frame)
             if text is not None:
@@ -166,12 +170,16 @@ class DriveBank:
         is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
         if is_strange or len(frame.data) > _MOST_BYTES:
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
+        concerned = self._routes.get(frame.identifier)
+        if concerned is None:
+            concerned = [each for each in self._drives if frame.identifier in each.heard]
+            self._routes[frame.identifier] = concerned
         understood = False
-        for drive in self._drives:
+        for drive in concerned:
             if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
-            raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+            raise InvalidMessageError("unknown_identifier", f"no drive receives {frame}")
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:

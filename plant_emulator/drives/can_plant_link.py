@@ -24,8 +24,7 @@ from bus_schema.link.interface import SCENARIO_WAIT_S, CommandArrival, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
-from bus_schema.runtime.clock import Clock
-from bus_schema.runtime.lateness import HostLateness
+from bus_schema.runtime.clock import Clock, HostLateness
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from plant_emulator.drives.strangers import Strangers
 from plant_emulator.drives.sync_phase import SyncPhase
@@ -138,7 +137,7 @@ class CanPlantLink(PlantLink):
                 # Nobody has waited for frames, or for too long none was read.
                 self._catch_up(clock)
         except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
-            self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
+            self._failure = f"frames are no longer processed: {type(error).__name__}: {error}"
             return clock.wait_until(instant_ns)
         self._lateness.note(late_ns, instant_ns + late_ns)
         return late_ns

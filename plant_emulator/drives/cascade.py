@@ -63,6 +63,11 @@ class CascadeLoop(NamedTuple):
     most_nm: float
     integral: Integral
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the joint's motion changes the torque."""
+        return True
+
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:
         """Torque of the motor, which the loop gives for `step_s` from now on."""
         gains = self.gains

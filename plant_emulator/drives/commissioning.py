@@ -8,10 +8,9 @@ import numpy as np
 
 from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.can.protocol import PROTOCOLS
-from bus_schema.configuration import expand
+from bus_schema.configuration import Registry, expand
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
@@ -55,6 +54,7 @@ def commission(
             node_id=node_id,
             rated_torque_nm=float(rated[joint]),
             max_torque_nm=float(largest[joint]),
+            max_velocity_rad_s=float(robot.velocity_limits_rad_s[joint]),
             counts_per_turn=can.counts_per_turn,
             lower_rad=float(robot.lower_rad[joint]),
             upper_rad=float(robot.upper_rad[joint]),

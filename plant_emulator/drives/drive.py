@@ -7,7 +7,7 @@ that the same frames at the same instants always give the same answers, whatever
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple, Protocol
@@ -29,6 +29,10 @@ class JointReading(NamedTuple):
 
 class Loop(Protocol):
     """A loop that a drive closes around its joint between the frames it gets."""
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the joint's motion changes the torque."""
 
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:
         """Torque of the motor where the joint is and as it moves.
@@ -62,6 +66,11 @@ class JointLoop(NamedTuple):
     step_rad: float
     most_nm: float
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the joint's motion changes the torque."""
+        return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
+
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:  # noqa: ARG002
         """Torque of the motor where the joint is and as it moves."""
         seen_rad = round(position_rad / self.step_rad) * self.step_rad
@@ -85,6 +94,12 @@ class JointDemand(NamedTuple):
     torque_nm: float
     is_released: bool
     loop: Loop | None = None
+
+
+def following(loop: Loop, reading: JointReading) -> JointDemand:
+    """The demand of a drive that closes a loop around its joint."""
+    torque_nm = loop.torque_nm(reading.position_rad, reading.velocity_rad_s)
+    return JointDemand(torque_nm, is_released=True, loop=loop if loop.is_closed else None)
 
 
 AT_REST = JointDemand(0.0, is_released=False)
@@ -115,6 +130,7 @@ class DriveSettings:
         node_id: address on the bus.
         rated_torque_nm: unit of CiA 402's torques.
         max_torque_nm: the most the drive ever gives.
+        max_velocity_rad_s: the fastest a loop of the drive may want; CiA 402 drives: no limit.
         counts_per_turn: encoder resolution.
         lower_rad: lower end of the joint's range (-inf for none).
         upper_rad: upper end of the joint's range (inf for none).
@@ -131,6 +147,7 @@ class DriveSettings:
     node_id: int
     rated_torque_nm: float
     max_torque_nm: float
+    max_velocity_rad_s: float = float("inf")
     counts_per_turn: int = 1 << 20
     lower_rad: float = float("-inf")
     upper_rad: float = float("inf")
@@ -161,6 +178,10 @@ class Cycle:
         return True
 
 
+def _ignore() -> None:
+    """Do nothing."""
+
+
 class Drive(ABC):
     """One axis of one protocol.
 
@@ -171,12 +192,17 @@ class Drive(ABC):
         send: takes the frames that it sends.
 
     Attributes:
+        heard: identifiers of the frames that it may take; all others are for others.
+        on_set_up: called when `heard` has become another one.
         is_silent: its bus connection is cut.
         targets_taken: targets that the bank has counted.
     """
 
+    heard: Collection[int]
+
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         self._settings, self._send = settings, send
+        self.on_set_up: Callable[[], None] = _ignore
         self._reading = JointReading()
         self._is_hot = self._is_off_bus = self._is_frozen = self.is_silent = False
         self.targets_taken = 0
@@ -207,7 +233,7 @@ class Drive(ABC):
 
     @abstractmethod
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
-        """Take a data or remote frame; whether it was for this drive.
+        """Take a data or remote frame with an identifier that it hears; whether it was for it.
 
         Raises:
             InvalidMessageError: it was, and makes no sense. Nothing has changed.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bus_schema.configuration import ConfigurationError
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.drive import DriveFault
-from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
+from plant_emulator.faults.fault import FaultScheduler, ScheduledAction
 
 _KINDS = "|".join(re.escape(kind) for kind in DriveFault)
 _TIME = r"(?:\d+\.?\d*|\.\d+)(?:ms|s)"

@@ -50,7 +50,7 @@ class Strangers:
         ):
             if states:
                 sentences.append(
-                    f"another drive on this bus has address {node_id}: it sent {states} states"
+                    f"another drive on this bus has address {node_id} and sent {states} states"
                 )
             if torques > self._ticks + _MORE:
                 sentences.append(

@@ -5,34 +5,22 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, NonNegative, Number, Positive
-from plant_emulator.faults.fault import Fault, FaultContext, Share
-from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
+from plant_emulator.faults.fault import Fault, FaultContext, FaultScheduler, ScheduledAction, Share
 
 
 class ArmHardware(Protocol):
-    """Interface through which faults change the arm as a whole.
-
-    Attributes:
-        payload_kg: point mass that it carries at its tip.
-    """
+    """What faults change of the arm as a whole: `plant_emulator.physics.engine.ArmPhysics`."""
 
     payload_kg: float
 
-    def carry(self, payload_kg: float) -> None:
-        """Replace the point mass at the tip from now on."""
-
-
-class EncoderReading(NamedTuple):
-    """Reading of an encoder."""
-
-    position_rad: float
-    velocity_rad_s: float
+    def carry(self, payload_kg: float) -> None: ...
 
 
 class ArmFault(Fault):
@@ -58,13 +46,11 @@ class EncoderFault(JointFault):
     """A fault of the encoder of a joint."""
 
     @abstractmethod
-    def faulty(
-        self, now: EncoderReading, first: EncoderReading, random: np.random.Generator
-    ) -> EncoderReading:
-        """Return the encoder's reading while the fault lasts.
+    def faulty(self, now: Vector, first: Vector, random: np.random.Generator) -> ArrayLike:
+        """Return the encoder's reading while the fault lasts: position, rad, and velocity, rad/s.
 
         Args:
-            now: the correct reading.
+            now: the correct reading, shape (2,).
             first: the correct reading at the beginning of the fault.
             random: source of noise, drawn from the scenario's seed.
         """
@@ -79,12 +65,12 @@ class ActuatorFault(JointFault):
 
 
 class EncoderStuck(EncoderFault):
-    """Keeps the first position, and shows no velocity."""
+    """The encoder keeps reporting the position at the start of the fault, and zero velocity."""
 
     kind: Literal["encoder_stuck"]
 
-    def faulty(self, _now: EncoderReading, first: EncoderReading, _random: Any) -> EncoderReading:
-        return EncoderReading(first.position_rad, 0.0)
+    def faulty(self, _now: Vector, first: Vector, _random: np.random.Generator) -> ArrayLike:
+        return first[0], 0.0
 
 
 class EncoderBiased(EncoderFault):
@@ -93,8 +79,8 @@ class EncoderBiased(EncoderFault):
     kind: Literal["encoder_biased"]
     bias_rad: Number
 
-    def faulty(self, now: EncoderReading, _first: EncoderReading, _random: Any) -> EncoderReading:
-        return EncoderReading(now.position_rad + self.bias_rad, now.velocity_rad_s)
+    def faulty(self, now: Vector, _first: Vector, _random: np.random.Generator) -> ArrayLike:
+        return now[0] + self.bias_rad, now[1]
 
 
 class EncoderNoisy(EncoderFault):
@@ -104,13 +90,8 @@ class EncoderNoisy(EncoderFault):
     noise_rad: NonNegative = 0.0
     noise_rad_s: NonNegative = 0.0
 
-    def faulty(
-        self, now: EncoderReading, _first: EncoderReading, random: np.random.Generator
-    ) -> EncoderReading:
-        added, added_rate = (
-            random.standard_normal(2) * (self.noise_rad, self.noise_rad_s)
-        ).tolist()
-        return EncoderReading(now.position_rad + added, now.velocity_rad_s + added_rate)
+    def faulty(self, now: Vector, _first: Vector, random: np.random.Generator) -> ArrayLike:
+        return now + random.standard_normal(2) * (self.noise_rad, self.noise_rad_s)
 
 
 class TorqueOffset(ActuatorFault):
@@ -176,7 +157,7 @@ class PayloadDropped(PayloadFault):
     def check(self, key: str, context: FaultContext) -> None:
         super().check(key, context)
         if context.payload_kg == 0.0:
-            allowed = "there is nothing to drop: plant.payload_kg must be above 0"
+            allowed = "needs a payload to drop: plant.payload_kg must be above 0"
             raise ConfigurationError(f"{key}.kind", self.kind, allowed)
 
 
@@ -215,7 +196,7 @@ class ArmFaults:
         self._actuator_faults = [fault for fault in faults if isinstance(fault, ActuatorFault)]
         self._joint = {name: joint for joint, name in enumerate(joint_names)}
         self._random = random
-        self._first: dict[int, EncoderReading] = {}
+        self._first: dict[int, Vector] = {}
         self._beginnings = FaultScheduler(
             ScheduledAction(fault.start_ns, str(fault), partial(fault.begin, arm))
             for fault in faults
@@ -245,6 +226,6 @@ class ArmFaults:
         for index, fault in enumerate(self._encoder_faults):
             if fault.is_active(now_ns):
                 joint = self._joint[fault.joint]
-                reading = EncoderReading(*motion[:, joint].tolist())
+                reading = motion[:, joint].copy()
                 first = self._first.setdefault(index, reading)
                 motion[:, joint] = fault.faulty(reading, first, self._random)

@@ -1,7 +1,9 @@
-"""Common base of all scheduled faults: start, end and checks."""
+"""Common base of all scheduled faults, and the one schedule of all of them."""
 
 from __future__ import annotations
 
+from bisect import insort
+from collections.abc import Callable, Iterable
 from typing import Annotated, NamedTuple
 
 from pydantic import Field
@@ -36,12 +38,12 @@ class FaultContext(NamedTuple):
 
 
 class Fault(StrictModel):
-    """Base of all faults.
+    """Keys that all faults have.
 
     Attributes:
         kind: which fault.
         at_s: start, on the run's clock.
-        for_s: duration; to the end of the run if left out.
+        for_s: duration; if optional and left out, the fault lasts to the end of the run.
     """
 
     kind: str
@@ -78,3 +80,60 @@ class Fault(StrictModel):
         common = ("kind", "at_s", "for_s")
         own = [f"{key} {value}" for key, value in self if key not in common and value is not None]
         return ", ".join([self.kind, *own])
+
+
+def do_nothing(_now_ns: int) -> None:
+    """Do nothing: the action of an entry that is only reported."""
+
+
+def report_nothing(_description: str) -> None:
+    """Report nothing: for a schedule that is only carried out."""
+
+
+class ScheduledAction(NamedTuple):
+    """One entry of a schedule.
+
+    Attributes:
+        at_ns: when, on the scheduler's clock.
+        description: what happens, in a few words.
+        action: called with the time.
+    """
+
+    at_ns: int
+    description: str
+    action: Callable[[int], None] = do_nothing
+
+
+class FaultScheduler:
+    """Carries out actions at their times.
+
+    Args:
+        actions: in any order; actions of the same instant are carried out in the given order.
+    """
+
+    def __init__(self, actions: Iterable[ScheduledAction]) -> None:
+        self._pending = sorted(actions, key=_instant)
+
+    def add(self, action: ScheduledAction) -> None:
+        """Add an action to the schedule."""
+        insort(self._pending, action, key=_instant)
+
+    def postpone(self, by_ns: int) -> None:
+        """Postpone all remaining actions."""
+        self._pending = [each._replace(at_ns=each.at_ns + by_ns) for each in self._pending]
+
+    def run_due(self, now_ns: int, report: Callable[[str], None] = report_nothing) -> None:
+        """Carry out each action that is due at `now_ns`, once.
+
+        Args:
+            now_ns: the time, on the same clock as the actions' instants.
+            report: called with the description of each action before it is done.
+        """
+        while self._pending and self._pending[0].at_ns <= now_ns:
+            due = self._pending.pop(0)
+            report(due.description)
+            due.action(now_ns)
+
+
+def _instant(action: ScheduledAction) -> int:
+    return action.at_ns

@@ -18,14 +18,13 @@ from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock
 from plant_emulator.channel.jitter import endless
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.faults.fault import FOREVER_NS, Fault
+from plant_emulator.faults.fault import FOREVER_NS, Fault, FaultScheduler, ScheduledAction
 from plant_emulator.faults.message_faults import (
     Direction,
     MessageEditor,
     MessageFault,
     SecondCommander,
 )
-from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 _STREAM = 102
 

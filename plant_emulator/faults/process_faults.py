@@ -7,8 +7,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 from bus_schema.configuration import Positive
 from bus_schema.messages.topics import Role
-from plant_emulator.faults.fault import Fault
-from plant_emulator.faults.scheduler import ScheduledAction
+from plant_emulator.faults.fault import Fault, ScheduledAction
 
 Verb = Literal["kill", "remove", "start", "freeze", "resume"]
 """Actions on a process; a removed process will be started again, a killed one will not."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bus_schema.percentiles import percentiles
+from bus_schema.arrays import percentiles
 
 _PRIORITY = 50
 _LATEST_US = 20_000

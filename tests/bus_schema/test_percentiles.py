@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bus_schema.percentiles import percentiles
+from bus_schema.arrays import percentiles
 
 
 def test_percentiles_are_values_that_occurred() -> None:

@@ -6,8 +6,7 @@ from collections import Counter
 
 import pytest
 
-from bus_schema.configuration import ConfigurationError
-from bus_schema.registry import Registry
+from bus_schema.configuration import ConfigurationError, Registry
 
 
 def test_class_is_imported_when_its_name_is_built_and_not_before() -> None:

@@ -19,7 +19,7 @@ FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "
     [
         ("no XML at all", ("cannot be read as URDF",)),
         ("<sdf/>", ("root element is <sdf>",)),
-        (FIXED, ("no revolute or continuous joint",)),
+        (FIXED, ("no revolute, continuous or prismatic joint",)),
         (two_links().replace('effort="5"', 'effort="strong"'), ("effort='strong' of joint first",)),
         (two_links().replace('lower="-1"', 'lower=""'), ("lower='' of joint first",)),
         (two_links().replace('upper="2"', 'upper="nan"'), ("upper='nan' of joint first",)),

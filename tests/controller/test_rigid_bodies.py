@@ -5,7 +5,8 @@ import pytest
 
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from controller.rigid_bodies import inverse_dynamics, invert, mass_and_load
+from controller.rigid_bodies.dynamics import inverse_dynamics, mass_and_load
+from controller.rigid_bodies.vectors import invert
 from tests.arms import PAPER_ARM, listed_from_the_tip
 
 SAMPLES = 20

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-from contextlib import suppress
 from pathlib import Path
 
 from running import Watcher, funnel_hil_here, processes_of, settings, started
 
-from bus_schema.messages.topics import PLANT_TRUTH
+from bus_schema.messages.topics import CONTROL_STATUS, PLANT_TRUTH
+from deploy.judge.link_delays import measured_link
 from deploy.judge.run_data import RunData
 
 ROUND_TRIP_MS = 4
@@ -24,20 +23,6 @@ def least_round_trip_ms(data: RunData) -> float:
     return float(round_trips_ns[round_trips_ns >= 0].min()) * 1e-6
 
 
-def relay_of(folder: Path) -> int:
-    """Process id of the relay of a run, which the run's parent of processes started as well."""
-    plant = processes_of(folder)["plant"]
-    parent = Path(f"/proc/{plant}/stat").read_text().rpartition(")")[2].split()[1]
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            with suppress(OSError):
-                its_parent = (entry / "stat").read_text().rpartition(")")[2].split()[1]
-                words = (entry / "cmdline").read_bytes().decode().replace("\0", " ").split()
-                if its_parent == parent and "relay" in words:
-                    return int(entry.name)
-    raise AssertionError("there is no relay")
-
-
 def test_no_command_comes_back_sooner_than_the_relay_lets_it(tmp_path: Path) -> None:
     run = funnel_hil_here(*DELAYED, *settings(duration_s=1), out=tmp_path / "run")
     assert run.code == 0, run.output
@@ -48,13 +33,18 @@ def test_no_command_comes_back_sooner_than_the_relay_lets_it(tmp_path: Path) -> 
     assert manifest["real_delay"]["chunks"] > 0
     assert manifest["real_delay"]["lateness_us"]["max"] >= 0
     assert run.data.setup.scenario.link.deadline_ms == 1 + ROUND_TRIP_MS
+    delays_ms = {way: found.delays_ms for way, found in measured_link(run.data).items()}
+    assert delays_ms["uplink"].min() >= ROUND_TRIP_MS / 2
+    assert len(delays_ms["uplink"]) == run.data.tables[CONTROL_STATUS.name].size
+    assert delays_ms["downlink"].size
+    assert "uplink: 1,000 messages in 1.0 s, lost 0" in run.output
 
 
 def test_run_ends_with_its_relay_and_names_it(tmp_path: Path) -> None:
     with started(*DELAYED, *settings(duration_s=60), out=tmp_path / "run") as run:
         with Watcher(run.plant_endpoint()) as watcher:
             watcher.await_time(0.3, run)
-            os.kill(relay_of(run.folder), signal.SIGTERM)
+            run.send(signal.SIGTERM, "relay")
             ended = run.end()
         assert processes_of(run.folder) == {}
     assert ended.code == 1

@@ -7,15 +7,14 @@ import os
 import platform
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from running import Finished, settings
+from running import settings
 
 from deploy.judge.arithmetic import libm_fingerprint
-from tests.warm_process import HANG_S, ROOT
+from tests.warm_process import ROOT, cold, cold_python
 
 ANOTHER_LIBM = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
 
@@ -46,20 +45,6 @@ def turkish(folder: Path) -> dict[str, str]:
     return {"LC_ALL": name, "LANG": name, "LOCPATH": str(folder)}
 
 
-def start(words: list[str], environment: dict[str, str]) -> subprocess.Popen[str]:
-    """A Python that starts from nothing, with these variables beside those of the test."""
-    return subprocess.Popen(
-        [sys.executable, *words], cwd=ROOT, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-    )  # fmt: skip
-
-
-def funnel_hil(*words: str, **environment: str) -> Finished:
-    process = start(["-m", "deploy.cli", *words], environment)
-    output, errors = process.communicate(timeout=HANG_S)
-    return Finished(Path(), process.returncode, output + errors)
-
-
 @pytest.fixture(scope="module")
 def digests(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[str]]]:
     """Digests of all cases by environment; each is another in more than one way, to save time."""
@@ -77,12 +62,11 @@ def digests(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, lis
         if number == 0:  # one CPU alone
             os.sched_setaffinity(0, {min(usable)})
         try:
-            process = start(["tests/end_to_end/digest_cases.py"], environment)
+            done = cold_python(ROOT / "tests/end_to_end/digest_cases.py", **environment)
         finally:
             os.sched_setaffinity(0, usable)
-        output, errors = process.communicate(timeout=HANG_S)
-        assert process.returncode == 0, errors
-        found[", ".join(map("=".join, environment.items()))] = json.loads(output)
+        assert done.returncode == 0, done.stderr
+        found[", ".join(map("=".join, environment.items()))] = json.loads(done.stdout)
     return found
 
 
@@ -105,10 +89,10 @@ def test_replay_and_diff_name_another_libm(tmp_path: Path) -> None:
     short = ["iiwa", *settings(duration_s=0.3, metrics__from_s=0), "--no-report"]
     there, here = tmp_path / "there", tmp_path / "here"
     ended = [
-        funnel_hil("simulate", *short, "--out", str(there), **ANOTHER_LIBM),
-        funnel_hil("simulate", *short, "--out", str(here)),
+        cold("simulate", *short, "--out", there, **ANOTHER_LIBM),
+        cold("simulate", *short, "--out", here),
     ]
-    assert [each.code for each in ended] == [0, 0], ended
+    assert [each.returncode for each in ended] == [0, 0], ended
     prints = [
         json.loads((folder / "manifest.json").read_text())["arithmetic"]["libm"]
         for folder in (there, here)
@@ -116,13 +100,10 @@ def test_replay_and_diff_name_another_libm(tmp_path: Path) -> None:
     if prints[0] == prints[1]:
         pytest.skip("this C library has the same mathematics with and without FMA")
     assert prints[1] == libm_fingerprint()
-    replayed = funnel_hil("replay", str(there))
-    compared = funnel_hil(
-        "diff", str(there), str(here), "--no-report", "--out", str(tmp_path / "d")
-    )
+    replayed = cold("replay", there)
+    compared = cold("diff", there, here, "--no-report", "--out", tmp_path / "d")
     why = "The arithmetic differs (libm {} and {}), which alone may change the last bits."
-    assert replayed.code == 1
-    assert compared.code == 0
+    assert (replayed.returncode, compared.returncode) == (1, 0)
     for each in (replayed, compared):
-        assert why.format(*prints) in " ".join(each.output.split())
-    assert "arithmetic differs" not in funnel_hil("replay", str(here)).output
+        assert why.format(*prints) in " ".join(each.stdout.split())
+    assert "arithmetic differs" not in cold("replay", here).stdout

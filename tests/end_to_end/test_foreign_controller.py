@@ -16,12 +16,14 @@ from deploy.judge.run_data import FOREIGN
 from deploy.run.processes.program import program_variables
 from deploy.scenario.scenario import load_setup
 
-CLIENT = [sys.executable, str(Path(__file__).with_name("foreign_controller.py"))]
+CLIENT = [sys.executable, str(Path(__file__).with_name("limited_client.py"))]
 WIDE = {"convergence_margin_rad": 1.0, "overshoot_margin_rad": 1.0, "final_rad": 0.9}
 POINT = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": [0.2, -0.3, 0.5]}]}
-SHORT: dict[str, Any] = {"duration_s": 0.2, "reference": POINT, "funnel": WIDE}
+SHORT: dict[str, Any] = {
+    "duration_s": 0.2, "reference": POINT, "funnel": WIDE, "link__publish_reference": True
+}  # fmt: skip
 LOCKSTEP = {**SHORT, "clock": "lockstep"}
-NAME = "process: foreign_controller"
+NAME = "process: limited_client"
 
 
 def run(out: Path, *more: str, with_report: bool = False, **values: Any) -> Finished:
@@ -46,22 +48,22 @@ def test_a_process_is_judged_by_its_joint_states_alone(tmp_path: Path) -> None:
 
 
 def test_in_lockstep_it_gives_the_same_bits_again_under_delay_too(tmp_path: Path) -> None:
-    late = {**LOCKSTEP, "link__uplink__delay_ms": 3.0, "link__downlink__delay_ms": 2.0}
+    late = {**LOCKSTEP, "link__uplink__delay_ms": 0.6, "link__downlink__delay_ms": 0.4}
     first, second = (
         run(tmp_path / name, **late, controller__process=CLIENT) for name in ("first", "second")
     )
     assert first.digest == second.digest
-    assert first.summary["timing"]["round_trip_us"]["p50"] == 5000.0
+    assert first.summary["timing"]["round_trip_us"]["p50"] == 1000.0
 
 
 @pytest.mark.parametrize(
     ("process", "first"),
     [
         (
-            [*CLIENT, "--fail-after", 100],
+            [*CLIENT, "fail", "100"],
             "failed with exit code 1: RuntimeError: the encoder of my own is gone",
         ),
-        ([*CLIENT, "--leave-after", 100], "ended by itself with exit code 0: it left no message"),
+        ([*CLIENT, "leave", "100"], "ended by itself with exit code 0: it left no message"),
         (["sh", "-c", "echo no such gain >&2; exit 3"], "failed with exit code 3: no such gain"),
         ([os.devnull], None),
     ],
@@ -86,7 +88,7 @@ def test_silence_that_the_plant_gave_up_on_comes_before_the_end_of_the_process(
     tmp_path: Path,
 ) -> None:
     """Whoever falls silent, and ends in order once the plant has left, did not end the run."""
-    silent = [*CLIENT, "--silent-after", 100]
+    silent = [*CLIENT, "silence", "100"]
     ended = run(tmp_path / "run", **LOCKSTEP, link__reply_timeout_s=2, controller__process=silent)
     assert ended.code == 1
     faults = ended.summary["faults"]
@@ -140,7 +142,7 @@ def test_a_controller_from_elsewhere_is_awaited_at_the_given_endpoints(
 
 
 def test_compare_sets_it_beside_a_law(tmp_path: Path) -> None:
-    given = settings(**SHORT, controller__process=CLIENT, link__uplink__delay_ms=2.0)
+    given = settings(**SHORT, controller__process=CLIENT, link__uplink__delay_ms=1.0)
     words = ["compare", "paper_arm", "--laws", "process,pid", *given]
     ended = funnel_hil_here(*words, out=tmp_path / "both")
     assert ended.code == 0, ended.output
@@ -148,6 +150,6 @@ def test_compare_sets_it_beside_a_law(tmp_path: Path) -> None:
     assert own["completed"]
     assert own["law"] == NAME
     assert own["timing"]["round_trip_us"] == pid["timing"]["round_trip_us"]
-    assert own["torque"]["peak_nm"] == pytest.approx(pid["torque"]["peak_nm"], rel=0.05)
+    assert min(own["torque"]["peak_nm"]) > 10.0
     again = funnel_hil_here("report", str(ended.folder), out=None)
     assert again.code == 0, again.output

@@ -35,7 +35,6 @@ from bus_schema.runtime.clock import VirtualClock
 from bus_schema.zenoh.ros_graph import Attachment
 from controller.control_loop import ControlLoop
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.setup import Setup
 from plant_emulator.plant_loop import PlantLoop
 from plant_emulator.plant_task import PlantOutcome
 
@@ -130,7 +129,7 @@ def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
     reason = "second_plant" if ids == "own" else "altered_bundle"
     assert recording["rejected"][reason] >= 1
     assert recording["rejected"]["wrong_role"] >= 1  # the plant's end from a controller
-    assert "in the plant's name" in recording["damage"][0]
+    assert "the plant's name" in recording["damage"][0]
     assert f"{reason}: " in ended.output
     assert ended.summary["verdict"] == "unknown"
     assert not ended.summary["bounds"]["kept"]
@@ -146,63 +145,58 @@ def test_second_recorder_that_has_everything_ends_no_run(tmp_path: Path) -> None
 
 
 class HauntedPlantLink(InProcessPlantLink):
-    """Right behind every reply comes a command that answers the first state again."""
+    """The controller has a name. Behind its replies come commands for the first state again.
 
-    def __init__(self, bus: InProcessBus) -> None:
+    Args:
+        bus: where the controller is.
+        haunted: the numbers of such replies, all if empty.
+        ghost: number and sender of the command behind them.
+    """
+
+    def __init__(self, bus: InProcessBus, haunted: set[int], ghost: tuple[int, bytes]) -> None:
         super().__init__(bus)
-        self._haunted = bus
+        self._replies, self._haunted, self._ghost = 0, haunted, ghost
 
-    def send_state(self, state: bytes, status: bytes) -> None:
-        super().send_state(state, status)
-        self._haunted.commands.append(CommandArrival(command([HUGE_NM] * 3), 1, b"", 0))
+    def take_commands(self) -> list[CommandArrival]:
+        own = [each._replace(sender=COMMANDER) for each in super().take_commands()]
+        self._replies += bool(own)
+        if not own or (self._haunted and self._replies not in self._haunted):
+            return own
+        return [*own, CommandArrival(command([HUGE_NM] * 3), *self._ghost, 0)]
 
 
-def outcome_over(kind: type[InProcessPlantLink], setup: Setup) -> tuple[PlantOutcome, InProcessBus]:
-    """Of a plant that hears its controller over such a link; and the bus."""
-    clock = VirtualClock()
+COMMANDER = b"commander"
+
+
+def haunted(haunted: set[int], ghost: tuple[int, bytes]) -> tuple[PlantOutcome, InProcessBus]:
+    """Outcome of a run of 100 ticks over such a link, and its bus."""
+    setup, clock = load_setup("paper_arm", ["duration_s=0.1"]), VirtualClock()
     bus = InProcessBus(clock)
     ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
     with closing(setup.arm()) as arm:
-        return PlantLoop(setup.plant_task(lockstep=True), arm, kind(bus), clock).run(), bus
+        link = HauntedPlantLink(bus, haunted, ghost)
+        return PlantLoop(setup.plant_task(lockstep=True), arm, link, clock).run(), bus
 
 
 def test_stale_command_right_behind_the_reply_does_not_hide_it() -> None:
-    setup = load_setup("paper_arm", ["duration_s=0.05"])
-    outcome, _ = outcome_over(HauntedPlantLink, setup)
+    outcome, _ = haunted(set(), (1, b""))
     assert outcome.faults == []
     assert outcome.completed
 
 
-class CopiedIdPlantLink(InProcessPlantLink):
-    """The controller has a name; one stale command comes under it, with a number far ahead."""
-
-    def __init__(self, bus: InProcessBus) -> None:
-        super().__init__(bus)
-        self._rounds = 0
-
-    def take_commands(self) -> list[CommandArrival]:
-        own = [each._replace(sender=b"commander") for each in super().take_commands()]
-        self._rounds += bool(own)
-        if self._rounds != 3:
-            return own
-        self._rounds += 1
-        return [*own, CommandArrival(command([HUGE_NM] * 3), 2**62, b"commander", 0)]
-
-
 def test_one_forged_number_bars_no_genuine_command_and_is_a_fault() -> None:
-    setup = load_setup("paper_arm", ["duration_s=0.1"])
-    outcome, bus = outcome_over(CopiedIdPlantLink, setup)
+    outcome, bus = haunted({3}, (2**62, COMMANDER))
     (fault,) = outcome.faults
-    assert "two sources send as the one commander" in fault
+    assert "two senders use the commander's id" in fault
     assert not outcome.completed
-    assert outcome.ticks == setup.ticks  # it goes on
+    assert outcome.ticks == 100  # it goes on
     events = [
         RunEvent.decode(payload)
         for topic, payload in zip(bus.topics, bus.payloads, strict=True)
         if topic is RUN_EVENTS
     ]
     (counts,) = [event.values() for event in events if event.kind == EventKind.COUNTS]
-    assert counts["downlink"]["sent"] == setup.ticks
+    assert counts["downlink"]["sent"] == 100
     assert {why: n for why, n in counts["downlink"]["rejected"].items() if n} == {"stale": 1}
 
 

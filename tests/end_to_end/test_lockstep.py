@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
@@ -19,7 +16,7 @@ from deploy.judge.run_data import RunData
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from tests.warm_process import HANG_S, ROOT
+from tests.warm_process import cold
 
 DURATION_S, TICKS = 1.0, 1000
 SHORT = settings(duration_s=DURATION_S, metrics__from_s=0.5)
@@ -31,12 +28,7 @@ DELAYS = settings(link__uplink__delay_ms=2, link__downlink__delay_ms=3)
 def run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     """The command as a user starts it: from nothing, and with its report."""
     out = tmp_path_factory.mktemp("lockstep") / "run"
-    ended = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", "run", "paper_arm", *PATIENT, *LOCKSTEP,
-         "--out", str(out)],
-        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400"}, text=True,
-        capture_output=True, timeout=HANG_S, check=False,
-    )  # fmt: skip
+    ended = cold("run", "paper_arm", *PATIENT, *LOCKSTEP, "--out", out)
     return Finished(out, ended.returncode, ended.stdout + ended.stderr)
 
 

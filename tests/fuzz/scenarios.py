@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from deploy.run.network.links import check_link
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import SHIPPED, load_setup
-from deploy.scenario.yaml_files import ScenarioError, plain, set_value
+from deploy.scenario.yaml_files import ScenarioError, leaves, plain, set_value
 
 _TICKS = 3
 _SNIPPETS = (
@@ -60,15 +59,8 @@ def _whole(name: str, law: str) -> tuple[dict[str, Any], tuple[str, ...]]:
     values = yaml.safe_load(effective_scenario(setup))
     gains = plain(setup.gains)
     values["controller"]["gains"] = {law: gains}
-    return values, tuple(_numbers(values, ""))
-
-
-def _numbers(values: Any, key: str) -> Iterator[str]:
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _numbers(value, f"{key}{name}.")
-        elif isinstance(value, int | float | list):
-            yield key + name
+    numbers = (key for key, value in leaves(values) if isinstance(value, int | float | list))
+    return values, tuple(numbers)
 
 
 def _with_extreme(mutator: Mutator) -> str:

@@ -1,17 +1,140 @@
-"""ODrive's CANSimple, as one of the protocols of motor drives."""
+"""ODrive's CANSimple: its settings in a scenario, and the master of its axes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import struct
+from collections.abc import Callable, Sequence
 
-from bus_schema.can.cansimple.codec import COMMAND_BITS, CanSimpleCodec, Command, identifier
-from bus_schema.can.cansimple.master import CanSimpleMaster
-from bus_schema.can.frame import CanFrame, is_data
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.can.cansimple.codec import (
+    COMMAND_BITS,
+    TURN_RAD,
+    CanSimpleCodec,
+    Command,
+    identifier,
+)
+from bus_schema.can.frame import CanBus, CanFrame, is_data
+from bus_schema.can.master import CanMaster
 from bus_schema.can.protocol import DriveProtocol
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration, CanSimpleConfiguration
 from bus_schema.robot_description import RobotDescription
+
+_IDLE, _CLOSED_LOOP_CONTROL = 1, 8
+_PASSTHROUGH = 1
+_U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
+_GAIN, _GAINS = struct.Struct("<f"), struct.Struct("<ff")
+_BEAT = struct.Struct("<IBB")
+_OF_MASTER = {
+    Command.SET_AXIS_STATE, Command.SET_CONTROLLER_MODE, Command.SET_INPUT_POS,
+    Command.SET_INPUT_TORQUE, Command.CLEAR_ERRORS,
+}  # fmt: skip
+"""Commands that tell of another master."""
+
+
+class CanSimpleMaster(CanMaster):
+    """The master; the arguments are those of `CanMaster`.
+
+    What an axis is doing, its heartbeats report; they can be requested. In position control the
+    master sets the axes' gains; their integrals are off.
+    """
+
+    _codec: CanSimpleCodec
+
+    def __init__(
+        self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: CanSimpleCodec
+    ) -> None:
+        super().__init__(bus, can, node_ids, codec)
+        self._states = [0] * len(node_ids)
+        self._errors = [0] * len(node_ids)
+
+    def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
+        if not self._await_drives(timeout_s, is_stop_requested):
+            return False
+        self._faults.clear()
+        return True
+
+    def command(self, torque_nm: Vector) -> None:
+        if self._is_stopping:
+            self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
+            torque_nm = np.zeros_like(torque_nm)
+        super().command(torque_nm)
+
+    def leave(self) -> None:
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
+
+    def _ask(self) -> None:
+        """Ask all axes to follow their inputs, and for the heartbeats that say whether they do."""
+        self._send_gains()
+        self._states = [0] * len(self._node_ids)
+        self._is_powered = [False] * len(self._node_ids)
+        self._send_to_all(Command.CLEAR_ERRORS, b"\0")
+        self._send_to_all(
+            Command.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
+        )
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
+        self._send_heartbeat()
+
+    def _send_gains(self) -> None:
+        """Tune the loops that axes close in position control."""
+        if self._codec.gains is None:
+            return
+        _, stiffnesses, dampings = self._codec.gains
+        rows = zip(self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True)
+        for node_id, stiffness, damping in rows:
+            position = _GAIN.pack(stiffness / damping)
+            velocity = _GAINS.pack(damping * TURN_RAD, 0.0)
+            self._send((
+                CanFrame(identifier(node_id, Command.SET_POS_GAIN), position),
+                CanFrame(identifier(node_id, Command.SET_VEL_GAINS), velocity),
+            ))  # fmt: skip
+
+    def _who_is_absent(self, timeout_s: float) -> str:
+        sentences = []
+        for node_id, state, errors in zip(self._node_ids, self._states, self._errors, strict=True):
+            if state == 0:
+                sentences.append(f"no answer from axis {node_id} within {timeout_s:g} s")
+            elif state != _CLOSED_LOOP_CONTROL:
+                sentences.append(f"axis {node_id} stays in state {state}, errors 0x{errors:X}")
+        return "; ".join(sentences)
+
+    def _is_heartbeat_due(self) -> bool:
+        return self._is_stopping or super()._is_heartbeat_due()
+
+    def _send_heartbeat(self) -> None:
+        """Request the heartbeats of all axes; they need none of the master's."""
+        self._send_to_all(Command.HEARTBEAT, is_remote=True)
+
+    def _only_master_sends(self, frame: CanFrame) -> str | None:
+        node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
+        if node_id not in self._joint_of:
+            return None
+        if frame.is_remote:
+            return "requests"
+        return Command(command).name.title() if command in _OF_MASTER else None
+
+    def _handle_report(self, frame: CanFrame) -> None:
+        """Take in heartbeats."""
+        node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
+        joint = self._joint_of.get(node_id)
+        if joint is None or command != Command.HEARTBEAT or len(frame.data) < _BEAT.size:
+            return
+        self._errors[joint], self._states[joint], _ = _BEAT.unpack_from(frame.data)
+        self._is_powered[joint] = self._states[joint] == _CLOSED_LOOP_CONTROL
+        if self._errors[joint]:
+            self._faults.append(f"axis {node_id}: error 0x{self._errors[joint]:X}")
+        elif not self._is_powered[joint]:
+            self._faults.append(f"axis {node_id}: state {self._states[joint]}, not closed loop")
+
+    def _send_to_all(self, command: int, data: bytes = b"", *, is_remote: bool = False) -> None:
+        self._send(
+            CanFrame(identifier(node_id, command), data, is_remote=is_remote)
+            for node_id in self._node_ids
+        )
+
 
 _LARGEST_WORD = 32_767
 _BEAT_BYTES = 8

@@ -56,6 +56,6 @@ class Cia402Protocol(DriveProtocol):
         torques_mnm = self.codec(can, robot).rated_mnm.tolist()
         return [{rated: torque_mnm, turn: can.counts_per_turn} for torque_mnm in torques_mnm]
 
-    def check(self, can: CanConfiguration) -> None:
+    def check(self, can: CanConfiguration, *, takes_targets: bool) -> None:
         if can.eds is not None:
-            check_eds(can.eds)
+            check_eds(can.eds, takes_targets=takes_targets)

@@ -30,10 +30,13 @@ _BYTE = 0xFF
 
 
 class Special(IntEnum):
-    """Last byte of the frames that are no commands."""
+    """Last byte of the frames FF … FF xx that are no commands."""
 
-    ENTER = 0xFC
-    EXIT = 0xFD
+    CLEAR_ERROR = 0xFB
+    """Damiao motors alone have it."""
+
+    ENABLE = 0xFC
+    DISABLE = 0xFD
     ZERO = 0xFE
 
 
@@ -77,13 +80,18 @@ class MitReply(NamedTuple):
 
 
 def special(kind: int) -> bytes:
-    """Data of a frame that enters or leaves motor mode, or makes the position zero."""
+    """Data of a special frame."""
     return _SPECIAL + bytes([kind])
 
 
 def ending_of(data: bytes) -> int | None:
     """Last byte of eight that look like a special frame, known or not; None for a command."""
     return data[-1] if data[:-1] == _SPECIAL else None
+
+
+def special_of(data: bytes) -> Special | None:
+    """The special frame that eight bytes are; None if there is none like it."""
+    return next((kind for kind in Special if kind == ending_of(data)), None)
 
 
 class _Number(NamedTuple):
@@ -194,7 +202,7 @@ class MitCodec:
         self._node_ids, self.ranges = tuple(node_ids), tuple(ranges)
         self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
         self._reply_identifier = reply_identifier
-        self._sampling = self.special_frames(Special.ENTER)
+        self._sampling = self.special_frames(Special.ENABLE)
         self.cycle = CycleFrames(
             (), (8, reply_bytes, 8, reply_bytes),
             f"{{n}} × (request 8 bytes + command 8 bytes + 2 replies of {reply_bytes} bytes)",

@@ -20,7 +20,7 @@ from typing import Any
 
 _PACKAGES = ("bus_schema", "controller", "plant_emulator", "deploy")
 _HERE = Path(__file__).resolve().parent
-_FOLDER = next(each for each in _HERE.parents if (each / "bus_schema" / "registry.py").is_file())
+_FOLDER = next(each for each in _HERE.parents if (each / "bus_schema" / "errors.py").is_file())
 _FOLDERS = (_HERE, *(_FOLDER / name for name in _PACKAGES), sysconfig.get_path("stdlib"))
 _NOT_OF_SCRIPT = tuple(f"{folder}{os.sep}" for folder in _FOLDERS)
 _INSTALLED = f"-packages{os.sep}"  # site-packages; dist-packages on Debian

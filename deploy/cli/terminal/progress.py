@@ -1,11 +1,10 @@
-"""How far a command is: a live line on a terminal, a plain line now and then elsewhere."""
+"""Progress of a command: a live line on a terminal, a plain line every 3 s elsewhere."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -17,23 +16,6 @@ _POLL_S = 0.1
 _PLAIN_LINE_S = 3.0
 _BAR_WIDTH = 12
 _WHOLE = Column(no_wrap=True, overflow="ellipsis")
-
-
-class _Shape(NamedTuple):
-    """What a live line has besides how far the command is, its speed and its note."""
-
-    name: bool
-    bar: bool
-    time_left: bool
-
-
-_SHAPES = (
-    _Shape(name=True, bar=True, time_left=True),
-    _Shape(name=True, bar=False, time_left=True),
-    _Shape(name=True, bar=False, time_left=False),
-    _Shape(name=False, bar=False, time_left=False),
-)
-"""From the widest on: the first that fits is shown."""
 
 
 class CommandProgress:
@@ -49,15 +31,13 @@ class CommandProgress:
     def __init__(self, console: Console, name: str, total: float, unit: str) -> None:
         self._console, self._unit, self._note = console, unit, ""
         self._total, self._done, self._done_before = total, 0.0, 0.0
-        self._columns = (
+        self._is_brief = False
+        self._bar = Progress(
             TextColumn("{task.description}", style="bold", markup=False, table_column=_WHOLE),
             BarColumn(bar_width=_BAR_WIDTH),
             TextColumn("{task.fields[line]}", markup=False, table_column=_WHOLE),
-        )
-        self._shape = 0
-        self._bar = Progress(
-            *self._columns, console=console, transient=True, disable=not console.is_terminal
-        )
+            console=console, transient=True, disable=not console.is_terminal,
+        )  # fmt: skip
         self._task = self._bar.add_task(name, total=total, line="starting")
         self._started_s = self._printed_s = time.monotonic()
         self._is_printed, self._printed_done = True, -1.0
@@ -79,7 +59,7 @@ class CommandProgress:
             self._print_plainly()
 
     def update(self, done: float, *, total: float | None = None, note: str | None = None) -> None:
-        """So much is done now.
+        """Show how much is done.
 
         Args:
             done: how much in all.
@@ -96,13 +76,13 @@ class CommandProgress:
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:
-        """So much of all was done before; what has a speed begins now, if it has not yet."""
+        """Leave earlier work out of the speed, and start to measure it now."""
         if self._done <= self._done_before:
             self._started_s = time.monotonic()
         self._done_before = done
 
     def follow(self, position: Callable[[], float], name: str) -> None:
-        """Ask again and again how much is done, until the end or until this is called again."""
+        """Poll the position until the end, or until the next call of this method."""
         is_first, self._position = self._position is None, position
         self._bar.update(self._task, description=name)
         if is_first:
@@ -124,22 +104,16 @@ class CommandProgress:
             self.say(self._line())
 
     def _fitting_line(self) -> str:
-        """The line beside name and bar; where there is little room, they leave it to the note.
+        """Return the line beside name and bar. If it has no room, it replaces both, for good.
 
-        They do not come back, as a line whose parts come and go cannot be read. What is still too
-        long loses its end.
+        Parts that come and go could not be read. A line that is still too long loses its end.
         """
         name = self._bar.tasks[self._task].description
-        for index in range(self._shape, len(_SHAPES)):
-            shape = _SHAPES[index]
-            line = self._line(time_left=shape.time_left)
-            beside = shape.name * (cell_len(name) + 1) + shape.bar * (_BAR_WIDTH + 1)
-            room = self._console.width - beside
-            if cell_len(line) <= room:
-                break
-        self._shape = index
-        shown = zip(self._columns, (shape.name, shape.bar, True), strict=True)
-        self._bar.columns = tuple(column for column, is_shown in shown if is_shown)
+        line, room = self._line(), self._console.width
+        if cell_len(f"{name}  {line}") + _BAR_WIDTH > room:
+            self._is_brief = True
+        if self._is_brief:
+            line, self._bar.columns = self._line(time_left=False), self._bar.columns[-1:]
         text = Text(line)
         text.truncate(room, overflow="ellipsis")
         return text.plain
@@ -149,7 +123,8 @@ class CommandProgress:
         speed = (self._done - self._done_before) / elapsed_s
         line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
         if speed > 0.0:
-            line += f", {speed:.3g} {self._unit}/s"
+            is_time = self._unit == "s"  # simulated seconds per second: the real-time factor
+            line += f", speed {speed:.3g}" if is_time else f", {speed:.3g} {self._unit}/s"
             if time_left and self._done < self._total:
                 line += f", {(self._total - self._done) / speed:.0f} s left"
         return f"{line}, {self._note}" if self._note else line

@@ -1,8 +1,8 @@
-"""Connection from a recorder to viewers: local sockets in a folder that only this user can enter.
+"""Connection from a recorder to viewers: a local socket in a folder that only this user can enter.
 
-Viewers are not on the bus, where a frozen one would delay senders. A viewer asks the recorder
-repeatedly while it is open; the recorder sends it a datagram for each snapshot if there is room. A
-slow, frozen or vanished viewer delays no process.
+Viewers are not on the bus, where a frozen one would delay senders. A viewer connects to the
+recorder's socket, and the recorder sends it a packet for each snapshot if there is room. A slow,
+frozen or vanished viewer delays no process.
 """
 
 from __future__ import annotations
@@ -19,14 +19,11 @@ from pathlib import Path
 
 from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
-_ASK = b"funnel-hil: show me"
 _HELLO = b"funnel-hil: "
 _BUFFER_BYTES = 1 << 20
-_ASK_EVERY_S = 0.5
-_FORGET_S = 5.0
 _MOST_VIEWERS = 8
-_MOST_ASKED = 50
-"""Requests read per check, so that viewers cannot keep the recorder from its work."""
+_MOST_ACCEPTED = 50
+"""Connections accepted per check, so that viewers cannot keep the recorder from its work."""
 _MOST_TRIES = 10
 """Attempts to create a folder that other processes may remove when they end."""
 _LONGEST_FOLDER = 60
@@ -51,8 +48,8 @@ class LiveFeed:
     def __init__(self, endpoint: str, scenario: Path, joint_names: tuple[str, ...]) -> None:
         self._hello = _HELLO + json.dumps(str(scenario)).encode()
         self._names = joint_names
-        self._socket, self._place = _bound(_name(endpoint))
-        self._viewers: dict[str, float] = {}
+        self._socket, self._place = _listening(_name(endpoint))
+        self._viewers: list[socket.socket] = []
         self._sampler: Sampler | None = None
         self.dropped = 0
 
@@ -67,52 +64,53 @@ class LiveFeed:
             self._sampler.take(message)
 
     def send(self) -> None:
-        """Read the viewers' requests, and send them everything since the last call."""
-        self._hear()
+        """Accept new viewers, and send all viewers everything since the last call."""
+        self._accept()
         if self._sampler is None:
             return
         snapshot = self._sampler.snapshot()
         if snapshot is not None:
-            datagram = snapshot.encode()
-            for viewer in list(self._viewers):
-                self._send(datagram, viewer)
+            packet = snapshot.encode()
+            self._viewers = [viewer for viewer in self._viewers if self._send(packet, viewer)]
         if not self._viewers:
             self._sampler = None
 
     def close(self) -> None:
         """Remove the socket; viewers then know that the run is over."""
-        _remove(self._socket, self._place)
+        for each in (self._socket, *self._viewers):
+            each.close()
+        with contextlib.suppress(OSError):
+            self._place.unlink()
+            self._place.parent.rmdir()  # if that was the last one
 
-    def _hear(self) -> None:
-        now_s = time.monotonic()
-        for _ in range(_MOST_ASKED):
+    def _accept(self) -> None:
+        for _ in range(_MOST_ACCEPTED):
             try:
-                datagram, viewer = self._socket.recvfrom(len(_ASK) + 1)
-            except OSError:  # no more requests
-                break
-            if datagram != _ASK or not viewer:
-                continue
-            if viewer in self._viewers:
-                self._viewers[viewer] = now_s
-            elif len(self._viewers) < _MOST_VIEWERS:
-                self._viewers[viewer] = now_s
+                viewer, _ = self._socket.accept()
+            except OSError:  # no more viewers
+                return
+            viewer.setblocking(False)
+            viewer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+            if len(self._viewers) >= _MOST_VIEWERS:
+                viewer.close()
+            elif self._send(self._hello, viewer):
+                self._viewers.append(viewer)
                 self._sampler = self._sampler or Sampler(self._names)
-                self._send(self._hello, viewer)
-        for viewer, heard_s in list(self._viewers.items()):
-            if now_s - heard_s > _FORGET_S:
-                del self._viewers[viewer]
 
-    def _send(self, datagram: bytes, viewer: str) -> None:
+    def _send(self, packet: bytes, viewer: socket.socket) -> bool:
+        """Send a packet if there is room; return whether the viewer is still there."""
         try:
-            self._socket.sendto(datagram, viewer)
+            viewer.send(packet)
         except (BlockingIOError, InterruptedError):
             self.dropped += 1
-        except OSError:  # the viewer has gone
-            self._viewers.pop(viewer, None)
+        except OSError:
+            viewer.close()
+            return False
+        return True
 
 
 class FeedReceiver:
-    """A viewer's end. Other datagrams are counted and ignored.
+    """A viewer's end. It connects again when its recorder has gone and another one has started.
 
     Args:
         endpoint: the plant's endpoint.
@@ -120,62 +118,63 @@ class FeedReceiver:
     Attributes:
         scenario: file of the scenario in force, once a recorder has sent it.
         is_over: the recorder was found, and has gone.
-        garbage: datagrams that were no snapshots.
 
     Raises:
-        OSError: there is no place for its socket.
+        PermissionError: other users can enter the folder of the sockets.
     """
 
     def __init__(self, endpoint: str) -> None:
-        self._recorders = _name(endpoint)
-        self._socket, self._place = _bound("viewer")
-        self._asked_s = -_ASK_EVERY_S
-        self._recorder: Path | None = None
+        self._recorders = f"{_name(endpoint)}-*"
+        self._folder = _folder()
+        if self._folder.exists():
+            _require_private(self._folder)
+        self._socket: socket.socket | None = None
         self.scenario: Path | None = None
         self.is_over = False
-        self.garbage = 0
 
     def receive(self, timeout_s: float) -> Snapshot | None:
         """Return the next snapshot; None if none arrives in time."""
-        if time.monotonic() - self._asked_s >= _ASK_EVERY_S:
-            self._ask()
+        if self._socket is None:
+            self._connect()
+        if self._socket is None:
+            time.sleep(timeout_s)
+            return None
         self._socket.settimeout(timeout_s)
         try:
-            datagram = self._socket.recv(_BUFFER_BYTES)
-            if datagram.startswith(_HELLO):
-                self.scenario = Path(json.loads(datagram[len(_HELLO) :]))
-                return None
-            return Snapshot.decode(datagram)
+            packet = self._socket.recv(_BUFFER_BYTES)
         except TimeoutError:
             return None
-        except (ValueError, TypeError):
-            self.garbage += 1
-            return None
+        except ConnectionError:
+            packet = b""
+        if not packet:
+            self.close()
+            self._connect()
+        elif packet.startswith(_HELLO):
+            self.scenario = Path(json.loads(packet[len(_HELLO) :]))
+        else:
+            return Snapshot.decode(packet)
+        return None
 
     def close(self) -> None:
-        """Remove the socket."""
-        _remove(self._socket, self._place)
+        """Leave the recorder."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
 
-    def _ask(self) -> None:
-        """Send a request to the recorder that answered last, or else to any."""
-        self._asked_s = time.monotonic()
-        known = [] if self._recorder is None else [self._recorder]
-        for place in [*known, *self._place.parent.glob(f"{self._recorders}-*")]:
-            if self._is_there(place):
-                self._recorder, self.is_over = place, False
+    def _connect(self) -> None:
+        """Connect to a recorder of this run, if there is one."""
+        self.is_over = self.scenario is not None
+        for place in self._folder.glob(self._recorders):
+            made = _new_socket()
+            try:
+                made.connect(str(place))
+            except OSError as error:
+                made.close()
+                if isinstance(error, BlockingIOError):  # exists, but is busy
+                    self.is_over = False
+            else:
+                self._socket, self.is_over = made, False
                 return
-        self._recorder, self.is_over = None, self.scenario is not None
-
-    def _is_there(self, recorder: Path) -> bool:
-        """Send a request to a recorder; return whether it exists."""
-        try:
-            self._socket.setblocking(False)
-            self._socket.sendto(_ASK, str(recorder))
-        except BlockingIOError:  # exists, but is busy
-            return True
-        except OSError:
-            return False
-        return True
 
 
 def clear_left_behind() -> None:
@@ -191,31 +190,36 @@ def _name(endpoint: str) -> str:
     return hashlib.sha256(endpoint.partition("/")[2].encode()).hexdigest()[:16]
 
 
-def _bound(name: str) -> tuple[socket.socket, Path]:
-    """Return a socket of this process in the user's folder; remove those of dead processes."""
+def _new_socket() -> socket.socket:
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    made.setblocking(False)
+    return made
+
+
+def _listening(name: str) -> tuple[socket.socket, Path]:
+    """Return a listening socket in the user's folder; remove those of dead processes."""
     folder = _folder()
     for _ in range(_MOST_TRIES):
         with contextlib.suppress(FileNotFoundError):  # another process removed it when it ended
-            _make_private(folder)
+            folder.mkdir(mode=0o700, exist_ok=True)
+            _require_private(folder)
             _clear(folder)
-            return _bound_in(folder, name)
+            return _listening_in(folder, name)
     raise FileNotFoundError(f"{folder}: is being removed again and again")
 
 
-def _make_private(folder: Path) -> None:
-    folder.mkdir(mode=0o700, exist_ok=True)
+def _require_private(folder: Path) -> None:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise PermissionError(f"{folder}: is not a folder that only this user can enter")
+        raise PermissionError(f"{folder}: is not a folder that only this user can access")
 
 
-def _bound_in(folder: Path, name: str) -> tuple[socket.socket, Path]:
-    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+def _listening_in(folder: Path, name: str) -> tuple[socket.socket, Path]:
+    made = _new_socket()
     place = folder / f"{name}-{os.getpid()}-{made.fileno()}"
     try:
-        made.setblocking(False)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
         made.bind(str(place))
+        made.listen()
     except OSError:
         made.close()
         raise
@@ -232,17 +236,10 @@ def _folder() -> Path:
 def _clear(folder: Path) -> None:
     """Remove the files of killed processes."""
     for place in folder.iterdir():
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        with _new_socket() as probe:
             try:
                 probe.connect(str(place))
             except ConnectionRefusedError:
                 place.unlink(missing_ok=True)
             except OSError:
                 continue
-
-
-def _remove(made: socket.socket, place: Path) -> None:
-    made.close()
-    with contextlib.suppress(OSError):
-        place.unlink()
-        place.parent.rmdir()  # if that was the last one

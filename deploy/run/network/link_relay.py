@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from bus_schema.arrays import percentiles
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.percentiles import percentiles
 from deploy.run.network.relayed_bytes import CHUNK_BYTES, Chunk, DatagramSink, Direction, Stream
 from plant_emulator.channel.impairment import DOWNLINK, UPLINK, open_channel
 

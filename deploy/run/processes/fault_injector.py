@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 
 from bus_schema.messages.topics import Role
 from deploy.run.processes.child import ChildProcess
+from plant_emulator.faults.fault import FaultScheduler, ScheduledAction
 from plant_emulator.faults.process_faults import ProcessAction
-from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 _FREEZE_TIMEOUT_S = 2.0
 _POLL_S = 0.002

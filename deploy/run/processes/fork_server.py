@@ -24,7 +24,7 @@ logging.disable()  # `run` itself reports where kernels are kept
 from bus_schema.runtime.compiled import HAS_SAID  # noqa: E402
 
 logging.disable(logging.NOTSET)
-from bus_schema.runtime.finite import all_finite  # noqa: E402
+from bus_schema.runtime.compiled import all_finite  # noqa: E402
 
 os.environ[HAS_SAID] = "1"  # `run` itself reports that it compiles this kernel
 with contextlib.suppress(Exception):  # the process that needs it will report the error

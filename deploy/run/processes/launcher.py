@@ -29,11 +29,12 @@ from deploy.run.processes.child import (
 )
 from deploy.run.processes.fault_injector import ProcessFaultInjector
 from deploy.run.processes.program import ControllerProcess
-from deploy.run.processes.recorder import record_failures
 from deploy.run.processes.relay import relay
 from deploy.run.processes.role_process import thaw
 from deploy.run.processes.roles import RoleOptions
 from deploy.run.processes.status import StatusMessage, StatusReporter
+from deploy.run.recording import record_failures
+from deploy.run.run_folder import RunFolder
 from deploy.scenario.setup import Setup
 
 _POLL_S = 0.05
@@ -47,10 +48,8 @@ class Launcher:
 
     Args:
         setup: the scenario.
-        scenario: file of its effective form, which the processes read.
-        log: file for the recording. A restarted recorder writes to a file beside it: run-2.mcap,
-            run-3.mcap and so on.
-        can_log: likewise for the frames of a CAN bus.
+        folder: files of the run; the processes read the scenario there. A restarted recorder writes
+            to another file: run-2.mcap, run-3.mcap and so on; likewise the frames of a CAN bus.
         delay: a real delay between controller and plant; None for none.
         awaits_controller: start no controller, but wait for a remote one.
         viewer: function of a live view, called with the run's folder; None for no live view.
@@ -59,17 +58,14 @@ class Launcher:
     def __init__(
         self,
         setup: Setup,
+        folder: RunFolder,
         *,
-        scenario: Path,
-        log: Path,
-        can_log: Path,
         delay: RealDelay | None = None,
         awaits_controller: bool = False,
         viewer: Callable[[Path, StatusReporter], int] | None = None,
     ) -> None:
-        self._setup, self._delay, self._view = setup, delay, viewer
+        self._setup, self._folder, self._delay, self._view = setup, folder, delay, viewer
         self._roles = [Role.RECORDER, Role.PLANT, *([] if awaits_controller else [Role.CONTROLLER])]
-        self._scenario_file, self._log, self._can_log = scenario, log, can_log
         self._overrides = [] if delay is None else [delay.override]
         self._inbox: queue.SimpleQueue[StatusMessage] = queue.SimpleQueue()
         self._children: dict[Role, ChildProcess] = {}
@@ -98,11 +94,11 @@ class Launcher:
         """
         try:
             if self._view is not None:  # first of all, so that it misses nothing
-                self._viewer = LiveViewer(self._view, self._scenario_file.parent, self._inbox)
+                self._viewer = LiveViewer(self._view, self._folder.path, self._inbox)
                 self._handle_messages(on_message)
             if self._delay is not None:
-                options, folder = self._delay.options, self._scenario_file.parent
-                self._relay = Child(RELAY, relay, options, folder, self._inbox)
+                options = self._delay.options
+                self._relay = Child(RELAY, relay, options, self._folder.path, self._inbox)
             for role in self._roles:
                 self._start(role)
             self._watch(on_message)
@@ -115,7 +111,7 @@ class Launcher:
         self._outcome.failures = in_causal_order(self._outcome.failures)
         self._note_suspicion()
         for start in range(1, self._starts[Role.RECORDER] + 1):
-            record_failures(_numbered(self._log, start), self._outcome.failures)
+            record_failures(_numbered(self._folder.log, start), self._outcome.failures)
         return self._outcome
 
     def _start(self, role: Role) -> None:
@@ -134,15 +130,15 @@ class Launcher:
         link, controller = self._setup.scenario.link, self._setup.scenario.controller
         if role is Role.CONTROLLER and controller.process is not None:
             place = link.plant_endpoint if self._delay is None else self._delay.endpoint
-            return ControllerProcess(self._setup, self._scenario_file, place)
-        log = {Role.RECORDER: self._log, Role.PLANT: self._can_log}.get(role)
+            return ControllerProcess(self._setup, self._folder.scenario, place)
+        log = {Role.RECORDER: self._folder.log, Role.PLANT: self._folder.can_log}.get(role)
         options = RoleOptions(
-            str(self._scenario_file),
+            str(self._folder.scenario),
             overrides=self._overrides if role is Role.CONTROLLER else [],
             await_recorder=True,
             log=None if log is None else _numbered(log, self._starts[role]),
         )
-        return Child(role, roles.ROLES[role], options, self._scenario_file.parent, self._inbox)
+        return Child(role, roles.ROLES[role], options, self._folder.path, self._inbox)
 
     def _watch(self, on_message: Callable[[StatusMessage], None]) -> None:
         """Monitor the children until the plant has ended and the others had time to follow."""

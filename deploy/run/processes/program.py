@@ -12,7 +12,7 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.signal_names import signal_name
+from bus_schema.runtime.limited_process import signal_name
 from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
 from deploy.run.processes.child import SILENT, ChildProcess, Failure
 from deploy.run.processes.role_process import CANNOT_START, start_program
@@ -33,8 +33,8 @@ def require_program(setup: Setup) -> None:
         with naming(setup.origin):
             raise ConfigurationError(
                 "controller.process", list(command),
-                f"must begin with a program that can be run; {command[0]!r} is none, from"
-                f" {Path.cwd()} or on the PATH",
+                f"must begin with an executable program; {command[0]!r} is none in {Path.cwd()}"
+                " or on the PATH",
             )  # fmt: skip
 
 

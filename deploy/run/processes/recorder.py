@@ -1,4 +1,7 @@
-"""The recorder: a separate process that writes every message on the bus to an MCAP file."""
+"""The recorder: a separate process that writes every message on the bus to an MCAP file.
+
+It also counts messages, and missing ones.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
 
@@ -15,44 +18,17 @@ from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import Role
-from bus_schema.recording.atomic_files import partial_path
-from bus_schema.recording.mcap_log import McapLog, record_afterwards
-from bus_schema.zenoh.bundle_order import ALTERED_BUNDLE
+from bus_schema.zenoh.bundle_order import FORGED_NUMBER
 from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
-from controller import reference_file
 from deploy.run.live.feed import LiveFeed
 from deploy.run.live.snapshot import Message
-from deploy.run.processes.logged_view import LoggedView
-from deploy.run.processes.message_counts import SECOND_PLANT, EventBudget, GapCounter, PlantSenders
-from deploy.scenario.effective import agreement_of, portable_scenario
-from deploy.scenario.referenced_files import DELAY_KEYS, data_files
+from deploy.run.recording import SECOND_PLANT, LoggedView, close_log, open_log
+from deploy.scenario.effective import agreement_of
 from deploy.scenario.setup import Setup
 
 logger = logging.getLogger(__name__)
 
-SCENARIO_ATTACHMENT = "scenario.yaml"
-ROBOT_ATTACHMENT = "robot.urdf"
-DATA_ATTACHMENTS = {
-    **dict(
-        zip(
-            DELAY_KEYS,
-            ("uplink_delays.txt", "downlink_delays.txt", "uplink_trace", "downlink_trace"),
-            strict=True,
-        )
-    ),
-    reference_file.KEY: "reference.csv",
-}
-"""Names, in a recording, of the files that a scenario refers to, by dotted key."""
-RUN_METADATA = "run"
-RECORDER_METADATA = "recorder"
-LOST_METADATA = "lost"
-REJECTED_METADATA = "rejected"
-"""Number of messages forged in the name of a process of the run, by reason."""
-DAMAGING = (SECOND_PLANT, ALTERED_BUNDLE)
-"""Reasons that make it uncertain which messages are the plant's."""
-FAILURES_METADATA = "failures"
-"""Facts that the recorder cannot know: a sentence for each failed process, causes first."""
 _LARGEST_BACKLOG_BYTES = 1 << 27
 """A minute or more of both loops' messages at 1 kHz."""
 _AT_ONCE = 10_000
@@ -63,67 +39,11 @@ _FROZEN_S, _RETURN_S = 2.0, 12.0
 """A recorder that stood still for this long gives its peers time to connect again."""
 _PAUSE_S = 0.02
 """Time between two checks of the mailbox: waking up for each message would cost the loops time."""
-
-
-def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
-    """Begin the recording of a run, with everything needed to judge or repeat it.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    names = setup.robot.joint_names
-    tick_bytes = sum(
-        topics.layout(topic, names).size
-        for topic in topics.TOPICS
-        if topic.rate is topics.Rate.TICK
-    )
-    log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
-    scenario = setup.scenario
-    log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
-    log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
-    for key, file in data_files(scenario).items():
-        log.attach(DATA_ATTACHMENTS[key], "text/plain", file.read_bytes())
-    log.add_metadata(
-        RUN_METADATA,
-        {"scenario": scenario.name, "law": scenario.controller.name, "clock": clock, "link": link},
-    )
-    if log.failure is not None:
-        raise log.failure
-    return log
-
-
-def close_log(log: McapLog, lost: Counter[str], rejected: Counter[str]) -> None:
-    """Finish a recording with the counts of its messages and of missing ones, by topic.
-
-    Args:
-        log: the recording.
-        lost: number of missing messages, by topic.
-        rejected: number of messages and bundles sent in another's name, by reason.
-    """
-    log.finish_messages()
-    missing = lost + log.lost
-    counts = {"messages": log.messages, "lost": missing.total()}
-    log.add_metadata(RECORDER_METADATA, _as_text(counts))
-    log.add_metadata(LOST_METADATA, _as_text(missing))
-    if rejected:
-        log.add_metadata(REJECTED_METADATA, _as_text(rejected))
-    log.close()
-
-
-def _as_text(counts: Mapping[str, int]) -> dict[str, str]:
-    return {name: str(count) for name, count in counts.items()}
-
-
-def record_failures(path: Path, failures: Sequence[str]) -> None:
-    """Write the failures that ended a run into its recording, even a partial one, for the judge."""
-    for file in (path, partial_path(path)):
-        if failures and file.is_file() and not file.is_symlink():
-            try:
-                record_afterwards(
-                    file, FAILURES_METADATA, {str(i): f for i, f in enumerate(failures)}
-                )
-            except OSError as error:
-                logger.warning("%s: what failed is not in it: %s", file, error.strerror)
+_MOST_STREAMS = 10_000  # forged ids, one per message, must not fill the memory
+_LONGEST_GAP = 1 << 24
+"""Longest gap counted, hours at 1 kHz; a longer one shows no number of messages."""
+_MOST_EVENTS, _MOST_EVENT_BYTES, _MOST_EVENT_SENDERS = 5000, 1 << 20, 64
+"""Limits on events per sender, their bytes, and senders; our processes send some dozens."""
 
 
 class Recorder:
@@ -230,13 +150,14 @@ class Recorder:
         self._compare_with_the_plant()
         if self.rejected:
             logger.warning(
-                "somebody else on the bus sends in the name of a process of this run (%s);"
-                " link.security keeps strangers out",
+                "another sender on the bus uses the name of a process of this run (%s);"
+                " link.security prevents this",
                 ", ".join(f"{reason}: {count}" for reason, count in self.rejected.items()),
             )  # fmt: skip
         if self._mailbox.dropped:
             logger.warning(
-                "more came than could be written: %d deliveries were dropped", self._mailbox.dropped
+                "messages arrived faster than they could be written: %d deliveries were"
+                " dropped", self._mailbox.dropped
             )  # fmt: skip
         close_log(self._log, self._gaps.missed, self.rejected)
         self._node.close()
@@ -302,8 +223,86 @@ class Recorder:
         missing = self._gaps.expect(name, self._commands_received, came)
         if missing:
             logger.warning(
-                "the plant received %d commands that never came here: a controller that connects"
-                " to the plant alone has to listen at link.controller_endpoint (%s), where"
-                " recorders connect to, or be a Zenoh client of the plant",
+                "the plant received %d commands that the recorder did not: a controller must"
+                " listen at link.controller_endpoint (%s), where recorders connect, or be a"
+                " Zenoh client of the plant",
                 missing, self._setup.scenario.link.controller_endpoint,
             )  # fmt: skip
+
+
+class GapCounter:
+    """Counts missing messages by the gaps in their senders' numbers.
+
+    Args:
+        rejected: counts, by reason, messages with impossible numbers.
+
+    Attributes:
+        missed: messages that are missing, by topic.
+    """
+
+    def __init__(self, rejected: Counter[str]) -> None:
+        self._last_sequence: dict[tuple[str, bytes], int] = {}
+        self.missed: Counter[str] = Counter()
+        self._rejected = rejected
+
+    def note(self, topic: str, sender: bytes, sequence: int) -> None:
+        """Note a message, and count those missing since its sender's last one.
+
+        Messages without a number (0) show no gaps.
+        """
+        stream = topic, sender
+        last = self._last_sequence.get(stream, 0)
+        if not last and len(self._last_sequence) >= _MOST_STREAMS:
+            return
+        if sequence > last + _LONGEST_GAP:
+            self._rejected[FORGED_NUMBER] += 1
+            if not last:  # a sender that began long ago
+                self._last_sequence[stream] = sequence
+        elif sequence > last:
+            self._last_sequence[stream] = sequence
+            if sequence > last + 1:
+                self.missed[topic] += sequence - last - 1
+
+    def expect(self, topic: str, count: int, came: int) -> int:
+        """Compare with another receiver: it got `count` messages, of which `came` arrived here too.
+
+        Return how many of the rest were not yet counted as missing.
+        """
+        unknown = max(0, count - came - self.missed[topic])
+        self.missed[topic] += unknown
+        return unknown
+
+
+class PlantSenders:
+    """Counts messages that a run's only plant cannot have sent: by a second sender, or repeated.
+
+    Args:
+        rejected: counts them, by reason.
+    """
+
+    def __init__(self, rejected: Counter[str]) -> None:
+        self._rejected = rejected
+        self._last: dict[str, tuple[bytes, int]] = {}
+
+    def note(self, topic: str, sender: bytes, sequence: int) -> None:
+        """Note a message of the plant's topics; its number is 0 if its sender gives none."""
+        known, last = self._last.setdefault(topic, (sender, sequence - 1))
+        if sender != known or (last > 0 and sequence <= last):
+            self._rejected[SECOND_PLANT] += 1
+        else:
+            self._last[topic] = sender, sequence
+
+
+class EventBudget:
+    """Limit on recorded run events: the judge of a run keeps all of them in memory."""
+
+    def __init__(self) -> None:
+        self._spent: dict[bytes, tuple[int, int]] = {}
+
+    def admits(self, sender: bytes, size_bytes: int) -> bool:
+        """Whether another event of a sender is recorded."""
+        if sender not in self._spent and len(self._spent) >= _MOST_EVENT_SENDERS:
+            return False
+        count, spent_bytes = self._spent.get(sender, (0, 0))
+        self._spent[sender] = count + 1, spent_bytes + size_bytes
+        return count < _MOST_EVENTS and spent_bytes + size_bytes <= _MOST_EVENT_BYTES

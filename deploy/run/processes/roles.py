@@ -26,13 +26,14 @@ from deploy.run.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.run.live.feed import LiveFeed
 from deploy.run.network.links import check_link, require_keys, require_own_controller
 from deploy.run.network.more_topics import with_clock, with_reference
-from deploy.run.processes.recorder import SCENARIO_ATTACHMENT, Recorder
+from deploy.run.processes.recorder import Recorder
 from deploy.run.processes.scheduling import (
     leave_loops_their_cpus,
     report_settings,
     set_up_scheduling,
 )
 from deploy.run.processes.status import StatusReporter
+from deploy.run.recording import SCENARIO_ATTACHMENT
 from deploy.run.stop_signals import StopRequest, ignore_stops
 from deploy.scenario.effective import agreement_of
 from deploy.scenario.scenario import load_setup
@@ -236,7 +237,7 @@ def _live_feed(setup: Setup, recording: Path) -> LiveFeed | None:
     try:
         return LiveFeed(setup.scenario.link.plant_endpoint, scenario, setup.robot.joint_names)
     except OSError as error:
-        logger.warning("there will be no live view: %s", error)
+        logger.warning("no live view: %s", error)
         return None
 
 

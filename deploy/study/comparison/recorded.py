@@ -16,10 +16,10 @@ from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.recorded_ticks import tick_numbers
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.run.execute import JudgedRun
-from deploy.run.processes.recorder import DATA_ATTACHMENTS
 from deploy.run.run_folder import RunFolderError, load_run, read_manifest, read_summary
 from deploy.run.simulate import CLOCK as SIMULATED
 from deploy.scenario.effective import values_in_common
+from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.comparison.comparison import KIND as OF_LAWS
 from deploy.study.comparison.comparison import ComparedRuns
@@ -99,10 +99,10 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     """
     places = [path.resolve() for path in paths]
     if len(places) < 2:
-        raise ScenarioError("diff: must be given two recorded runs or more")
+        raise ScenarioError("diff: needs two recorded runs or more")
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
-            raise ScenarioError(f"{path}: is given twice; must be runs that can differ")
+            raise ScenarioError(f"{path}: is given twice; must be different runs")
         if read_summary(path).get("kind") == OF_LAWS:
             raise RunFolderError(
                 f"{path}: is a comparison; must be a run, such as one of the folders inside"
@@ -135,7 +135,7 @@ def _read(label: str, path: Path) -> tuple[JudgedRun, dict[str, str]]:
     data, contents = load_run(path)
     texts = {
         key: "\n".join(contents.attachments[name].decode(errors="replace").splitlines())
-        for key, name in DATA_ATTACHMENTS.items()
+        for key, name in DATA_FILES.items()
         if name in contents.attachments
     }
     run = JudgedRun(label, data, path=path)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from bus_schema.can.cansimple.codec import TURN_RAD
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
-from plant_emulator.drives.drive import DriveSettings, JointDemand, JointReading
+from plant_emulator.drives.drive import DriveSettings, JointDemand, JointReading, following
 
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 2, 3, 1
 TORQUE_CONSTANT_NM_A = 1.0
@@ -36,7 +36,8 @@ class Controller:
         self._control, self._inputs = POSITION_CONTROL, PASSTHROUGH
         self._gains = self._settings.gains
         self._zero_rad = 0.0
-        self.velocity_limit = VELOCITY_LIMIT_TURNS_S
+        own_limit = self._settings.max_velocity_rad_s / TURN_RAD
+        self.velocity_limit = min(VELOCITY_LIMIT_TURNS_S, own_limit)
         self._current_limit = self._settings.max_torque_nm / TORQUE_CONSTANT_NM_A
         self.arm(JointReading())
 
@@ -106,8 +107,7 @@ class Controller:
             gains, TURN_RAD / self._settings.counts_per_turn, self.velocity_limit * TURN_RAD,
             most_nm, self._integral,
         )  # fmt: skip
-        torque_nm = loop.torque_nm(reading.position_rad, reading.velocity_rad_s)
-        return JointDemand(torque_nm, is_released=True, loop=loop)
+        return following(loop, reading)
 
 
 def _check(*values: float) -> None:

@@ -49,6 +49,7 @@ class CanSimpleDrive(Axis):
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         super().__init__(settings, send)
         self._node_id = settings.node_id
+        self.heard = range(identifier(self._node_id, 0), identifier(self._node_id + 1, 0))
         self._heartbeats = Cycle(HEARTBEAT_MS * _MS)
         self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
         controller, own = self.controller, settings.own

@@ -5,21 +5,15 @@ from __future__ import annotations
 from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cia402.errors import ErrorCode
 from plant_emulator.drives.cia402.network_state import HEARTBEAT, NmtCommand, NmtState
-from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
 from plant_emulator.drives.cia402.pdo import Pdo
 from plant_emulator.drives.cia402.process_data import ProcessData
 
 _EMERGENCY_BYTES = 3
-_SDO_HEADER_BYTES = 4
-_SDO_WORDS = {
-    0x20: "SDO download request", 0x40: "SDO upload request", 0x60: "SDO upload segment request",
-    0x00: "SDO download segment", 0x80: "SDO abort", 0xA0: "SDO block upload",
-    0xC0: "SDO block download",
-}  # fmt: skip
-_SDO_ANSWERS = {
-    0x20: "SDO download segment done", 0x40: "SDO upload response", 0x60: "SDO download done",
-    0x00: "SDO upload segment", 0x80: "SDO abort",
-}  # fmt: skip
+_DOWNLOAD, _UPLOAD, _DONE, _ABORT = 0x20, 0x40, 0x60, 0x80
+_REQUESTS = {_DOWNLOAD: "download request", _UPLOAD: "upload request", _ABORT: "abort"}
+_ANSWERS = {_DONE: "download done", _UPLOAD: "upload response", _ABORT: "abort"}
+"""SDO frames that name an object; all others are segments and blocks."""
 
 
 def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str | None:
@@ -60,19 +54,16 @@ def _name(code: int) -> str:
 
 
 def _sdo(data: bytes, node: DriveNode, *, is_request: bool) -> str:
-    if len(data) < _SDO_HEADER_BYTES:
+    kind = data[0] & 0xE0 if len(data) == SDO_BYTES else None
+    words = (_REQUESTS if is_request else _ANSWERS).get(kind or 0)
+    if words is None:
         return f"node {node.node_id} SDO {data.hex(' ')}"
-    kind = data[0] & 0xE0
-    words = (_SDO_WORDS if is_request else _SDO_ANSWERS).get(kind, "SDO")
-    if "segment" in words:
-        return f"node {node.node_id} {words} {data[1:].hex(' ')}"
     index, subindex = int.from_bytes(data[1:3], "little"), data[3]
     entry = node.object_dictionary.indices.get(index)
     name = "(no such object)" if entry is None else entry.name
-    text = f"node {node.node_id} {words} 0x{index:04X}:{subindex:02X} {name}"
-    if kind == 0x80 or (is_request and kind == 0x20) or (not is_request and kind == 0x40):
-        text += f" 0x{int.from_bytes(data[4:], 'little'):X}"
-    return text
+    text = f"node {node.node_id} SDO {words} 0x{index:04X}:{subindex:02X} {name}"
+    has_value = kind != (_UPLOAD if is_request else _DONE)
+    return text + f" 0x{int.from_bytes(data[4:], 'little'):X}" * has_value
 
 
 def _values(pdo: Pdo, data: bytes, node: DriveNode) -> str:

@@ -161,6 +161,8 @@ class Cia402Drive(Drive):
         takers[self._process_data.sync_identifier] = self._take_sync
         takers[_NMT] = self._obey_master
         self._takers = takers
+        self.heard = {*takers, *self._process_data.sent_identifiers}
+        self.on_set_up()
 
     def _take_sync(self, data: bytes) -> None:
         if self._is_operational() and self._process_data.sync(data):

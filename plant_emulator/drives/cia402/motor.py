@@ -11,7 +11,7 @@ from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.cia402.position_mode import PositionMode
 from plant_emulator.drives.cia402.state_machine import Automaton, ControlCommand, State, Statusword
-from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, JointReading
+from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, JointReading, following
 
 NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE = 0, 8, 10
 _MODES = (NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE)
@@ -94,15 +94,15 @@ class Motor:
         if not self._follows():
             return AT_REST
         if self._mode == CYCLIC_SYNCHRONOUS_POSITION:
-            loop = self._loop()
-            return JointDemand(loop.torque_nm(*self._reading[:2]), is_released=True, loop=loop)
+            return following(self._loop(), self._reading)
         return JointDemand(self._nm(self._limited()[0]), is_released=True)
 
     def advance(self) -> None:
         """Do what is due: the end of a slow-down, the window of a following error."""
         self.automaton.advance()
         if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
-            self._position_mode.rest()
+            if self._position_mode.has_followed:
+                self._position_mode.rest()
             return
         self._position_mode.follow()
         if self._position_mode.error_is_fault:

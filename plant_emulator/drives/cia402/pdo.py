@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from functools import partial
+from operator import call
 from typing import NamedTuple
 
 from canopen.objectdictionary import ODVariable
@@ -151,14 +153,12 @@ def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
     """A function that gives the present values."""
     pack = _layout(node, entries).pack
     stored = node.values.__getitem__
-    reads: list[tuple[Callable[[int], int], int]] = []
+    reads: list[Callable[[], int]] = []
     for index, subindex, _ in entries:
         read = node.readers.get(index)
-        reads.append((stored, index << 8 | subindex) if read is None else (read, subindex))
-    if len(reads) == 1:  # a statusword alone, looked at after every frame
-        ((read_alone, only),) = reads
-        return lambda: pack(read_alone(only))
-    return lambda: pack(*[read(place) for read, place in reads])
+        place = index << 8 | subindex
+        reads.append(partial(stored, place) if read is None else partial(read, subindex))
+    return lambda: pack(*map(call, reads))
 
 
 def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], None]:

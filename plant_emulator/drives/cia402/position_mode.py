@@ -63,6 +63,11 @@ class PositionMode:
         self._outside_since_ns: int | None = None
         self.has_following_error = False
 
+    @property
+    def has_followed(self) -> bool:
+        """Whether the drive has had a turn to follow since it last came to rest."""
+        return self._held is not None
+
     def measure(self, reading: JointReading) -> int:
         """Take in what the sensors show; the position in increments, as object 0x6064 has it."""
         self._counts = round(reading.position_rad * self._counts_per_rad)

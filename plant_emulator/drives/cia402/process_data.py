@@ -26,6 +26,8 @@ class ProcessData:
 
     Attributes:
         samplings: SYNCs on which values were sampled so far.
+        sync_identifier: of SYNC.
+        sent_identifiers: those of the TPDOs as they are set up now.
     """
 
     def __init__(self, node: DriveNode, errors: ErrorLog, send: Send, *, is_fd: bool) -> None:
@@ -51,8 +53,10 @@ class ProcessData:
         for pdo in (*self._received, *self._sent):
             pdo.note_set_up()
         valid = [pdo for pdo in self._sent if pdo.is_valid]
+        self.sent_identifiers = {pdo.identifier for pdo in valid}
         self._on_sync = [pdo for pdo in valid if pdo.is_synchronous]
         self._on_event = [pdo for pdo in valid if pdo.entries and not pdo.is_synchronous]
+        self._awaited = [pdo for pdo in self._received if pdo.is_valid and pdo.event_ns]
 
     def sending(self, identifier: int) -> Pdo | None:
         """The TPDO with this identifier."""
@@ -109,10 +113,8 @@ class ProcessData:
     def has_overdue(self) -> bool:
         """Whether an RPDO is overdue; each is awaited from its first arrival on."""
         overdue = False
-        for pdo in self._received:
-            if pdo.heard_ns is None or not pdo.event_ns or not pdo.is_valid:
-                continue
-            if self._node.now_ns - pdo.heard_ns > pdo.event_ns:
+        for pdo in self._awaited:
+            if pdo.heard_ns is not None and self._node.now_ns - pdo.heard_ns > pdo.event_ns:
                 pdo.heard_ns, overdue = None, True
         return overdue
 

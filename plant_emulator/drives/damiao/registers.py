@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 import struct
 
-from bus_schema.can.damiao.codec import Mode
+from bus_schema.can.damiao.codec import TIMEOUT_STEP_NS, Mode, Register
 from bus_schema.can.damiao.protocol import DamiaoSettings
-from bus_schema.can.damiao.registers import TIMEOUT_STEP_NS, Register
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.drive import DriveSettings
 
@@ -47,8 +46,9 @@ class Registers:
         ranges, gains = own.motor.ranges, settings.gains
         self._values: dict[int, float] = {register: row[0] for register, row in _IDLE.items()}
         self._values |= {
-            Register.MAX_SPD: own.motor.no_load_rad_s, Register.MST_ID: own.feedback_id,
-            Register.ESC_ID: settings.node_id, Register.CTRL_MODE: Mode.MIT,
+            Register.MAX_SPD: min(own.motor.no_load_rad_s, settings.max_velocity_rad_s),
+            Register.MST_ID: own.feedback_id, Register.ESC_ID: settings.node_id,
+            Register.CTRL_MODE: Mode.MIT,
             Register.TIMEOUT: settings.watchdog_ms * _MS // TIMEOUT_STEP_NS,
             Register.GR: own.motor.gear_ratio, Register.PMAX: ranges.position_rad,
             Register.VMAX: ranges.velocity_rad_s, Register.TMAX: ranges.torque_nm,

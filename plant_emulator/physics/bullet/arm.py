@@ -70,7 +70,7 @@ class BulletArm(ArmPhysics):
         )
         places = [(joint.position_index, joint.velocity_index) for joint in self._server.joints]
         handles = Handles(
-            self._server.handle, self._server.body, gui, np.array(places).T.copy(),
+            self._server.handle.value or 0, self._server.body, gui, np.array(places).T.copy(),
             np.zeros(2, np.uintp),
         )  # fmt: skip
         arm = (handles, self.motion)

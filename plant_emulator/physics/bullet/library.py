@@ -42,7 +42,7 @@ def quiet() -> Iterator[None]:
             os.close(nowhere)
 
 
-POINTER, INT, DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+INT, DOUBLE = ctypes.c_int, ctypes.c_double
 _NAME_BYTES = 1024
 
 
@@ -73,13 +73,23 @@ def _load_library() -> ctypes.CDLL:
 LIBRARY = _load_library()
 
 
-def function(name: str, result: Any, *arguments: Any) -> Any:
-    """Return the function ``b3<name>``."""
-    found = getattr(LIBRARY, "b3" + name)
-    found.restype, found.argtypes = result, arguments
-    return found
+class Handle(ctypes.c_void_p):
+    """A server, a command or a status: what Bullet's functions pass on without looking inside."""
 
 
-def setter(name: str, *arguments: Any) -> Any:
-    """Return a function that sets a value of a command."""
-    return function(name, INT, POINTER, *arguments)
+def call(name: str, *arguments: Any) -> int:
+    """Call the function ``b3<name>``, which returns a number."""
+    number: int = _call(name, INT, arguments)
+    return number
+
+
+def handle(name: str, *arguments: Any) -> Handle:
+    """Call the function ``b3<name>``, which returns a handle."""
+    result: Handle = _call(name, Handle, arguments)
+    return result
+
+
+def _call(name: str, result: Any, arguments: tuple[Any, ...]) -> Any:
+    function = getattr(LIBRARY, "b3" + name)
+    function.restype = result
+    return function(*(DOUBLE(each) if isinstance(each, float) else each for each in arguments))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bus_schema.can.cansimple.codec import CanSimpleCodec, Command
-from bus_schema.can.cansimple.master import CanSimpleMaster
+from bus_schema.can.cansimple.protocol import CanSimpleMaster
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.link import CanControllerLink, CanRun
 from bus_schema.link.can_configuration import CanConfiguration

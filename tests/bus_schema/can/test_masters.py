@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus_schema.can.cansimple.codec import CanSimpleCodec
-from bus_schema.can.cansimple.master import CanSimpleMaster
+from bus_schema.can.cansimple.protocol import CanSimpleMaster
 from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame
@@ -134,7 +134,7 @@ def test_answers_are_awaited_of_all_but_those_given_up() -> None:
         (
             cia402,
             [CanFrame(0x181, bytes(8)), CanFrame(0x181, bytes(8))],
-            "drive 1 sent 2 states and was asked for 1: another one has its address",
+            "drive 1 sent 2 states for 1 requests: another drive has its address",
         ),
         (cia402, [CanFrame(0x181, bytes(8)), CanFrame(0x204, b"")], ""),  # node 4: not of ours
         (cansimple, [CanFrame(0x049, bytes(8)), CanFrame(0x123)], ""),

@@ -135,6 +135,41 @@ def test_motors_and_friction_are_taken_over(tmp_path: Path) -> None:
     assert drives.damping_nm_s.tolist() == [1.0, 4.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    ("actuators", "limits"),
+    [  # lower, upper, velocity, K, D: at the joint, whose position is the length over the gear
+        ('<position joint="j" gear="-2" kp="30" kv="4" ctrlrange="-1 3"/>',
+         (-1.5, 0.5, np.inf, 120.0, 16.0)),
+        ('<position joint="j" kp="30" ctrlrange="-9 9"/>', (-2.0, 2.0, np.inf, 30.0, 0.0)),
+        ('<velocity joint="j" gear="2" kv="3" ctrlrange="-5 4"/>', (-2.0, 2.0, 2.5, 0.0, 12.0)),
+        ('<general joint="j" biastype="affine" gainprm="5" biasprm="1 -10 -2" ctrlrange="-1 1"/>',
+         (-0.4, 0.6, np.inf, 10.0, 2.0)),
+        ('<position joint="j" kp="30" ctrlrange="-1 1"/><velocity joint="j" ctrlrange="-3 3"/>',
+         (-1.0, 1.0, 3.0, 30.0, 1.0)),
+        ('<intvelocity joint="j" kp="30" ctrlrange="-1 1" actrange="-1 1"/>',
+         (-2.0, 2.0, np.inf, 30.0, 0.0)),
+    ],
+    ids=["position", "position, wider", "velocity", "general", "both", "integrated"],
+)  # fmt: skip
+def test_servos_limit_range_and_speed_and_have_gains(
+    tmp_path: Path, actuators: str, limits: tuple[float, ...]
+) -> None:
+    joint = '<compiler angle="radian"/>' + BODY.format('<joint name="j" range="-2 2"/>')
+    robot = load(tmp_path, f"<mujoco>{joint}<actuator>{actuators}</actuator></mujoco>")
+    drives = robot.drives
+    found = (
+        robot.lower_rad, robot.upper_rad, robot.velocity_limits_rad_s,
+        drives.servo_stiffness_nm_rad, drives.servo_damping_nm_s,
+    )  # fmt: skip
+    assert np.concatenate(found).tolist() == pytest.approx(limits)
+
+
+def test_range_of_a_servo_is_that_of_a_joint_without_one(tmp_path: Path) -> None:
+    servo = '<actuator><position joint="j" kp="30" ctrlrange="-1 1"/></actuator>'
+    robot = load(tmp_path, f"<mujoco>{BODY.format(HINGE)}{servo}</mujoco>")
+    assert (robot.lower_rad.tolist(), robot.upper_rad.tolist()) == ([-1.0], [1.0])
+
+
 BODY = '<worldbody><body name="b">{}<geom name="ball" size="0.1" mass="3"/></body></worldbody>'
 HINGE = '<joint name="j"/>'
 MESH = '<geom type="mesh" mesh="m" {}/>'
@@ -185,14 +220,14 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
         (BODY.format('<joint name="j" type="ball"/>'), "joint j must be hinge or slide"),
         (BODY.format("<freejoint/>"), "body b has a free joint"),
         ("<equality><weld name='w'/></equality>", "<weld name='w'>: must be left out"),
-        ('<include file="x"/><worldbody/>', "<include file='x'> is not understood"),
-        ("", "has no revolute or continuous joint"),
-        (BODY.format('<joint pos="0 nan 0"/>'), "pos of <joint pos='0 nan 0'> is no finite number"),
+        ('<include file="x"/><worldbody/>', "<include file='x'> is not supported"),
+        ("", "has no revolute, continuous or prismatic joint"),
+        (BODY.format('<joint pos="0 nan 0"/>'), "<joint pos='0 nan 0'> is not a finite number"),
         (BODY.format(HINGE + '<geom mass="-NaN(7)"/>'), "mass of <geom mass='-NaN(7)'> is no"),
         (BODY.format('<joint name="j" range="1"/>'),
          "MuJoCo: attribute 'range' does not have enough data: <joint name='j' range='1'>"),
         ('<worldbody><body name="b"><joint/><geom size="1e200"/></body></worldbody>',
-         "mass='inf' of link b is no finite number"),
+         "mass='inf' of link b is not a finite number"),
         (BODY.format(HINGE + MESH), "body b has the inertia of a mesh: give it an <inertial>"),
         (FROM_GEOMS + BODY.format(HINGE + OWN + MESH), "body b has the inertia of a mesh"),
         ("<worldbody>" + "<body>" * 90000 + "</body>" * 90000 + "</worldbody>",
@@ -201,7 +236,7 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
         (BODY.format(HINGE) + "<actuator><adhesion name='a' body='b' ctrlrange='0 1'/></actuator>",
          "actuator 'a' must drive a joint"),
         (BODY.format(HINGE + '<joint name="k" type="slide"/>'),
-         "which joint j moves, has no inertia"),
+         "which joint j moves, and the links"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_taken_is_refused_with_file_and_element(

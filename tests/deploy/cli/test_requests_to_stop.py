@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.cli.study import replay
+from deploy.cli.study import recorded
 from deploy.run.stop_signals import STOPS
 from tests.deploy.own_laws import own_law
 
@@ -34,7 +34,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
         os.kill(os.getpid(), number)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replay, "load_run", be_signalled)
+        patch.setattr(recorded, "load_run", be_signalled)
         patch.setattr(sys, "argv", ["funnel-hil", "replay", str(tmp_path)])
         with pytest.raises(SystemExit) as ended:
             cli.main()
@@ -132,36 +132,21 @@ def test_sighup_ends_nothing_under_nohup(monkeypatch, tmp_path):
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
-def test_a_run_whose_output_nobody_reads_goes_on_to_its_end(tmp_path):
-    out = tmp_path / "out"
-    process = funnel_hil(
-        "simulate", *SHORT, "--out", str(out), stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
-    process.stdout.close()
-    errors = process.stderr.read()
-    assert process.wait(120) == 0
-    assert errors == b""
-    assert (out / "summary.json").exists()
-    assert (out / "report.html").exists()
-
-
-def test_output_that_finds_no_room_is_said_to_be_lost(tmp_path):
-    with Path("/dev/full").open("w") as full:
-        words = ("simulate", "--no-report", "--set", "duration_s=0.1", "--out", tmp_path / "out")
-        process = funnel_hil(*words, stdout=full, stderr=subprocess.PIPE)
-        _, said = process.communicate()
-    assert process.returncode == 0
-    assert said == b"standard output is lost: No space left on device\n"
-
-
-def test_output_that_was_closed_from_the_beginning_is_none(tmp_path):
-    shell = 'exec "$0" -m deploy.cli simulate --set duration_s=0.02 --out "$1" >&-'
-    ended = subprocess.run(
-        ["sh", "-c", shell, sys.executable, str(tmp_path / "out")], cwd=ROOT, check=False,
-        stderr=subprocess.PIPE, timeout=120,
-    )  # fmt: skip
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stderr == b""
+@pytest.mark.parametrize(
+    ("output", "said"),
+    [
+        ("| true", ""), (">&-", ""),
+        (">/dev/full", "standard output is lost: No space left on device\n"),
+    ],
+    ids=["nobody reads it", "closed", "full"],
+)  # fmt: skip
+def test_run_without_an_output_goes_on_to_its_end(output, said, tmp_path):
+    shell = f'"$0" -m deploy.cli simulate --set duration_s=0.02 --out "$1" {output}'
+    command = ["bash", "-o", "pipefail", "-c", shell, sys.executable, str(tmp_path / "out")]
+    ended = subprocess.run(command, cwd=ROOT, check=False, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (0, said)
+    assert (tmp_path / "out" / "summary.json").exists()
+    assert (tmp_path / "out" / "report.html").exists()
 
 
 LOADING = """

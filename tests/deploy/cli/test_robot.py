@@ -65,8 +65,8 @@ def test_an_arm_where_yaml_is_expected_is_told_where_it_goes(folder, funnel_hil,
     arm.write_text(before + XACRO)
     code, said = funnel_hil("sweep", arm)
     assert code == 2
-    assert f"{arm}: must be a mapping of keys to values in YAML, and is XML: " in said
-    assert "goes under robot.urdf of a scenario; " in said
+    assert f"{arm}: must be a mapping of keys to values in YAML, but is XML. " in said
+    assert "belongs under robot.urdf of a scenario; " in said
     assert said.endswith(f"funnel-hil robot {arm} shows it\n")
 
 

@@ -63,8 +63,8 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     assert tracking["rms_rad"] == pytest.approx([np.sqrt(5 / 8) * 0.1] * 3)
     said = " ".join(verdict_on_run(run, summary).reasons)
     assert "known at 7 of 12 ticks" in said
-    assert "at the latest: base_yaw, shoulder, elbow." in said
-    assert "leave out the 0.006 s over them" in said
+    assert "because ticks are missing: base_yaw, shoulder, elbow." in said
+    assert "leave out 0.006 s around the gaps" in said
 
 
 @pytest.mark.parametrize(

@@ -123,8 +123,8 @@ def test_where_the_arm_stood_before_any_tick_is_not_judged(setup: Setup) -> None
         assert summary["bounds"]["kept"] is False
         assert summary["bounds"]["violation_fraction"] is None
         verdict = verdict_on_run(run, summary)
-        assert verdict.headline == "Run faulted"
-        assert verdict.reasons[0] == "No tick was recorded, so there is nothing to judge."
+        assert verdict.headline == "Run ended by a fault"
+        assert verdict.reasons[0] == "No tick was recorded, so there is no verdict on the bounds."
 
 
 def test_tracking_counts_from_the_time_the_scenario_says(setup: Setup) -> None:
@@ -217,7 +217,8 @@ def test_events_tell_how_it_ended(setup: Setup) -> None:
     assert summary["real_time_factor"] == pytest.approx(2.0)
     assert summary["timing"]["success_rate"] == pytest.approx(0.75)  # 1 miss in 4 ticks
     assert summary["faults"] == ["plant at 0.002 s: it broke"]
-    assert summary["transport"]["downlink"] == counts
+    unmeasured = dict.fromkeys(("p50", "p99", "p99_9", "max"))
+    assert summary["transport"]["downlink"] == counts | {"measured_ms": unmeasured}
     assert summary["recorder"] == {
         "messages": 5 + 3, "lost": 3, "lost_by_topic": {"joint_states": 3}, "complete": True
     }  # fmt: skip

@@ -24,7 +24,7 @@ from deploy.judge.verdict import verdict_of
 from deploy.reports.comparison_tables import status_cell
 from deploy.reports.verdict import verdict_on_laws, verdict_on_run
 from deploy.run.execute import JudgedRun
-from deploy.run.processes.recorder import record_failures
+from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, load_run
 from deploy.run.run_index import results_in
 from deploy.run.simulate import simulate

@@ -1,13 +1,18 @@
-"""Laws of a user's own: named in a scenario, checked first, stopped when they misbehave."""
+"""Custom laws: named in a scenario, or added to the table `LAWS`."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
 import controller
+from bus_schema.configuration import PerJointPositive, Positive
+from controller.control_law import Diagnostics
+from controller.laws import LAWS, LawEntry
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
@@ -73,8 +78,8 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
         ("broken_module:Law", "{}", "broken_module cannot be imported: ZeroDivisionError"),
         ("my_laws:Missing", "{}", "my_laws has no class Missing"),
         ("my_laws:number", "{}", "my_laws has no class number"),
-        ("my_laws:NoLaw", "{}", "is no control law: it lacks torque, reset, diagnostics"),
-        ("my_laws:ComputedTorque", "{stifness: 1}", "cannot be made from these: TypeError"),
+        ("my_laws:NoLaw", "{}", "is not a control law: it lacks torque, reset, diagnostics"),
+        ("my_laws:ComputedTorque", "{stifness: 1}", "cannot be created with these: TypeError"),
         ("not a law", "{}", "must be one of fixed_time_neural"),
     ],
 )
@@ -91,3 +96,52 @@ def test_law_of_the_tutorial_runs_as_shown(folder):
     custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
     simulation = simulate(setup_of("law_of_the_tutorial:ComputedTorque", custom, duration_s=2))
     assert np.abs(simulation.data().true_errors_rad[-1]).max() < 0.05
+
+
+class ImpedanceGains(NamedTuple):
+    """Stiffness in N m per rad and joint; damping as a share of the critical one for 1 kg m²."""
+
+    stiffness: PerJointPositive
+    damping_ratio: Positive = 1.0
+
+    @classmethod
+    def from_inertia(cls, inertia_kg_m2):
+        return cls(900.0 * inertia_kg_m2)
+
+
+class Impedance:
+    """Springs and dampers about the reference, on top of the torque that follows it."""
+
+    def __init__(self, gains, model, torque_limits_nm):
+        self.gains, self.model = gains, model
+        self.diagnostics = Diagnostics(torque_limits_nm.size)
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        feedback = self.gains.stiffness * tracking.error
+        damping = 2.0 * self.gains.damping_ratio * np.sqrt(self.gains.stiffness)
+        feedback = feedback + damping * tracking.error_rate
+        ahead = tracking.reference_acceleration
+        return self.model.inverse_dynamics(tracking.position, tracking.velocity, ahead) - feedback
+
+
+@pytest.fixture
+def added(monkeypatch):
+    monkeypatch.setitem(LAWS, "impedance", LawEntry(Impedance, ImpedanceGains))
+
+
+@pytest.mark.usefixtures("added")
+def test_gains_of_an_added_law_come_from_the_scenario_and_are_written_out_again(folder):
+    gains = "controller.gains.impedance={stiffness: [6000, 11000, 900], damping_ratio: 2}"
+    setup = setup_of("impedance", gains, duration_s=1)
+    assert setup.gains.stiffness.tolist() == [6000.0, 11000.0, 900.0]
+    simulation = simulate(setup)
+    errors = simulation.data().true_errors_rad
+    assert np.abs(errors[-1]).max() < 0.05 < np.abs(errors[0]).max()
+    file = folder / "effective.yaml"
+    file.write_text(effective_scenario(setup))
+    written = yaml.safe_load(file.read_text())["controller"]["gains"]
+    assert written["impedance"] == {"stiffness": [6000.0, 11000.0, 900.0], "damping_ratio": 2.0}
+    assert simulate(load_setup(str(file))).data().digest == simulation.data().digest

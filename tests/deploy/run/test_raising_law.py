@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from deploy.judge.run_rows import read_rows
+from tests.warm_process import cold
 
 LAW = """\
 import numpy as np
@@ -77,11 +75,7 @@ def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tic
 
 def in_lockstep(command, *words):
     """A command that starts from nothing, as the law could end this process."""
-    words = [command, "mine.yaml", "--set", "clock=lockstep", "--out", "out", *words]
-    return subprocess.run(
-        [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
-        env={**os.environ, "COLUMNS": "400"}, timeout=120,
-    )  # fmt: skip
+    return cold(command, "mine.yaml", "--set", "clock=lockstep", "--out", "out", *words)
 
 
 @pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
@@ -136,7 +130,7 @@ def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
     assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
     code, output = funnel_hil("replay", out, "--allow-custom-law")
     assert code == 0
-    assert f"the replay ended early: {TOLD[0]}" in output
+    assert f"the replay stopped early: {TOLD[0]}" in output
     assert "identical until it failed" in output
 
 

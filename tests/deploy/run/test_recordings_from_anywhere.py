@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
 from deploy.cli.export import export
-from deploy.cli.study.experiments import report
-from deploy.cli.study.replay import replay
+from deploy.cli.study.recorded import replay, report
 from deploy.judge.bounds import judge_bounds
 from deploy.judge.metrics import summarise
 from deploy.judge.recorded_ticks import known_ticks
@@ -106,7 +105,7 @@ def test_what_is_missing_in_the_middle_is_not_claimed(lost_in_the_middle):
     assert "recording damaged: bounds not kept" in output
     assert "The plant itself counted" in output
     assert f"inside its bounds at the {known} of 700 ticks at which it is known" in output
-    assert f"missing are those at {first_s:.3f} to {last_s:.3f} s" in output
+    assert f"those at {first_s:.3f} to {last_s:.3f} s are missing" in output
     assert "all 700 ticks" not in output
     assert "until then" not in output
     summary = json.loads((lost_in_the_middle / "summary.json").read_text())

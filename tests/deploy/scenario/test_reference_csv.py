@@ -1,10 +1,12 @@
-"""A reference from a file: the run is the same, and its folder needs the file no more."""
+"""References in files: as exported, and as read by a run, whose folder then needs no such file."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
+from pyarrow import csv, parquet
 from typer.testing import CliRunner
 
 from deploy.cli.commands import app
@@ -16,12 +18,20 @@ from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError
 
 SHORT = ["duration_s=0.3", "metrics.from_s=0"]
+SINUSOIDS = (
+    "reference={kind: joint_sinusoids, centre_rad: 0.2,"
+    " terms: [{amplitude_rad: 0.1, frequency_rad_s: 2}]}"
+)
 
 
-def exported(folder: Path, name: str = "paper_arm", *changes: str) -> Path:
-    path = folder / "ref.csv"
-    words = [word for change in (*SHORT, *changes) for word in ("--set", change)]
-    result = CliRunner().invoke(app, ["reference", name, *words, "--csv", "--out", str(path)])
+def words_of(*changes: str) -> list[str]:
+    return [word for change in (*SHORT, *changes) for word in ("--set", change)]
+
+
+def exported(folder: Path, name: str = "paper_arm", kind: str = "csv", *changes: str) -> Path:
+    path = folder / f"ref.{kind}"
+    words = ["reference", name, *words_of(*changes), f"--{kind}", "--out", str(path)]
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     return path
 
@@ -29,6 +39,20 @@ def exported(folder: Path, name: str = "paper_arm", *changes: str) -> Path:
 def from_file(path: Path | str, **keys: object) -> str:
     more = "".join(f", {key}: {value}" for key, value in keys.items())
     return f"reference={{kind: csv, file: {path}{more}}}"
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_file_has_a_row_per_tick_with_all_derivatives(kind: str, tmp_path: Path) -> None:
+    path = exported(tmp_path, "paper_arm", kind, SINUSOIDS)
+    table = csv.read_csv(path) if kind == "csv" else parquet.read_table(path)
+    rows = table.to_pylist()
+    assert len(rows) == 301
+    for row in (rows[0], rows[150], rows[-1]):
+        angle = 2.0 * row["time_s"]
+        assert row["shoulder.position_rad"] == pytest.approx(0.2 + 0.1 * math.sin(angle))
+        assert row["shoulder.velocity_rad_s"] == pytest.approx(0.2 * math.cos(angle))
+        assert row["elbow.acceleration_rad_s2"] == pytest.approx(-0.4 * math.sin(angle))
+    assert [row["time_s"] for row in rows] == pytest.approx([0.001 * k for k in range(301)])
 
 
 @pytest.mark.parametrize("name", ["paper_arm", "iiwa"])
@@ -42,10 +66,8 @@ def test_what_was_exported_gives_the_same_run_to_the_bit(name: str, tmp_path: Pa
 def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
     path = exported(tmp_path)
     out, again = tmp_path / "run", tmp_path / "again"
-    words = [word for change in SHORT for word in ("--set", change)]
-    result = CliRunner().invoke(
-        app, ["simulate", "paper_arm", *words, "--set", from_file(path), "--out", str(out)]
-    )
+    words = ["simulate", "paper_arm", *words_of(from_file(path)), "--out", str(out)]
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     path.unlink()
     assert "cannot" not in (out / "scenario.yaml").read_text()
@@ -82,7 +104,7 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
         load_setup("paper_arm", [*longer, from_file(path)])
     assert "duration_s = 0.4: must be within the 0 to 0.3 s of reference.file" in str(refused.value)
     held = load_setup("paper_arm", [*longer, from_file(path, beyond="hold")])
-    assert any("is held at rest there" in said for said in scenario_warnings(held))
+    assert any("but the arm rests there" in said for said in scenario_warnings(held))
     late = tmp_path / "late.csv"
     lines = path.read_text().splitlines()
     late.write_text("\n".join([lines[0], *lines[100:]]))
@@ -111,8 +133,8 @@ def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> Non
     cells = lines[7].split(",")
     cells[4] = "NaN"
     path.write_text("\n".join([*lines[:7], ",".join(cells), *lines[8:]]))
-    words = [word for change in (*SHORT, from_file(path)) for word in ("--set", change)]
-    result = CliRunner().invoke(app, ["run", "paper_arm", *words, "--out", str(tmp_path / "o")])
+    words = ["run", "paper_arm", *words_of(from_file(path)), "--out", str(tmp_path / "o")]
+    result = CliRunner().invoke(app, words)
     assert isinstance(result.exception, ScenarioError)
     said = str(result.exception)
     assert "ref.csv" in said

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from deploy.run.network.real_delay import knowing_real_delay
-from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 
 ON = "controller.delay_compensation.enabled=true"
@@ -72,13 +71,3 @@ def test_drives_of_a_plant_take_targets_that_this_controller_does_not_send():
     assert setup.drive.is_active
     assert setup.plant_task(lockstep=True).takes_targets
     assert not setup.control_task().sends_targets
-
-
-def test_what_drives_are_told_is_written_out(tmp_path):
-    path = tmp_path / "scenario.yaml"
-    setup = setup_of(ON, DRIVES, f"{EXPECTED}=12.5", "plant.drive_feedback.damping_nm_s=4")
-    path.write_text(effective_scenario(setup))
-    again = load_setup(str(path))
-    assert again.drive.damping_nm_s.tolist() == [4.0, 4.0, 4.0]
-    assert again.control_task().sends_targets
-    assert first_horizon_ms(again) == 12.5

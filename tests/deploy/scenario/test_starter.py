@@ -111,8 +111,8 @@ def test_a_torque_that_no_motor_has_is_warned_of_before_the_run(two_links):
     values = {"name": "flat", "duration_s": 1, "reference": flat}
     values["robot"] = {"urdf": str(two_links(11.0, 20.0))}
     (said,) = [each for each in scenario_warnings(build_setup(values, two_links(11.0, 20.0)))
-               if "the reference asks" in each]  # fmt: skip
-    assert "joint0 for 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in said
+               if "the reference needs" in each]  # fmt: skip
+    assert "joint0 to deliver 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in said
 
 
 def test_payload_is_a_share_of_what_the_arm_holds_up(two_links):
@@ -142,7 +142,7 @@ def test_gears_bend_as_a_first_resonance_asks(two_links):
     assert not any("encoder_side" in said for said in scenario_warnings(setup))
     by_link = ["plant.actuator.gear_resonance_hz=15", "plant.actuator.encoder_side=link"]
     warned = scenario_warnings(load_setup(str(setup.source), by_link))
-    assert any("encoder_side: link measures beyond" in said for said in warned)
+    assert any("encoder_side: link measures on the output side" in said for said in warned)
     stiffness = actuator.gear_stiffness_nm_rad
     assert stiffness[0] == pytest.approx(3.0 * stiffness[1])  # as the largest torques
     mass = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)

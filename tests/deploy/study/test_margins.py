@@ -77,7 +77,7 @@ def test_a_run_that_fails_by_accident_leaves_the_margin_open(
     words += ["--set", "metrics.from_s=0", "--workers", "1", "--out", out]
     code, output = funnel_hil(*words)
     assert code == 1
-    assert "goes on from here" in output
+    assert "repeat the same command to continue" in output
     assert "1 of" in output
     assert "MemoryError" in output
     (case,) = json.loads((out / "summary.json").read_text())["cases"]

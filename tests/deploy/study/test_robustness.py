@@ -168,7 +168,7 @@ def test_plants_that_cannot_start_are_counted(tmp_path):
         ({"plants": 0}, ["plants", "0", "greater than or equal to 1"]),
         ({"values": []}, ["values", "different values"]),
         ({"kept_share": 2}, ["kept_share", "2", "less than or equal to 1"]),
-        ({"uncertainty": None}, ["uncertainty: must be given", "--uncertainty", "paper_arm"]),
+        ({"uncertainty": None}, ["uncertainty: is needed", "--uncertainty", "paper_arm"]),
         ({"uncertainty": "narrow"}, ["narrow", "shipped ranges full, half"]),
         ({"uncertainty": {PAYLOAD: {"distribution": "uniform"}}}, [PAYLOAD, "from < to"]),
         ({"set": {PAYLOAD: 1}}, [PAYLOAD, "must be given once"]),

@@ -28,7 +28,7 @@ from tests.deploy.study.studies import (
 )
 
 IMPOSSIBLE = [
-    ({"link.uplink.delay": [1]}, {}, ["link.uplink.delay", "there is no such key"]),
+    ({"link.uplink.delay": [1]}, {}, ["link.uplink.delay", "unknown key"]),
     ({"controller.law": ["pid", "magic"]}, {}, ["controller.law", "'magic'", *LAWS]),
     ({TIED: []}, {}, [TIED, "[]", "a list of values"]),
     ({TIED: [1, 1]}, {}, [TIED, "different values"]),

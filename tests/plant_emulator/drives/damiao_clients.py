@@ -7,9 +7,11 @@ import without a use here are empty.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import subprocess
 import sys
+import tempfile
 import zipfile
 from importlib.machinery import ModuleSpec
 from pathlib import Path
@@ -66,12 +68,16 @@ def fetch_wheel(name: str, version: str, folder: Path) -> str | None:
         return None
     if not package.exists():
         words = ["pip", "download", "--no-deps", "--only-binary=:all:", f"{name}=={version}"]
-        fetched = subprocess.run(
-            [sys.executable, "-m", *words, "--dest", str(folder)],
-            capture_output=True, text=True, check=False, timeout=300,
-        )  # fmt: skip
-        if fetched.returncode:
-            return f"{name} {version} cannot be fetched: {fetched.stderr.strip()[-300:]}"
-        zipfile.ZipFile(next(folder.glob(f"{module}-{version}-*.whl"))).extractall(package)
+        with tempfile.TemporaryDirectory(dir=folder) as own:  # others may fetch it, too
+            fetched = subprocess.run(
+                [sys.executable, "-m", *words, "--dest", own],
+                capture_output=True, text=True, check=False, timeout=300,
+            )  # fmt: skip
+            if fetched.returncode:
+                return f"{name} {version} cannot be fetched: {fetched.stderr.strip()[-300:]}"
+            (wheel,) = Path(own).glob("*.whl")
+            zipfile.ZipFile(wheel).extractall(Path(own) / "package")
+            with contextlib.suppress(OSError):  # another one was faster
+                (Path(own) / "package").rename(package)
     sys.path.append(str(package))
     return None

@@ -11,6 +11,7 @@ from bus_schema.can.mit.protocol import MitSettings
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive
 from plant_emulator.drives.cia402.drive import Cia402Drive
+from plant_emulator.drives.damiao.drive import DamiaoDrive
 from plant_emulator.drives.drive import DriveFault, DriveSettings
 from plant_emulator.drives.mit.drive import MitDrive
 
@@ -194,3 +195,27 @@ def test_frames_in_words():
     assert axes.bank.describe(CanFrame(2 << 5 | 0x09, is_remote=True)) == (
         "axis 2 Get_Encoder_Estimates asked for"
     )
+
+
+def test_frames_go_to_an_identifier_from_when_a_cia402_drive_is_given_it():
+    bank = Bank(Cia402Drive)
+    bank.enable()
+    bank.hear(0x345, "Hh", 15, 100)
+    assert bank.bank.rejections.counts == {"unknown_identifier": 1}
+    bank.hear(0x602, "BHBI", 0x23, 0x1400, 1, 0x8000_0202)  # RPDO 1 of node 2 is not valid
+    bank.hear(0x602, "BHBI", 0x23, 0x1400, 1, 0x345)
+    bank.hear(0x345, "Hh", 15, 100)
+    bank.hear(0x202, "Hh", 15, 50)
+    assert bank.bank.torque_nm.tolist() == pytest.approx([0.0, 2.0, 0.0])
+    assert bank.bank.rejections.counts == {"unknown_identifier": 2}
+
+
+def test_frames_go_to_an_address_from_when_a_damiao_motor_is_given_it():
+    bank = Bank(DamiaoDrive)
+    bank.hear(9, "7sB", b"\xff" * 7, 0xFC)
+    assert bank.bank.rejections.counts == {"unknown_identifier": 1}
+    bank.hear(0x7FF, "HBBI", 2, 0x55, 8, 9)  # ESC_ID
+    bank.hear(9, "7sB", b"\xff" * 7, 0xFC)
+    bank.hear(2, "7sB", b"\xff" * 7, 0xFC)
+    assert ["ENABLED" in each for each in bank.bank.statuses] == [False, True, False]
+    assert bank.bank.rejections.counts == {"unknown_identifier": 2}

@@ -185,7 +185,7 @@ def test_frames_that_are_no_commands_are_refused_and_change_nothing():
 def test_frames_in_words():
     bench = Bench(ranges=MitRanges(torque_nm=40.0))
     describe = bench.drive.describe
-    assert describe(CanFrame(NODE, ENTER)) == "drive 5 enter"
+    assert describe(CanFrame(NODE, ENTER)) == "drive 5 enable"
     assert "torque_nm" in describe(CanFrame(NODE, command()))
     assert describe(bench.say(ENTER)).startswith("reply node_id 5, position_rad")
     assert describe(CanFrame(9, ENTER)) is None

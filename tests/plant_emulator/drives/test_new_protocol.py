@@ -96,6 +96,7 @@ class ToyDrive(Drive):
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         super().__init__(settings, send)
         self._node_id = settings.node_id
+        self.heard = (SAMPLE, TORQUE + self._node_id, REST)
         self._torque_nm: float | None = None
 
     @property

@@ -21,9 +21,9 @@ from tests.plant_emulator.drives.test_clients import Rig, until
 from tests.plant_emulator.drives.test_damiao_clients import FD, rig_of
 
 ASKED = {
-    "cia402": {"rated torque in mN m (0x6076)", "encoder increments per turn (0x608F)"},
-    "cansimple": {"heartbeat"},
-    "damiao": {"PMAX", "VMAX", "TMAX"},
+    "cia402": {"rated torque in mN m (0x6076)", "encoder increments per turn (0x608F)", "CAN FD"},
+    "cansimple": {"heartbeat", "CAN FD"},
+    "damiao": {"PMAX", "VMAX", "TMAX", "CAN FD"},
 }
 
 
@@ -68,7 +68,7 @@ def test_dry_run_reads_back_ranges_and_names_what_is_missing_or_wrong() -> None:
     with rig_of(**FD) as rig:
         as_it_is = findings(rig.channel)
         assert {each.status for each in as_it_is.values()} == {"ok"}
-        assert as_it_is["joint3, drive 3"].found == "PMAX 12.5, VMAX 8, TMAX 28"
+        assert as_it_is["joint3, drive 3"].found == "PMAX 12.5, CAN FD 1, VMAX 8, TMAX 28"
         rig.bank.inject(6, DriveFault.SILENT, 0)
         kinds = "[DM8009, DM8009, DM4340_48V, DM4340, DM4310, DM4310, DM4310]"
         wrong = findings(rig.channel, f"link.can.damiao.motor={kinds}")

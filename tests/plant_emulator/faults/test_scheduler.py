@@ -1,4 +1,4 @@
-from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
+from plant_emulator.faults.fault import FaultScheduler, ScheduledAction
 
 
 def noting(done, name):

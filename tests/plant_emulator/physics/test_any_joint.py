@@ -8,7 +8,7 @@ import pytest
 from bus_schema.configuration import ConfigurationError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from controller.rigid_bodies import inverse_dynamics, mass_and_load
+from controller.rigid_bodies.dynamics import inverse_dynamics, mass_and_load
 from tests.arms import INSTALLED, FreeArm, forward_dynamics
 
 STEP_S = 1e-4

@@ -13,16 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy.run.simulate import simulate
-from deploy.scenario.scenario import load_setup
+from tests.deploy.run.can.can_runs import CANSIMPLE, FEEDBACK, run_over_can
 
 FIRST_OF_CYCLE = {
     "cia402": r"080#",  # SYNC
     "cansimple": r"029#R",  # the first axis is asked for its estimates
     "mit": r"001#(?!FFFFFFFFFFFFFF)",  # the first motor is commanded
 }
-FEEDBACK = "controller.drive_feedback.enabled=true"
-SCALE = "link.can.cansimple.input_torque_scale=40"
 TICKS = 300
 
 
@@ -32,13 +29,11 @@ def digests(folder: Path, scenario: str, *overrides: str) -> tuple[str, str]:
     Start-up may repeat requests on a slow machine: so its frames count once each, without order,
     and bus time is counted from the first cycle on.
     """
-    values = ("link.can.interface=virtual", "link.can.answer_timeout_s=60", "duration_s=0.8")
-    setup = load_setup(scenario, [*values, *overrides])
-    simulate(setup, can_log=folder / "can.log")
+    run = run_over_can(scenario, "duration_s=0.8", *overrides, folder=folder)
     fields = [line.split() for line in (folder / "can.log").read_text().splitlines()]
     times_us = [round(float(field[0].strip("()")) * 1e6) for field in fields]
-    frames = [field[2] for field in fields]
-    pattern = re.compile(FIRST_OF_CYCLE[setup.scenario.link.can.protocol])
+    frames = run.logged
+    pattern = re.compile(FIRST_OF_CYCLE[run.data.setup.scenario.link.can.protocol])
     cycles = [number for number, frame in enumerate(frames) if pattern.match(frame)]
     first, end = cycles[0], cycles[TICKS]
     timed = [f"{times_us[n] - times_us[first]} {frames[n]}" for n in range(first, end)]
@@ -53,14 +48,9 @@ def digest(lines: list[str]) -> str:
     ("scenario", "overrides", "start", "cycles"),
     [
         ("paper_arm_can", [], "03d7fc45dd037306", "e027c8181c8b5b29"),
-        ("paper_arm_can", ["link.can.protocol=cansimple"], "9c4c1533ab971bba", "e128a8668c39e975"),
+        ("paper_arm_can", [CANSIMPLE[0]], "9c4c1533ab971bba", "e128a8668c39e975"),
         ("paper_arm_can", [FEEDBACK], "e97df6dbdbe8cd91", "4f7919bfa418de5f"),
-        (
-            "paper_arm_can",
-            ["link.can.protocol=cansimple", FEEDBACK, SCALE],
-            "b813113df2ee1abe",
-            "c79adda173c1d0cc",
-        ),
+        ("paper_arm_can", [*CANSIMPLE, FEEDBACK], "b813113df2ee1abe", "c79adda173c1d0cc"),
         ("paper_arm_mit", [], "9abd708122f30be9", "fe559e0c931eceff"),
         ("paper_arm_mit", [FEEDBACK], "9abd708122f30be9", "bc930cfb469e7e3d"),
     ],

@@ -48,7 +48,7 @@ def test_a_cycle_is_a_request_a_command_and_two_replies_for_each_drive(plain: Ca
     torques = [command_of(data, RANGES).torque_nm for data in said]
     commanded = plain.data.tables["joint_commands"]["effort"][:, 1]
     assert set(commanded) <= set(torques)
-    assert to_shoulder[-1] == special(Special.EXIT)  # where a master leaves them
+    assert to_shoulder[-1] == special(Special.DISABLE)  # where a master leaves them
 
 
 def test_targets_travel_in_the_frames_and_bounds_are_kept(tmp_path: Path) -> None:
@@ -71,9 +71,9 @@ def test_torques_that_frames_cannot_say_are_told_before_the_run() -> None:
     wider = [*mit, "link.can.mit.torque_nm=[400, 700, 300]"]
     assert scenario_warnings(load_setup("paper_arm_can", wider)) == []
     (weak,) = scenario_warnings(load_setup("paper_arm_can", [*mit, "limits.torque_nm=18"]))
-    assert weak.startswith("the reference asks shoulder for ")
+    assert weak.startswith("the reference needs shoulder to deliver ")
     (told,) = scenario_warnings(
         load_setup("paper_arm_mit", [*VIRTUAL, LAW, "link.can.mit.torque_nm=400"])
     )
-    assert "cannot say all torques of shoulder (700 N m, cut off at 400): set" in told
+    assert "cannot represent all torques of shoulder (700 N m, cut off at 400): set" in told
     assert scenario_warnings(load_setup("paper_arm_mit", [*VIRTUAL, LAW])) == []

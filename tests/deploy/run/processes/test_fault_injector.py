@@ -9,9 +9,9 @@ import pytest
 from bus_schema.messages.topics import Role
 from deploy.run.processes import fault_injector
 from deploy.run.processes.fault_injector import ProcessFaultInjector
+from plant_emulator.faults.fault import FaultScheduler
 from plant_emulator.faults.kinds import parse_fault
 from plant_emulator.faults.process_faults import process_actions
-from plant_emulator.faults.scheduler import FaultScheduler
 
 S = 1_000_000_000
 FROZEN_TWICE = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -19,10 +19,8 @@ from bus_schema.zenoh.access import bundle_key_expression
 from bus_schema.zenoh.bundles import HEAD, Span
 from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
-from deploy.run.processes import message_counts
 from deploy.run.processes import recorder as recorder_module
-from deploy.run.processes.message_counts import EventBudget, GapCounter, PlantSenders
-from deploy.run.processes.recorder import Recorder
+from deploy.run.processes.recorder import EventBudget, GapCounter, PlantSenders, Recorder
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
@@ -77,16 +75,25 @@ class Bench:
 
 
 @pytest.fixture
-def setup() -> Setup:
-    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
-    return load_setup("paper_arm", endpoints)
+def begin(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    """A function that starts a recorder with some settings."""
+    benches = []
+
+    def start(*settings: str) -> Bench:
+        endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
+        benches.append(
+            Bench(load_setup("paper_arm", [*settings, *endpoints]), tmp_path / "run.mcap")
+        )
+        return benches[-1]
+
+    yield start
+    for bench in benches:
+        bench.give_up()
 
 
 @pytest.fixture
-def bench(setup: Setup, tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(setup, tmp_path / "run.mcap")
-    yield bench
-    bench.give_up()
+def bench(begin: Callable[..., Bench]) -> Bench:
+    return begin()
 
 
 def number(sequence: int, gid: bytes = OURS, source_time_ns: int = 0) -> bytes:
@@ -150,7 +157,7 @@ def test_what_waits_for_a_bundle_that_never_comes_is_recorded_in_the_end(bench: 
 
 
 def test_made_up_ids_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(message_counts, "_MOST_STREAMS", 2)
+    monkeypatch.setattr(recorder_module, "_MOST_STREAMS", 2)
     gaps = GapCounter(Counter())
     for sender, sequence in ((b"1", 1), (b"2", 1), (b"3", 5), (b"4", 7), (b"2", 3)):
         gaps.note("joint_states", sender, sequence)
@@ -192,23 +199,20 @@ def test_commands_that_the_plant_received_and_that_never_came_are_losses(
 
 @pytest.mark.parametrize(("clock", "published_ns"), [("realtime", 123), ("lockstep", 7)])
 def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
-    tmp_path: Path, clock: str, published_ns: int
+    begin: Callable[..., Bench], clock: str, published_ns: int
 ) -> None:
-    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
-    setup = load_setup("paper_arm", [f"clock={clock}", *endpoints])
-    bench = Bench(setup, tmp_path / "run.mcap")
+    bench = begin(f"clock={clock}")
     bench.send(JOINT_STATES, state(7), number(1, source_time_ns=123))
     bench.await_messages(1)
     bench.leave()
-    bench.give_up()
-    with (tmp_path / "run.mcap").open("rb") as file:
+    with bench.path.open("rb") as file:
         found = make_reader(file).iter_messages(topics=["/joint_states", "/tf"])
         times = [(message.log_time, message.publish_time) for _, _, message in found]
     assert times == [(7, published_ns)] * 2
 
 
 def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    begin: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In real time: the backlog is bounded, and what does not fit in is counted."""
     monkeypatch.setattr(recorder_module, "_LARGEST_BACKLOG_BYTES", 2_000_000)
@@ -221,8 +225,7 @@ def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
         return write(file, data)
 
     monkeypatch.setattr(RecordFile, "write", write_when_possible)
-    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
-    bench = Bench(load_setup("paper_arm", ["clock=realtime", *endpoints]), tmp_path / "run.mcap")
+    bench = begin("clock=realtime")
     disk_works.clear()
     count, padding = 3000, bytes(20_000)  # 60 MB: more than all buffers on the way would hold
     for index in range(1, count + 1):
@@ -230,7 +233,6 @@ def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
     disk_works.set()
     await_true(lambda: bench.heard + bench.recorder.lost.total() == count)
     log = bench.leave()
-    bench.give_up()
     kept = log.sequences["joint_states"]
     assert log.complete
     assert kept[-1] == count

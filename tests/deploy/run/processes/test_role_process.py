@@ -14,7 +14,7 @@ import pytest
 from deploy.run.processes.role_process import start_role
 from deploy.run.processes.roles import RoleOptions, plant
 from tests.deploy.run.processes.example_roles import loses_a_request, prints, waits
-from tests.warm_process import HANG_S, ROOT
+from tests.warm_process import cold_python
 
 
 @pytest.mark.parametrize("name", ["here.yaml", os.fsdecode(b"h\xe9re.yaml")])
@@ -85,10 +85,7 @@ def start(role=prints, options=0):
 
 
 def script(lines: str, tmp_path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", SCRIPT + lines, str(tmp_path)], cwd=ROOT,
-        env=os.environ | environment, capture_output=True, text=True, timeout=HANG_S,
-    )  # fmt: skip
+    return cold_python("-c", SCRIPT + lines, tmp_path, **environment)
 
 
 @pytest.mark.parametrize("killed", ["prepare()", "start(waits)"], ids=["before", "after"])
@@ -129,14 +126,3 @@ def _has_ended(pid: int) -> bool:
     except OSError:
         return True
     return state == "Z"  # in a container there may be nobody to take note of it
-
-
-def test_fork_server_starts_before_the_libraries_are_loaded() -> None:
-    """It loads them beside the command: a run of 1 s is a twentieth shorter."""
-    code = (
-        "import sys, deploy.run.processes.role_process; print({'numpy', 'numba'} & {*sys.modules})"
-    )
-    said = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    assert said.stdout == "set()\n"

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from deploy.run.processes.scheduling import leave_loops_their_cpus
-from tests.warm_process import ROOT
+from tests.warm_process import cold_python
 
 IDLE_LATENCY_DEVICE = Path("/dev/cpu_dma_latency")
 IN_LOCKSTEP = """
@@ -46,7 +44,4 @@ def test_the_first_and_the_last_cpu_are_the_loops(
     not os.access(IDLE_LATENCY_DEVICE, os.W_OK), reason=f"{IDLE_LATENCY_DEVICE} may not be written"
 )
 def test_loops_in_lockstep_keep_cpus_from_deep_sleep_to_their_end() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", IN_LOCKSTEP], cwd=ROOT, text=True, capture_output=True, check=True
-    )
-    assert str(IDLE_LATENCY_DEVICE) in done.stdout
+    assert str(IDLE_LATENCY_DEVICE) in cold_python("-c", IN_LOCKSTEP).stdout

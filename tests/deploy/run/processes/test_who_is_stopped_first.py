@@ -9,6 +9,7 @@ import pytest
 
 from bus_schema.messages.topics import Role
 from deploy.run.processes.launcher import Launcher
+from deploy.run.run_folder import RunFolder
 from deploy.scenario.scenario import load_setup
 
 
@@ -44,10 +45,7 @@ def test_over_can_the_master_of_the_drives_is_stopped_first(
 ) -> None:
     """Else it would find its drives silent, and blame them."""
     asked: list[Role] = []
-    launcher = Launcher(
-        load_setup(scenario), scenario=tmp_path / "s.yaml", log=tmp_path / "run.mcap",
-        can_log=tmp_path / "can.log",
-    )  # fmt: skip
+    launcher = Launcher(load_setup(scenario), RunFolder(tmp_path))
     monkeypatch.setattr(launcher, "_child", lambda role: Process(role, asked))
     launcher.request_stop()
     outcome = launcher.run(lambda _: None)

@@ -121,7 +121,7 @@ def test_a_damaged_recording_is_told_with_what_it_lacks(compared, funnel_hil):
     known = f"{known_ticks(data).known} of 300 ticks"
     assert f"fixed_time_neural: The true motion is known at {known}" in said
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "1 did not finish or cannot be read whole" in page
+    assert "1 did not finish or cannot be read completely" in page
     inside = f"inside its bounds at the {known} at which it is known"
     assert f"fixed_time_neural: {inside}" in page
 
@@ -131,7 +131,7 @@ def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
     (folder / "pid" / "run.mcap").unlink()
     code, output = funnel_hil("report", folder)
     assert code == 2
-    assert "holds no run.mcap" in output
+    assert "has no run.mcap" in output
 
 
 def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, tmp_path):

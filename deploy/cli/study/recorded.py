@@ -1,0 +1,164 @@
+"""Commands that look again at recorded runs: `report`, `diff` and `replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from bus_schema.recording.atomic_files import write_json
+from controller.laws.custom import is_custom
+from deploy.cli.common import judging, show_places
+from deploy.cli.options import NoReport, Out, Overwrite
+from deploy.cli.study.studies import conclude_comparison, report_study
+from deploy.cli.terminal.show_run import show_summary
+from deploy.judge.arithmetic import difference_of_arithmetic
+from deploy.judge.run_data import RunData
+from deploy.reports.comparison_tables import (
+    difference_table,
+    recorded_joint_tables,
+    recorded_table,
+    recorded_timing_table,
+)
+from deploy.reports.results import conditions_in, write_diff_results, write_run_results
+from deploy.reports.terminal import print_table
+from deploy.reports.verdict import PARTIAL, damaged, verdict_on_runs
+from deploy.run.exit_codes import FAULT, FINISHED
+from deploy.run.new_folder import new_folder
+from deploy.run.replay import Replay
+from deploy.run.replay import replay as replay_run
+from deploy.run.run_folder import (
+    ResultFolder,
+    RunFolder,
+    load_run,
+    provenance,
+    read_manifest,
+    read_summary,
+)  # fmt: skip
+from deploy.run.stop_signals import WITHIN_S, stop_at_once
+from deploy.scenario.yaml_files import ScenarioError, naming
+from deploy.study.comparison.comparison import KIND
+from deploy.study.comparison.recorded import KIND as DIFF
+from deploy.study.comparison.recorded import RecordedRuns, read_again, recorded_runs
+from deploy.study.folder import STUDY_FILE
+
+
+def diff(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN RUN…", help="Folders or MCAP files of runs.")
+    ],
+    out: Out = None,
+    overwrite: Overwrite = False,
+    no_report: NoReport = False,
+) -> None:
+    """Compare recorded runs: real time and lockstep, two laws, two versions.
+
+    All runs are compared with the first. They may differ in everything but their joints.
+    """
+    compared = recorded_runs(runs)
+    with ResultFolder(new_folder(DIFF, out, overwrite=overwrite)).lock() as folder:
+        write_json(folder.manifest, provenance())
+        _show_diff(compared, folder, Console(), draws_report=not no_report)
+
+
+def report(
+    run_dir: Annotated[
+        Path, typer.Argument(help="Folder of a run, a comparison, a sweep or a margin study.")
+    ],
+) -> None:
+    """Evaluate recorded results again, and write summary.json and report.html.
+
+    A damaged recording is evaluated as far as it can be read, with exit code 1.
+    """
+    console = Console()
+    if read_summary(run_dir).get("kind") == KIND:  # its recordings are all that it needs
+        with ResultFolder(run_dir.resolve()).lock() as of_laws:
+            compared = conclude_comparison(of_laws, read_summary(run_dir), console)
+        if any(run.data.damage for run in compared.runs):
+            raise typer.Exit(FAULT)
+    elif (run_dir / STUDY_FILE).is_file():
+        report_study(run_dir, console)
+    elif read_summary(run_dir).get("kind") == DIFF:
+        compared = read_again(run_dir)
+        with ResultFolder(run_dir.resolve()).lock() as of_runs:
+            _show_diff(compared, of_runs, console)
+    else:
+        data, _ = load_run(run_dir)
+        with RunFolder(run_dir if run_dir.is_dir() else run_dir.parent).lock() as folder:
+            with judging(console, folder):
+                summary = write_run_results(folder, data)
+            show_summary(console, data, summary, conditions_in(folder, data))
+            console.print(f"report: {folder.report}", soft_wrap=True)
+        raise typer.Exit(FAULT if data.damage else FINISHED)
+
+
+def _show_diff(
+    compared: RecordedRuns, folder: ResultFolder, console: Console, *, draws_report: bool = True
+) -> None:
+    """Write summary and report, and show the result."""
+    write_diff_results(compared, folder, draws_report=draws_report)
+    tables = [*recorded_joint_tables(compared), recorded_timing_table(compared)]
+    tables += [recorded_table(compared)]
+    tables += [difference_table(compared)] if compared.differing else []
+    for table in tables:
+        print_table(console, table)
+    verdict = verdict_on_runs(compared)
+    console.print(verdict.headline, style="bold", markup=False)
+    for reason in verdict.reasons:
+        console.print(reason, markup=False, highlight=False)
+    show_places(console, folder)
+
+
+def replay(
+    run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")],
+    allow_custom_law: Annotated[
+        bool,
+        typer.Option(
+            "--allow-custom-law", help="Run the law of one's own that the recording names."
+        ),
+    ] = False,
+) -> None:
+    """Feed a recorded run to the law again and compare the torques bit for bit."""
+    data, contents = load_run(run_dir)
+    _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
+    stop_at_once(WITHIN_S, may_hold_lock=is_custom(data.setup.scenario.controller.law))
+    with naming(run_dir):
+        master_skips = data.setup.link_kind.controller_leads and data.clock == "realtime"
+        result = replay_run(data.setup, contents, master_skips=master_skips)
+    stop_at_once()
+    recorded = read_manifest(run_dir if run_dir.is_dir() else run_dir.parent)
+    _show_replay(result, data, difference_of_arithmetic(recorded, provenance()))
+    raise typer.Exit(FINISHED if result.is_identical and not data.damage else FAULT)
+
+
+def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
+    """Check that its law is there to be fed again, and may be."""
+    law = data.setup.scenario.controller.law
+    if data.setup.scenario.controller.process is not None:
+        raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
+    if is_custom(law) and not allow_custom_law:
+        raise ScenarioError(
+            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
+            " which is code from wherever its module or program is found"
+        )
+
+
+def _show_replay(result: Replay, data: RunData, difference: str) -> None:
+    console = Console()
+    if data.damage:
+        console.print(damaged(data.damage), markup=False)
+    elif not data.complete:
+        console.print(PARTIAL)
+    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
+    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
+    if result.failure:
+        console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
+    if not result.is_identical:
+        console.print(f"[bold red]different[/] from command {result.first_difference} on")
+        if difference:
+            console.print(difference, markup=False, highlight=False)
+        return
+    until = " as far as can be read" if data.damage else " until it failed" * bool(result.failure)
+    console.print(f"[bold green]identical[/]{until}")
