@@ -37,7 +37,7 @@ from deploy.study.study import OF_BOUND
 
 
 def run_in_processes(options: RunOptions) -> None:
-    """Run controller, plant and recorder as separate processes, and judge the run."""
+    """Run controller, plant and recorder as processes, and report whether bounds were kept."""
     as_given = _checked(options)
     awaits_controller = options.await_controller
     setup = as_given if awaits_controller else with_free_endpoints(as_given)

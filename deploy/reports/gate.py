@@ -22,10 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.verdict import Verdict
-from deploy.reports.study_texts import case_name, shown_value
+from deploy.reports.study_texts import case_name
 from deploy.run.run_folder import read_json
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import OF_BOUND
+from deploy.study.study import OF_BOUND, shown_value
 
 _ENTRIES = "history.jsonl"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
@@ -254,7 +254,7 @@ def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) 
         ReportHead("good", f"{len(entries)} results", [said]),
         [Fact("Unit", unit or "none")],
         [Panel("History", "history", f"{name} over commits", lambda all_: _figure(all_, unit),
-               "A gap is a result in which nothing was kept.")],
+               "A gap is a result in which the bounds were never kept.")],
         list(entries),
     )  # fmt: skip
     write_page(folder / "history.html", page)

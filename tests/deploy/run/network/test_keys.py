@@ -113,7 +113,12 @@ def from_elsewhere(keys: KeyFolder) -> None:
             "is not a PEM private key",
             "issue",
         ),
-        (lambda k: k.certificate(Role.PLANT).write_bytes(b"?"), "plant.crt", "no cert", "issue"),
+        (
+            lambda k: k.certificate(Role.PLANT).write_bytes(b"?"),
+            "plant.crt",
+            "not a PEM cert",
+            "issue",
+        ),
     ],
 )
 def test_unusable_keys_are_refused_with_file_and_remedy(
