@@ -18,10 +18,10 @@ from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.limits import JointLimits, name_of
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages import topics
-from bus_schema.messages.header import join_stamp
 from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
+from bus_schema.messages.types import join_stamp
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import own_kernel
 from bus_schema.runtime.compiled import all_finite, bind

@@ -149,7 +149,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         if not is_of_the_law(error):
             raise
         raise ConfigurationError(
-            _GAINS_KEY, gains, f"{name} cannot be created with these:  {_described(error)}"
+            _GAINS_KEY, gains, f"{name} cannot be created with these: {_described(error)}"
         ) from error
     missing = [method for method in ("torque", "reset") if not callable(getattr(law, method, None))]
     if not isinstance(getattr(law, "diagnostics", None), Diagnostics):

@@ -28,8 +28,8 @@ def examine_rig(setup: Setup) -> list[Finding]:
         check_can_bus(can)
         bus = open_can_bus(can)
     except ConfigurationError as error:
-        return [Finding("bus", "missing", str(error), "no drive can be asked")]
-    findings = [Finding("bus", "ok", f"{place} is up", "no drive can be asked")]
+        return [Finding("bus", "missing", str(error), "no drive can be queried")]
+    findings = [Finding("bus", "ok", f"{place} is up", "no drive can be queried")]
     questions = protocol.questions(can, node_ids[0])
     if not questions:
         what = f"{protocol.title} drives answer nothing but commands"

@@ -167,7 +167,7 @@ def _other_joints_table(setup: Setup) -> Table:
         for each in setup.robot.followers
     ]
     rows += [[each.name, "held", each.reason] for each in setup.robot.held]
-    return _table("Other joints", ["Joint", "What it does", "How or why"], rows)
+    return _table("Other joints", ["Joint", "State", "Detail"], rows)
 
 
 def _gains_table(setup: Setup) -> Table:

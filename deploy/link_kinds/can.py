@@ -65,7 +65,7 @@ class CanKind(LinkKind[DrivenArm]):
         node_ids = check_drives(can, robot, run.plant, takes_targets=run.takes_targets)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
-            allowed = f"false over CAN with {protocol.title}: these drives take torques alone"
+            allowed = f"false over CAN with {protocol.title}: these drives accept only torques"
             raise ConfigurationError(f"{side}.drive_feedback.enabled", True, allowed, _PROTOCOL)
         check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_delays(run, protocol)
@@ -189,8 +189,8 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
             refusal = "delay_ms alone"
         if shown and refusal is not None:
             allowed = (
-                f"must be {refusal}, with link.kind = can: what a CAN bus does to frames is up to"
-                " link.can.bitrate and link.can.faults"
+                f"must be {refusal}, with link.kind = can: link.can.bitrate and link.can.faults"
+                " describe the bus"
             )
             raise ConfigurationError(f"link.{name}", shown, allowed, _PROTOCOL)
     if link.playout_ms:

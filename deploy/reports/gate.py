@@ -254,7 +254,7 @@ def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) 
         ReportHead("good", f"{len(entries)} results", [said]),
         [Fact("Unit", unit or "none")],
         [Panel("History", "history", f"{name} over commits", lambda all_: _figure(all_, unit),
-               "A gap is a result in which nothing was kept.")],
+               "A gap is a result in which the bounds were never kept.")],
         list(entries),
     )  # fmt: skip
     write_page(folder / "history.html", page)

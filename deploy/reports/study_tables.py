@@ -185,7 +185,7 @@ def interval_table(summary: Summary) -> Table:
 
 
 def losses_table(summary: Summary) -> Table:
-    """What lost plants have in common, the strongest first."""
+    """Common properties of lost plants, the strongest first."""
     rows: list[list[Value]] = []
     for case in summary["cases"]:
         losses, name = case["losses"], texts.case_title(case)

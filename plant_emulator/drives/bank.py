@@ -169,7 +169,7 @@ class DriveBank:
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
         is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
         if is_strange or len(frame.data) > _MOST_BYTES:
-            raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
+            raise InvalidMessageError("no_classical_frame", f"drives do not use {frame}")
         concerned = self._routes.get(frame.identifier)
         if concerned is None:
             concerned = [each for each in self._drives if frame.identifier in each.heard]

@@ -15,7 +15,7 @@ KINDS = [oa.MotorType.DM8009] * 2 + [oa.MotorType.DM4340] * 2 + [oa.MotorType.DM
 STIFFNESS = [240.0] * 4 + [24.0, 31.0, 25.0]
 DAMPING = [5.0, 5.0, 3.0, 5.0, 0.3, 0.3, 0.3]
 MOVE_RAD, NEAR_RAD = 0.2, 0.05
-QUIET_US = 50_000
+ROOM_C = 25
 
 interface, frames, patience_s = sys.argv[1:]
 arm = oa.OpenArm(interface, frames == "fd")
@@ -48,12 +48,15 @@ def read(register):
 
 
 def positions():
-    """Positions, once nothing is left of other answers: it would take those for states."""
-    arm.set_callback_mode_all(oa.CallbackMode.IGNORE)
-    for _ in range(3):
-        arm.recv_all(QUIET_US)
+    """Positions in real states: it takes late answers about registers for states, too."""
     arm.set_callback_mode_all(oa.CallbackMode.STATE)
-    until(arm.refresh_all, lambda: all(each.get_state_tmos() for each in motors()))
+    until(
+        arm.refresh_all,
+        lambda: all(
+            (each.get_state_tmos(), each.get_state_trotor()) == (ROOM_C, ROOM_C)
+            for each in motors()
+        ),
+    )
     return [each.get_position() for each in motors()]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.plant_emulator.drives.test_clients import until
 from tests.plant_emulator.drives.test_damiao_clients import FD, START, rig_of
 from tests.socketcan.openarm_package import build_openarm_can, run_client
 
@@ -17,6 +18,6 @@ def test_it_configures_reads_moves_and_disconnects(request: pytest.FixtureReques
         pytest.skip(why_not)
     with rig_of(interface="socketcan", channel="vcan0", **FD) as rig:
         seen = run_client(package, "vcan0", "fd")
-        assert seen["start"] == pytest.approx(START, abs=1e-3)
+        np.testing.assert_allclose(seen["start"], START, atol=1e-3)
         assert seen["end"] == pytest.approx(np.asarray(seen["start"]) + 0.2, abs=0.05)
-        assert rig.bank.braked.all()
+        until(rig.bank.braked.all)

@@ -82,8 +82,8 @@ class DamiaoMaster(MitMaster):
             if abs(found - expected) > 1e-3 * expected:
                 raise DriveError(
                     f"drive {self._node_ids[joint]}: {register.name} is {found:g}, and with"
-                    f" link.can.damiao.motor it is {expected:g}: the numbers in its frames would be"
-                    " wrong"
+                    f" link.can.damiao.motor it is {expected:g}: values in its frames would be"
+                    " misread"
                 )
 
     def _tell(self, joint: int, kind: Special) -> None:
@@ -98,7 +98,8 @@ class DamiaoMaster(MitMaster):
         written = self._ask_register(joint, Request.WRITE, register, value)
         if written != value:
             raise DriveError(
-                f"drive {self._node_ids[joint]} takes {written:g} for {value} in {register.name}"
+                f"drive {self._node_ids[joint]} has {written:g} instead of {value} in"
+                f" {register.name}"
             )
 
     def _ask_register(

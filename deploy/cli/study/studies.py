@@ -12,8 +12,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from deploy.cli.common import judging, leave, say_oddities, show_places
-from deploy.cli.gating import CommandGate
+from deploy.cli.common import CommandGate, judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
     CompareOptions,

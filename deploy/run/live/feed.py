@@ -205,7 +205,7 @@ def _listening(name: str) -> tuple[socket.socket, Path]:
             _require_private(folder)
             _clear(folder)
             return _listening_in(folder, name)
-    raise FileNotFoundError(f"{folder}: is being removed again and again")
+    raise FileNotFoundError(f"{folder}: another program keeps removing it")
 
 
 def _require_private(folder: Path) -> None:

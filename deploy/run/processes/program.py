@@ -132,4 +132,4 @@ class ControllerProcess(ChildProcess):
         if said == SILENT:
             return None
         how = "had to be stopped" if self._was_asked_to_stop else "ended after the plant"
-        return Failure(f"{who} {how}; its last words: {said}", is_cause=False)
+        return Failure(f"{who} {how}; end of its standard error: {said}", is_cause=False)

@@ -140,7 +140,7 @@ REFUSED = [
           ("fire:2@1s", "drive, silent, encoder-frozen, over-temperature"))],
     ("drives paper_arm --set link.can.eds=/etc/hostname", "", "that is an EDS of a CiA 402 drive"),
     ("drives paper_arm --set link.can.protocol=mit --set link.can.fd_process_data=true", "", "MIT"),
-    ("drives paper_arm --set link.can.interface=nope", "", "must be one that python-can knows"),
+    ("drives paper_arm --set link.can.interface=nope", "", "must be an interface of python-can"),
     # what is set
     *[(f"run --set {text}", f"--set {text}:") for text in ("duration_s", "=2", "duration_s=[")],
     *[(f"{command} paper_arm --set link.uplink.delay_ms=-1", "", "link.uplink.delay_ms = -1")

@@ -11,7 +11,7 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.run.network.keys import check_keys, common_name, create_authority, hosts_of, issue
 from deploy.scenario.scenario import load_setup
@@ -113,7 +113,12 @@ def from_elsewhere(keys: KeyFolder) -> None:
             "is not a PEM private key",
             "issue",
         ),
-        (lambda k: k.certificate(Role.PLANT).write_bytes(b"?"), "plant.crt", "no cert", "issue"),
+        (
+            lambda k: k.certificate(Role.PLANT).write_bytes(b"?"),
+            "plant.crt",
+            "not a PEM cert",
+            "issue",
+        ),
     ],
 )
 def test_unusable_keys_are_refused_with_file_and_remedy(

@@ -11,8 +11,7 @@ import typer
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
-from deploy.cli.common import finish, say_oddities, watching
-from deploy.cli.gating import CommandGate
+from deploy.cli.common import CommandGate, finish, say_oddities, watching
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
@@ -38,7 +37,7 @@ from deploy.study.study import OF_BOUND
 
 
 def run_in_processes(options: RunOptions) -> None:
-    """Run controller, plant and recorder as separate processes, and judge the run."""
+    """Run controller, plant and recorder as processes, and report whether bounds were kept."""
     as_given = _checked(options)
     awaits_controller = options.await_controller
     setup = as_given if awaits_controller else with_free_endpoints(as_given)
