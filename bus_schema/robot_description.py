@@ -73,6 +73,13 @@ class RobotDescription:
     def joints(self) -> int:
         return len(self.joint_names)
 
+    def joint_positions(self, driven: Vector) -> dict[str, float]:
+        """Return the positions of all joints that move, by name, for those of the driven ones."""
+        positions = dict(zip(self.joint_names, driven.tolist(), strict=True))
+        for each in self.followers:
+            positions[each.name] = each.multiplier * positions[each.leader] + each.offset
+        return positions
+
     def portable_urdf(self) -> str:
         """Return the URDF for use in another folder: mesh files by absolute path."""
         root = ET.fromstring(self.text)

@@ -186,7 +186,13 @@ class ControllerConfiguration(StrictModel):
             raise ValueError(f"a program and its arguments if controller.law is {PROCESS}")
         return process
 
-    @field_validator("torque_rate_limit_nm_s", "delay_compensation", "every", "inference_ms")
+    @field_validator(
+        "torque_rate_limit_nm_s",
+        "delay_compensation",
+        "every",
+        "inference_ms",
+        "inference_jitter_ms",
+    )
     @classmethod
     def _takes_effect(cls, value: Any, info: ValidationInfo) -> Any:
         is_default = value == cls.model_fields[str(info.field_name)].default
@@ -311,9 +317,16 @@ class ControllerConfiguration(StrictModel):
             seed: of the scenario.
         """
         inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
-        if self.every == 1 and not inference_s and not jitter_s:
-            return law
+        is_slow = self.every > 1 or inference_s > 0.0 or jitter_s > 0.0
         between = self.between_answers
+        if between != "hold" and not (is_slow and self.drive_feedback.enabled):
+            allowed = (
+                "must be hold, unless controller.drive_feedback.enabled is true, and"
+                " controller.every above 1 or controller.inference_ms above 0"
+            )
+            raise ConfigurationError("controller.between_answers", between, allowed)
+        if not is_slow:
+            return law
         timing = AnswerTiming(self.every, inference_s, jitter_s, between, period_s, seed)
         return SlowLaw(law, timing)
 

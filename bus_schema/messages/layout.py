@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.header import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS
-from bus_schema.messages.types import TYPESTORE
+from bus_schema.messages.types import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS, TYPESTORE
 
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Limit far above all our messages; larger payloads are refused before they are parsed."""

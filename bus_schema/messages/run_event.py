@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from bus_schema.messages.header import join_stamp, split_stamp
 from bus_schema.messages.layout import parse
-from bus_schema.messages.types import RUN_EVENT, TYPESTORE
+from bus_schema.messages.types import RUN_EVENT, TYPESTORE, join_stamp, split_stamp
 
 COMMANDS_RECEIVED = "commands_received"
 """Key in the plant's `COUNTS`: how many commands it took off the bus and checked."""

@@ -1,10 +1,17 @@
-"""The ROS 2 message types on the bus: standard ones and our own from ``msg/*.msg``."""
+"""The ROS 2 message types on the bus: standard ones and our own from ``msg/*.msg``.
+
+Each begins with a header, whose stamp is seconds and nanoseconds, or one number here. On the wire
+(CDR, little endian) it follows the encapsulation directly.
+"""
 
 from __future__ import annotations
 
+import struct
 from importlib import resources
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -17,6 +24,13 @@ PLANT_STATUS = f"{PACKAGE}/msg/PlantStatus"
 PLANT_TRUTH = f"{PACKAGE}/msg/PlantTruth"
 CONTROL_STATUS = f"{PACKAGE}/msg/ControlStatus"
 RUN_EVENT = f"{PACKAGE}/msg/RunEvent"
+
+NANOSECONDS = 1_000_000_000
+SEC, NANOSEC = "header.stamp.sec", "header.stamp.nanosec"
+"""Names of both parts in a message's layout."""
+ENCAPSULATION_BYTES = 4
+_STAMP = struct.Struct("<iI")
+_END = ENCAPSULATION_BYTES + _STAMP.size
 
 # The few standard ones that we use, as ROS 2 has them: a store of a whole distribution takes
 # longer to load than Python does to start.
@@ -75,3 +89,32 @@ def has_todays_form(type_name: str, text: bytes) -> bool:
         return False
     todays = TYPESTORE.fielddefs
     return all(name in todays and todays[name][1] == recorded[name][1] for name in recorded)
+
+
+def split_stamp(stamp_ns: int) -> tuple[int, int]:
+    """Split a stamp in ns into seconds and nanoseconds."""
+    return divmod(stamp_ns, NANOSECONDS)
+
+
+def join_stamp(sec: int, nanosec: int) -> int:
+    """Return a stamp in ns from both parts."""
+    return sec * NANOSECONDS + nanosec
+
+
+def stamp_of(payload: bytes) -> int | None:
+    """Return the stamp of an encoded message, ns; None if it is missing or negative."""
+    if len(payload) < _END:
+        return None
+    stamp_ns = join_stamp(*_STAMP.unpack_from(payload, ENCAPSULATION_BYTES))
+    return stamp_ns if stamp_ns >= 0 else None
+
+
+def with_stamp(payload: bytes, stamp_ns: int) -> bytes:
+    """Return an encoded message with another stamp."""
+    return payload[:ENCAPSULATION_BYTES] + _STAMP.pack(*split_stamp(stamp_ns)) + payload[_END:]
+
+
+def stamps_ns(table: NDArray[np.void]) -> NDArray[np.int64]:
+    """Return the stamps of a table of messages (`MessageLayout.tabulate`), shape (messages,)."""
+    stamps: NDArray[np.int64] = table[SEC].astype(np.int64) * NANOSECONDS + table[NANOSEC]
+    return stamps

@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, cast
 
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 
 from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import has_todays_form, schema_text
@@ -189,56 +189,47 @@ class LogContents:
     lacks_checksums: bool = False
 
 
-class _Sorter:
-    """Sorts records into the contents of a recording.
+def _sort(records: CheckedRecords, contents: LogContents) -> tuple[int | None, set[str]]:
+    """Sort records into the contents of a recording.
 
     A message whose channel was described in a damaged chunk waits for the summary, which describes
     all channels again. Messages of our own types in another version's format are left out.
 
-    Attributes:
-        foreign_types: names of the types left out.
+    Returns:
+        The number of messages that the file states, and names of the types left out.
     """
+    stated, foreign_types = None, set[str]()
+    topics: dict[int, str] = {}
+    is_todays: dict[int, bool] = {}  # by schema
+    waiting: list[Message] = []
 
-    def __init__(self) -> None:
-        self.contents = LogContents()
-        self.messages = 0
-        self.expected: int | None = None
-        self._topics: dict[int, str] = {}
-        self._is_todays: dict[int, bool] = {}  # by schema
-        self.foreign_types: set[str] = set()
-        self._waiting: list[Message] = []
+    def take(message: Message) -> None:
+        topic = topics[message.channel_id]
+        contents.payloads[topic].append(message.data)
+        contents.sequences[topic].append(message.sequence)
 
-    def take(self, record: McapRecord) -> None:
-        """Sort one record."""
+    for record in records:
         match record:  # nearly all are messages
-            case Message() if record.channel_id in self._topics:
-                self._take_message(record)
+            case Message() if record.channel_id in topics:
+                take(record)
             case Message():
-                self._waiting.append(record)
-            case Schema() if record.id not in self._is_todays:
-                self._is_todays[record.id] = has_todays_form(record.name, record.data)
-                if not self._is_todays[record.id]:
-                    self.foreign_types.add(record.name)
-            case Channel() if self._is_todays.get(record.schema_id, True):
-                self._topics.setdefault(record.id, record.topic.strip("/"))
+                waiting.append(record)
+            case Schema() if record.id not in is_todays:
+                is_todays[record.id] = has_todays_form(record.name, record.data)
+                if not is_todays[record.id]:
+                    foreign_types.add(record.name)
+            case Channel() if is_todays.get(record.schema_id, True):
+                topics.setdefault(record.id, record.topic.strip("/"))
             case Attachment():
-                self.contents.attachments[record.name] = record.data
+                contents.attachments[record.name] = record.data
             case Metadata():
-                self.contents.metadata[record.name] = record.metadata
+                contents.metadata[record.name] = record.metadata
             case Statistics():
-                self.expected = record.message_count
-
-    def take_waiting(self) -> None:
-        """Sort the waiting messages whose channels are known by now."""
-        for message in self._waiting:
-            if message.channel_id in self._topics:
-                self._take_message(message)
-
-    def _take_message(self, message: Message) -> None:
-        topic = self._topics[message.channel_id]
-        self.contents.payloads[topic].append(message.data)
-        self.contents.sequences[topic].append(message.sequence)
-        self.messages += 1
+                stated = record.message_count
+    for message in waiting:
+        if message.channel_id in topics:
+            take(message)
+    return stated, foreign_types
 
 
 def record_afterwards(path: Path, name: str, values: dict[str, str]) -> None:
@@ -264,25 +255,24 @@ def read_log(path: Path) -> LogContents:
     Raises:
         OSError: the file cannot be read.
     """
-    sorter, size = _Sorter(), path.stat().st_size
+    contents, size = LogContents(), path.stat().st_size
     with path.open("rb") as file:
         records = CheckedRecords(file, size)
-        for record in records:
-            sorter.take(record)
-    sorter.take_waiting()
-    contents, damage = sorter.contents, records.damage
+        stated, foreign_types = _sort(records, contents)
+    damage = records.damage
     if records.cut_off_at is not None and not is_partial(path):
         damage.append(f"it cannot be read from byte {records.cut_off_at} of {size} on")
     damage += [
         f"its messages of {name} are from another version of funnel-hil; that version can read them"
-        for name in sorted(sorter.foreign_types)
+        for name in sorted(foreign_types)
     ]
     if damage:
         shown = damage[:_SHOWN_DAMAGE]
         if len(damage) > _SHOWN_DAMAGE:
             shown.append(f"{len(damage) - _SHOWN_DAMAGE} more places are damaged")
-        of_all = "" if sorter.expected is None else f" of {sorter.expected}"
-        contents.damage = [*shown, f"{sorter.messages}{of_all} messages could be read"]
+        of_all = "" if stated is None else f" of {stated}"
+        read = sum(map(len, contents.payloads.values()))
+        contents.damage = [*shown, f"{read}{of_all} messages could be read"]
     contents.complete = records.is_finished and not damage
     contents.lacks_checksums = records.lacks_checksums
     return contents

@@ -10,7 +10,7 @@ from pathlib import Path
 from bus_schema.urdf.checks import MOVING_TYPES
 from bus_schema.urdf.inertia import mend_inertias
 
-PAYLOAD_LINK = "funnel_hil_payload"
+PAYLOAD_LINK, PAYLOAD_JOINT = "funnel_hil_payload", "funnel_hil_payload_joint"
 _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
 _SHAPES = (".obj", ".stl", ".dae")
 """Mesh files that pybullet can draw."""
@@ -107,7 +107,7 @@ def attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
     """Fix a point mass to the origin of the tip link."""
     link = ET.SubElement(root, "link", name=PAYLOAD_LINK)
     _add_inertial(link, payload_kg)
-    joint = ET.SubElement(root, "joint", name="funnel_hil_payload_joint", type="fixed")
+    joint = ET.SubElement(root, "joint", name=PAYLOAD_JOINT, type="fixed")
     ET.SubElement(joint, "parent", link=tip_link)
     ET.SubElement(joint, "child", link=PAYLOAD_LINK)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import VIEW_TOPICS, Role, topics_of
 from bus_schema.zenoh.ros_graph import graph_key_expression, node_tokens
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from typing import NoReturn
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -18,12 +18,12 @@ from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
-from deploy.cli.gating import CommandGate
-from deploy.cli.options import OneRunOptions
+from deploy.cli.options import GateOptions, OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import decide
+from deploy.reports import gate as gating
 from deploy.reports.results import conditions_in, write_run_results
 from deploy.run.confirmation import confirmation_of
 from deploy.run.execute import JudgedRun
@@ -92,6 +92,45 @@ def watching(
         on_stop(request_stop, WITHIN_S, may_hold_lock=is_custom(setup.scenario.controller.law))
 
     return watch
+
+
+class CommandGate:
+    """The gate of a command, checked before anything starts.
+
+    Args:
+        options: what it must reach.
+        name: of what is gated.
+        unit: of its numbers.
+
+    Raises:
+        ScenarioError: the options cannot be used with this result.
+    """
+
+    def __init__(self, options: GateOptions, name: str, unit: str) -> None:
+        self._gate = gating.build_gate(options.at_least, options.baseline, options.tolerance)
+        gating.require_unit(self._gate, unit)
+        self._options, self._name, self._unit = options, name, unit
+        self._entries = [] if options.history is None else gating.read_history(options.history)
+
+    def is_passed(self, summary: Mapping[str, Any], console: Console) -> bool:
+        """Whether a result reaches what it must; writes the files, and prints what failed."""
+        options, found = self._options, gating.gauged(summary)
+        failures = self._gate.failures(found)
+        failures |= {
+            each.name: failures[each.name] + gating.since_when(self._entries, each)
+            for each in found
+            if each.name in failures
+        }
+        if options.junit is not None:
+            gating.write_junit(options.junit, found, failures)
+        if options.markdown is not None:
+            gating.write_markdown(options.markdown, found, failures)
+        if options.history is not None:
+            entries = [*self._entries, gating.entry_of(found)]
+            gating.write_history(options.history, self._name, entries, self._unit)
+        for sentence in failures.values():
+            console.print(f"gate: {sentence}", style="bold red", markup=False, soft_wrap=True)
+        return not failures
 
 
 def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> NoReturn:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of
+from bus_schema.messages.types import stamp_of
 from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
 _LOOK_S = 0.02

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
-from deploy.measure.probe_frames import MOST_BYTES, REPEATED, FrameStream, ProbeFrame, own_kernel
+from bus_schema.runtime.clock import own_kernel
+from deploy.measure.probe_frames import MOST_BYTES, REPEATED, FrameStream, ProbeFrame
 from deploy.measure.trace_output import Measured
 
 _LAST_ANSWERS_S = 1.0

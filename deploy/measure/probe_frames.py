@@ -12,10 +12,10 @@ import select
 import socket
 import struct
 import time
-import zlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple, Self
+
+from bus_schema.runtime.clock import own_kernel
 
 REPEATED = 8
 _HEADER = struct.Struct(f"<4sIIIIqq{REPEATED}q")
@@ -58,13 +58,6 @@ class ProbeFrame(NamedTuple):
         if magic != _MAGIC or not LEAST_BYTES <= size <= MOST_BYTES:
             return None
         return cls(size, session, number, kernel, sent, answered, tuple(received))
-
-
-def own_kernel() -> int:
-    """What tells the kernel under which this process runs, since it was started."""
-    with contextlib.suppress(OSError):
-        return zlib.crc32(Path("/proc/sys/kernel/random/boot_id").read_bytes())
-    return 0
 
 
 class FrameStream:

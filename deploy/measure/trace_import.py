@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bus_schema.errors import did_you_mean
-from bus_schema.messages.header import stamp_of
+from bus_schema.messages.types import stamp_of
 from bus_schema.user_files import read_text
 from deploy.measure.trace_output import Measured
 from deploy.scenario.yaml_files import ScenarioError

@@ -22,10 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.verdict import Verdict
-from deploy.reports.study_texts import case_name, shown_value
+from deploy.reports.study_texts import case_name
 from deploy.run.run_folder import read_json
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import OF_BOUND
+from deploy.study.study import OF_BOUND, shown_value
 
 _ENTRIES = "history.jsonl"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")

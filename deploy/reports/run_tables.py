@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from bus_schema.arrays import PERCENTILES
@@ -10,7 +11,7 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
 from deploy.reports import quantities
-from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, table_of
 from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
 
 Row = list[Cell | Value]
@@ -33,6 +34,10 @@ _TRANSPORT = {
     "reordered": "Reordered",
     "delay_ms.mean": "Delay, mean (ms)",
     **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in PERCENTILE_NAMES.items()},
+    **{
+        f"measured_ms.{name}": f"Delay with the bus, {title} (ms)"
+        for name, title in PERCENTILE_NAMES.items()
+    },
 }
 
 
@@ -130,28 +135,23 @@ def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
     found = [each for summary in summaries for each in summary.get(CONFIRMATION) or ()]
     if not found:
         return []
-    columns = [
-        Column("Scenario", brief=None, is_text=True),
-        Column("Law", is_text=True),
-        Column("On", is_text=True),
-        Column("Runs"),
-        Column("Same verdict", brief="Same"),
-        Column("Different verdict", brief="Other"),
-        Column("Too close to call", brief="Near"),
-        Column("Smallest margins differ by at most", "%", "Margin\n±"),
-        Column("True errors differ by at most", "mrad", "Error\n±"),
-    ]
-    rows = [
-        [
-            each["scenario"], each["law"], each["physics"], each["runs"], each["agree"],
-            Cell(each["differ"], "bad" if each["differ"] else ""), each["too_near"],
-            scaled(each["margin_difference"], 100.0), scaled(each["error_difference_rad"], 1e3),
-        ]
-        for each in found
+    columns: list[tuple[Column, Callable[[Mapping[str, Any]], Cell | Value]]] = [
+        (Column("Scenario", brief=None, is_text=True), itemgetter("scenario")),
+        (Column("Law", is_text=True), itemgetter("law")),
+        (Column("On", is_text=True), itemgetter("physics")),
+        (Column("Runs"), itemgetter("runs")),
+        (Column("Same verdict", brief="Same"), itemgetter("agree")),
+        (Column("Different verdict", brief="Other"),
+         lambda each: Cell(each["differ"], "bad" if each["differ"] else "")),
+        (Column("Too close to call", brief="Near"), itemgetter("too_near")),
+        (Column("Smallest margins differ by at most", "%", "Margin\n±"),
+         lambda each: scaled(each["margin_difference"], 100.0)),
+        (Column("True errors differ by at most", "mrad", "Error\n±"),
+         lambda each: scaled(each["error_difference_rad"], 1e3)),
     ]  # fmt: skip
     return [
-        Table(
-            "Confirmation on other physics", columns, rows,
+        table_of(
+            "Confirmation on other physics", columns, found,
             "The same runs with the same controller, link and actuators, on the other physics"
             " engine. A different verdict is too close to call if a smallest margin is within"
             f" {NEAR_ZERO:.0%} of the bound from zero.",

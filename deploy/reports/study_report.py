@@ -13,9 +13,9 @@ from deploy.reports.margin_reports import margin_page, robustness_page
 from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import result_tables
-from deploy.reports.study_texts import shown_value
 from deploy.reports.verdict import ReportHead, level_of
 from deploy.study.folder import StudyFolder
+from deploy.study.study import shown_value
 
 Summary = dict[str, Any]
 

@@ -9,6 +9,7 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_whole
 from deploy.reports import study_texts as texts
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, quotable, scaled, table_of
+from deploy.study.study import shown_value
 
 _SHOWN_EFFECTS = 6
 Summary = dict[str, Any]
@@ -89,7 +90,7 @@ def point_table(summary: Summary) -> Table:
     def value_of(place: int, axis: Summary) -> TableColumn:
         keys = ", ".join(axis["keys"])
         brief = keys.replace(", ", "\n").replace(".", ".\n")
-        return Column(keys, brief=brief), lambda point: texts.shown_value(point["values"][place])
+        return Column(keys, brief=brief), lambda point: shown_value(point["values"][place])
 
     def spread(key: str, which: str, factor: float) -> Callable[[Summary], Value]:
         return lambda point: scaled(point[key][which], factor)

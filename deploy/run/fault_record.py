@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamps_ns
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Topic
+from bus_schema.messages.types import stamps_ns
 from bus_schema.recording.atomic_files import write_json
 from deploy.judge.run_data import RunData
 

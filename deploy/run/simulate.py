@@ -13,9 +13,9 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
-from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import JOINT_STATES, RUN_EVENTS, Role, Topic
+from bus_schema.messages.types import stamp_of
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
 from deploy.judge.run_data import RunData, build_run_data

@@ -189,7 +189,7 @@ def _connect(scheduler: str) -> Client:
         ) from error
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
-        client.submit(_check_import, pure=False).result(timeout=_FIRST_TASK_S)
+        client.submit(callable, row_of, pure=False).result(timeout=_FIRST_TASK_S)  # imports it
     except Exception as error:
         client.close()
         raise ScenarioError(
@@ -203,11 +203,6 @@ async def _identity(scheduler: str) -> None:
     arguments = Security().get_connection_args("client")  # certificates as Dask is configured
     async with rpc(scheduler, connection_args=arguments) as peer:
         await peer.identity()
-
-
-def _check_import() -> str:
-    """Check that a worker can import the code; return the module's name."""
-    return row_of.__module__
 
 
 def packed(laws: Iterable[str]) -> Packed:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.channel.columns import Columns, read_columns
+from plant_emulator.channel.columns import read_columns
 
 LOST_NS = -1
 """Stands for a delay where a message was lost."""
@@ -74,7 +74,7 @@ def read_trace(path: Path) -> Trace:
 
     Args:
         path: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
-            ``lost`` (0 or 1) and ``size`` (bytes).
+            ``lost`` (0 or 1) and ``size``, which is ignored.
 
     Raises:
         ValueError: it cannot be read, or holds something else; the message names line and column.
@@ -100,20 +100,11 @@ def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
         ~is_lost & ~((delays_ms >= 0.0) & (delays_ms <= LONGEST_MS)),
         "delay_ms", f"must be 0 to {LONGEST_MS:g} ms, or empty for a lost message",
     )  # fmt: skip
-    _check_losses(columns, is_lost)
+    if "lost" in columns.values:
+        allowed = "must be 1 if delay_ms is empty, otherwise 0"
+        columns.refuse_where(columns.values["lost"] != is_lost, "lost", allowed)
     if is_lost.all() or times_s[-1] == times_s[0]:
         raise ValueError(f"{path}: a trace must have a duration, and some messages must arrive")
     delays_ns = np.rint(np.where(is_lost, 0.0, delays_ms) * 1e6).astype(np.int64)
     delays_ns[is_lost] = LOST_NS
     return Trace(np.rint((times_s - times_s[0]) * 1e9).astype(np.int64), delays_ns)
-
-
-def _check_losses(columns: Columns, is_lost: NDArray[np.bool_]) -> None:
-    """Refuse rows in which a message is lost but has a delay."""
-    if "lost" in columns.values:
-        lost = columns.values["lost"]
-        columns.refuse_where(~((lost == 0.0) | (lost == 1.0)), "lost", "must be 0 or 1")
-        allowed = "must be 1 if delay_ms is empty, otherwise 0"
-        columns.refuse_where((lost == 1.0) != is_lost, "lost", allowed)
-    if "size" in columns.values:
-        columns.refuse_where(~(columns.values["size"] >= 0.0), "size", "must be at least 0")

@@ -12,9 +12,9 @@ import numpy as np
 
 from bus_schema.link.interface import CommandArrival, PlantLink
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
+from bus_schema.messages.types import stamp_of
 from bus_schema.runtime.clock import Clock
 from plant_emulator.channel.jitter import endless
 from plant_emulator.command_gate import CommandGate

@@ -11,8 +11,8 @@ from bus_schema.configuration import ConfigurationError, Number, Positive
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of, with_stamp
 from bus_schema.messages.layout import Record
+from bus_schema.messages.types import stamp_of, with_stamp
 from plant_emulator.channel.conditions import Conditions
 from plant_emulator.faults.fault import Fault, FaultContext, Share
 

@@ -85,10 +85,7 @@ class MujocoArm(ArmPhysics):
         model.opt.timestep = grid.substep_s
         model.opt.integrator = _INTEGRATORS[specification.integrator]
         self._model, self._data = model, mujoco.MjData(model)
-        self._followers = [
-            (model.joint(each.name).id, robot.joint_names.index(each.leader), each)
-            for each in robot.followers
-        ]
+        self._robot = robot
         places = np.array([model.joint(name).id for name in robot.joint_names])
         if specification.rotor_inertia_kg_m2 is not None:
             model.dof_armature[places] = specification.rotor_inertia_kg_m2
@@ -115,9 +112,8 @@ class MujocoArm(ArmPhysics):
 
     def place(self, position: Vector) -> None:
         bodies = self._bodies
-        bodies.positions[bodies.places] = position
-        for place, leader, follower in self._followers:
-            bodies.positions[place] = follower.multiplier * position[leader] + follower.offset
+        for name, placed in self._robot.joint_positions(position).items():
+            bodies.positions[self._model.joint(name).id] = placed
         self._rest()
         _read(bodies, self.motion)
         if (trains := self._torques.tables.trains).is_elastic:

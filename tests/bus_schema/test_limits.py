@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,10 +11,8 @@ from bus_schema.limits import (
     limit_torques,
     name_of,
 )
-from bus_schema.robot_description import load_robot
-from deploy.scenario.referenced_files import find_urdf
+from tests.arms import PAPER_ARM as ROBOT
 
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
 REST = np.zeros((2, 3))
 
 

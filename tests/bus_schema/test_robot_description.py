@@ -1,6 +1,5 @@
 import math
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,17 +7,12 @@ import pytest
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.referenced_files import find_urdf
-from tests.arms import ARMS, INSTALLED, FreeArm
+from tests.arms import ARMS, INSTALLED, FreeArm, shipped_arm
 from tests.bus_schema.urdf_texts import joint, two_links
 
 
-def arm(name):
-    return load_robot(find_urdf(name, Path()))
-
-
 def test_paper_arm_is_what_its_file_says():
-    robot = arm("paper_arm")
+    robot = shipped_arm("paper_arm")
     assert robot.joint_names == ("base_yaw", "shoulder", "elbow")
     assert robot.joints == 3
     assert robot.effort_limits_nm.tolist() == [400.0, 700.0, 300.0]
@@ -29,7 +23,7 @@ def test_paper_arm_is_what_its_file_says():
 
 
 def test_franka_panda_has_seven_joints_and_its_prismatic_fingers_are_fixed():
-    robot = arm("panda")
+    robot = shipped_arm("panda")
     assert robot.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
     assert robot.effort_limits_nm.tolist() == [87.0] * 4 + [12.0] * 3
     assert 'type="prismatic"' in robot.path.read_text()
@@ -40,7 +34,7 @@ def test_franka_panda_has_seven_joints_and_its_prismatic_fingers_are_fixed():
 @pytest.mark.parametrize("engine", INSTALLED)
 @pytest.mark.parametrize("name", ARMS)
 def test_engine_reads_the_arm_that_pinocchio_reads(name, engine, payload_kg):
-    robot = arm(name)
+    robot = shipped_arm(name)
     model = ManipulatorModel(robot, payload_kg=payload_kg)
     random = np.random.default_rng(1)
     with closing(FreeArm(robot, engine, payload_kg=payload_kg)) as free:
@@ -55,7 +49,7 @@ def test_engine_reads_the_arm_that_pinocchio_reads(name, engine, payload_kg):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_payload_is_a_point_mass_at_the_tip(name):
-    robot = arm(name)
+    robot = shipped_arm(name)
     position, shift = 0.5 * (robot.lower_rad + robot.upper_rad) + 0.1, 1e-6
     bare, loaded = ManipulatorModel(robot), ManipulatorModel(robot, payload_kg=2.0)
     ahead = np.array([bare.tip_position(position + d) for d in shift * np.eye(robot.joints)])

@@ -11,10 +11,10 @@ import pytest
 from impostor import FORGED_END, OWN_ID, Impostor
 from running import ENDLESS, Finished, assert_as_simulated, await_true, settings, started
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of
 from bus_schema.messages.topics import Role
+from bus_schema.messages.types import stamp_of
 from bus_schema.zenoh.access import secure_settings
 from bus_schema.zenoh.session import ZenohSession
 from tests.security import issued_keys

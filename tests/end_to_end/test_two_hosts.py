@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from running import Finished, funnel_hil_here, outputs_of, settings
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.run.network.keys import create_authority, issue
 from tests.warm_process import WarmProcess

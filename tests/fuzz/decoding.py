@@ -15,11 +15,10 @@ from mutation import Mutator
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of
 from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
-from bus_schema.messages.types import JOINT_STATE, TYPESTORE
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE, stamp_of
 from bus_schema.recording.mcap_log import McapLog
 from bus_schema.runtime.clock import VirtualClock
 from bus_schema.runtime.modes import Mode

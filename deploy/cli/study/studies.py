@@ -12,8 +12,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from deploy.cli.common import judging, leave, say_oddities, show_places
-from deploy.cli.gating import CommandGate
+from deploy.cli.common import CommandGate, judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
     CompareOptions,
@@ -48,7 +47,7 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.comparison.comparison import KIND, ComparedRuns, Comparison
 from deploy.study.comparison.settling import SettlingTest
-from deploy.study.folder import StudyFolder, changes_since, create_folder, find_folder, read_study
+from deploy.study.folder import StudyFolder, changes_since, find_folder, opened, read_study
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out, retrace
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
@@ -202,9 +201,7 @@ def _carried_out(
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
             warning = _OPEN_SCHEDULER.format(scheduler)
             Console(stderr=True).print(warning, markup=False, soft_wrap=True)
-        path = path or create_folder(study, out, overwrite=overwrite)
-        with StudyFolder(path, study).lock() as folder:
-            folder.become()
+        with opened(study, path, out, overwrite=overwrite) as folder:
             on_stop(stop.set)
             done = _CarriedOut(folder)
             with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:

@@ -11,6 +11,7 @@ from rich.markup import escape
 from bus_schema.runtime.compiled import say_that_it_compiles
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.conditions import Conditions
+from deploy.judge.link_delays import link_sentence
 from deploy.judge.run_data import RunData
 from deploy.reports.run_tables import confirmation_tables, joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
@@ -64,6 +65,7 @@ def show_summary(
     if summary["ticks"]:
         print_table(console, joint_table(summary, run.setup.scenario.metrics.from_s))
         print_table(console, timing_table(summary))
+        _show_link(console, summary)
     if verdict.faults:
         first, *others = verdict.faults
         console.print(f"[bold red]fault[/]  {escape(first)}", soft_wrap=True)
@@ -89,6 +91,20 @@ def show_summary(
     for table in confirmation_tables([summary]):
         print_table(console, table)
     print_conditions(console, conditions)
+
+
+def _show_link(console: Console, summary: dict[str, Any]) -> None:
+    """What the link did in either direction, unless it did nothing; in the words of `link`."""
+    for way in ("downlink", "uplink"):
+        channel = summary["transport"][way]
+        measured, emulated = channel["measured_ms"], channel["delay_ms"]
+        delays_ms = emulated if measured["max"] is None else measured
+        if channel["sent"] and (channel["lost"] or delays_ms["max"]):
+            said = link_sentence(
+                channel["sent"], summary["duration_s"], channel["lost"], delays_ms,
+                channel["reordered"],
+            )  # fmt: skip
+            console.print(f"{way}: {said}", highlight=False, soft_wrap=True)
 
 
 def show_relay(console: Console, held_back: dict[str, Any]) -> None:

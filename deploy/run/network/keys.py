@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from bus_schema.user_files import read_bytes
 from deploy.scenario.yaml_files import ScenarioError

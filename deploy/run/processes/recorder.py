@@ -15,9 +15,9 @@ from pathlib import Path
 
 from bus_schema.errors import InvalidMessageError, PeerSilentError
 from bus_schema.messages import topics
-from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import Role
+from bus_schema.messages.types import stamp_of
 from bus_schema.zenoh.bundle_order import FORGED_NUMBER
 from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode

@@ -109,8 +109,5 @@ class ArmCamera:
         return body
 
     def _place(self, position: Vector) -> None:
-        angles = dict(zip(self._robot.joint_names, position.tolist(), strict=True))
-        for each in self._robot.followers:
-            angles[each.name] = each.multiplier * angles[each.leader] + each.offset
-        for name, angle in angles.items():
+        for name, angle in self._robot.joint_positions(position).items():
             self._client.resetJointState(self._body, self._link[name], angle)

@@ -20,7 +20,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import Shapes
 from bus_schema.runtime.compiled import c_function, compiled
 from bus_schema.urdf.joints import Follower
-from bus_schema.urdf.resolved import PAYLOAD_LINK
+from bus_schema.urdf.resolved import PAYLOAD_JOINT
 from plant_emulator.physics.bullet.library import (
     DOUBLE,
     LIBRARY,
@@ -127,39 +127,28 @@ class BulletServer:
         except RobotDescriptionError:
             self.close()
             raise
-        names = self._link_names()
-        self.joints = [names[name][0] for name in robot.joint_names]
-        self._payload_links = [
-            joint.link for joint, link_name in names.values() if link_name == PAYLOAD_LINK
-        ]
+        self._robot, self._links = robot, self._joints_by_name()
+        self.joints = [self._links[name] for name in robot.joint_names]
         if specification.loaded_kg != specification.payload_kg:
             self.carry(specification.payload_kg)
         substep_s = specification.grid.substep_s
-        self._set_up_world(substep_s, len(names), iterates=bool(robot.followers))
-        self._followers = [
-            (names[each.name][0], robot.joint_names.index(each.leader), each)
-            for each in robot.followers
-        ]
-        for joint, leader, follower in self._followers:
-            self._tie(joint.link, self.joints[leader].link, follower)
+        self._set_up_world(substep_s, len(self._links), iterates=bool(robot.followers))
+        for follower in robot.followers:
+            self._tie(follower)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
-        placed = list(zip(self.joints, position.tolist(), strict=True))
-        for joint, leader, follower in self._followers:
-            angle = follower.multiplier * float(position[leader]) + follower.offset
-            placed.append((joint, angle))
-        for joint, angle in placed:
-            pose = self._new("CreatePoseCommandInit", self.body)
-            call("CreatePoseCommandSetJointPosition", self.handle, pose, joint.link, angle)
-            call("CreatePoseCommandSetJointVelocity", self.handle, pose, joint.link, 0.0)
+        for name, angle in self._robot.joint_positions(position).items():
+            link, pose = self._links[name].link, self._new("CreatePoseCommandInit", self.body)
+            call("CreatePoseCommandSetJointPosition", self.handle, pose, link, angle)
+            call("CreatePoseCommandSetJointVelocity", self.handle, pose, link, 0.0)
             self._carry_out(pose)
 
     def hold_with(self, torques_nm: Sequence[float]) -> None:
         """Hold each joint at rest with at most this torque; 0 releases it."""
         motors = self._new("JointControlCommandInit2", self.body, CONTROL_VELOCITY)
         # followers move with their leaders, but every joint has a motor at first
-        free = [(joint, 0.0) for joint, _, _ in self._followers]
+        free = [(self._links[each.name], 0.0) for each in self._robot.followers]
         for joint, torque_nm in [*zip(self.joints, torques_nm, strict=True), *free]:
             call("JointControlSetDesiredVelocity", motors, joint.velocity_index, 0.0)
             call("JointControlSetKd", motors, joint.velocity_index, 1.0)
@@ -171,8 +160,8 @@ class BulletServer:
 
         It arrives with the velocity of the tip: joint velocities do not change.
         """
-        for link in self._payload_links:
-            change = self._new("InitChangeDynamicsInfo")
+        if (payload := self._links.get(PAYLOAD_JOINT)) is not None:
+            change, link = self._new("InitChangeDynamicsInfo"), payload.link
             call("ChangeDynamicsInfoSetMass", change, self.body, link, payload_kg)
             # by default, Bullet derives an inertia from the link's extent
             none = (DOUBLE * 3)()
@@ -197,17 +186,16 @@ class BulletServer:
             raise no_answer()
         return _submitted(self.handle, command)
 
-    def _tie(self, link: int, leader: int, follower: Follower) -> None:
+    def _tie(self, follower: Follower) -> None:
         """Couple a joint to another one: q = multiplier × q of the leader + offset.
 
         The solver couples their speeds in every step; an error in position decays in a few steps.
         """
         info = JointInfo(joint_type=_GEAR)
         info.parent_frame[6] = info.child_frame[6] = 1.0  # no rotation
-        links = (self.body, link, self.body, leader)
-        created = self._carry_out(
-            self._new("InitCreateUserConstraintCommand", *links, ctypes.byref(info))
-        )
+        link, leader = (self._links[name].link for name in (follower.name, follower.leader))
+        ends = (self.body, link, self.body, leader, ctypes.byref(info))
+        created = self._carry_out(self._new("InitCreateUserConstraintCommand", *ends))
         number = call("GetStatusUserConstraintUniqueId", created)
         change = self._new("InitChangeUserConstraintCommand", number)
         for setting, value in {
@@ -219,14 +207,13 @@ class BulletServer:
             call(f"InitChangeUserConstraintSet{setting}", change, value)
         self._carry_out(change)
 
-    def _link_names(self) -> dict[str, tuple[Joint, str]]:
-        """Return joint and link by name of the joint."""
+    def _joints_by_name(self) -> dict[str, Joint]:
         by_name = {}
         info = JointInfo()
         for link in range(call("GetNumJoints", self.handle, self.body)):
             call("GetJointInfo", self.handle, self.body, link, ctypes.byref(info))
             joint = Joint(link, info.position_index, info.velocity_index)
-            by_name[info.joint_name.decode()] = (joint, info.link_name.decode())
+            by_name[info.joint_name.decode()] = joint
         return by_name
 
     def _set_up_world(self, substep_s: float, links: int, *, iterates: bool) -> None:

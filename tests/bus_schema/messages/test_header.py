@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bus_schema.messages.header import join_stamp, split_stamp, stamp_of, stamps_ns, with_stamp
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import PLANT_TRUTH, layout
+from bus_schema.messages.types import join_stamp, split_stamp, stamp_of, stamps_ns, with_stamp
 
 LAYOUT = layout(PLANT_TRUTH, ("yaw", "elbow"))
 

@@ -72,11 +72,8 @@ def test_links_are_where_pinocchio_has_them(path: str | Path) -> None:
     generator = np.random.default_rng(7)
     for _ in range(5):
         position = generator.uniform(-1.5, 1.5, robot.joints)
-        everywhere = dict(zip(robot.joint_names, position, strict=True))
-        for each in robot.followers:
-            everywhere[each.name] = each.multiplier * everywhere[each.leader] + each.offset
         q = np.zeros(model.nq)
-        for name, p in everywhere.items():
+        for name, p in robot.joint_positions(position).items():
             q[model.joints[model.getJointId(name)].idx_q] = p
         pinocchio.framesForwardKinematics(model, data, q)
         found = chained(robot, position)

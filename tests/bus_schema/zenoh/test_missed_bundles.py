@@ -134,6 +134,16 @@ def test_what_was_said_while_the_connection_was_down_is_heard_in_its_turn() -> N
         assert_heard(ear, *sent)
 
 
+@pytest.fixture
+def rejected() -> Counter[str]:
+    return Counter()
+
+
+@pytest.fixture
+def order(rejected: Counter[str]) -> BundleOrder:
+    return BundleOrder(SENDER, rejected)
+
+
 def numbered(*numbers: int) -> list[bytes]:
     return [b"%d" % number for number in numbers]
 
@@ -147,8 +157,7 @@ def taken_in(order: BundleOrder, *numbers: int, first: int = 1) -> list[bytes]:
     ]
 
 
-def test_bundles_come_out_in_order_and_once() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_bundles_come_out_in_order_and_once(order: BundleOrder) -> None:
     assert taken_in(order, 1, 2, 2, 1) == numbered(1, 2)
     assert taken_in(order, 6, 4, 6) == []
     assert order.missed(0.0) == Span(3, 3, SENDER)
@@ -159,8 +168,7 @@ def test_bundles_come_out_in_order_and_once() -> None:
     assert order.rest() == []
 
 
-def test_what_is_on_its_way_is_not_asked_for_again() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_what_is_on_its_way_is_not_asked_for_again(order: BundleOrder) -> None:
     assert taken_in(order, 100) == []
     assert order.missed(0.0) == Span(1, MOST_AT_ONCE, SENDER)
     times_s = count(0.0, 0.9 * _AGAIN_S)  # between two that come over a slow connection
@@ -171,8 +179,7 @@ def test_what_is_on_its_way_is_not_asked_for_again() -> None:
     assert order.missed(next(times_s)) == Span(MOST_AT_ONCE + 1, 2 * MOST_AT_ONCE, SENDER)
 
 
-def test_what_does_not_come_is_asked_for_again_after_twice_as_long() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_what_does_not_come_is_asked_for_again_after_twice_as_long(order: BundleOrder) -> None:
     assert taken_in(order, 2) == []
     asked_ms = [ms for ms in range(0, 1000, 30) if order.missed(1e-3 * ms) == Span(1, 1, SENDER)]
     assert asked_ms == [0, 210, 630]
@@ -181,9 +188,9 @@ def test_what_does_not_come_is_asked_for_again_after_twice_as_long() -> None:
 FORGED = 2**62
 
 
-def test_forged_number_is_left_out_and_bars_no_genuine_bundle() -> None:
-    rejected: Counter[str] = Counter()
-    order = BundleOrder(SENDER, rejected)
+def test_forged_number_is_left_out_and_bars_no_genuine_bundle(
+    order: BundleOrder, rejected: Counter[str]
+) -> None:
     assert taken_in(order, 1, 2) == numbered(1, 2)
     assert taken_in(order, FORGED, first=FORGED) == []
     assert order.missed(0.0) is None
@@ -191,17 +198,17 @@ def test_forged_number_is_left_out_and_bars_no_genuine_bundle() -> None:
     assert rejected == {"forged_number": 1}
 
 
-def test_bundles_follow_a_forged_one_that_came_before_all_of_them() -> None:
-    rejected: Counter[str] = Counter()
-    order = BundleOrder(SENDER, rejected)
+def test_bundles_follow_a_forged_one_that_came_before_all_of_them(
+    order: BundleOrder, rejected: Counter[str]
+) -> None:
     assert taken_in(order, FORGED, first=FORGED) == numbered(FORGED)
     assert taken_in(order, 1, 2) == numbered(1, 2)
     assert rejected == {"forged_number": 1}
 
 
-def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another() -> None:
-    rejected: Counter[str] = Counter()
-    order = BundleOrder(SENDER, rejected)
+def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another(
+    order: BundleOrder, rejected: Counter[str]
+) -> None:
     assert order.take_in(Span(1, 3, SENDER), b"forged ahead") == []
     assert taken_in(order, 1, 1, 2) == [*numbered(1, 2), b"forged ahead"]
     assert taken_in(order, 3, 4) == numbered(4)
@@ -209,8 +216,8 @@ def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another()
     assert rejected == {"altered_bundle": 2}
 
 
-def test_few_large_bundles_wait_for_one_that_never_comes() -> None:
-    order, large = BundleOrder(SENDER, Counter()), bytes(1 << 20)
+def test_few_large_bundles_wait_for_one_that_never_comes(order: BundleOrder) -> None:
+    large = bytes(1 << 20)
     come = [len(order.take_in(Span(1, number, SENDER), large)) for number in range(2, 30)]
     assert sum(come) >= 17
 
@@ -227,23 +234,20 @@ def test_flood_of_requests_is_answered_in_part(monkeypatch: pytest.MonkeyPatch) 
         assert sum(bundler._may_answer() for _ in range(500)) == 50
 
 
-def test_nobody_waits_for_what_its_sender_keeps_no_longer() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_nobody_waits_for_what_its_sender_keeps_no_longer(order: BundleOrder) -> None:
     assert taken_in(order, 3, 9) == []
     assert taken_in(order, 10, first=5) == numbered(3)
     assert order.missed(0.0) == Span(5, 8, SENDER)
 
 
-def test_last_bundle_is_missed_once_it_is_told_of() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_last_bundle_is_missed_once_it_is_told_of(order: BundleOrder) -> None:
     assert taken_in(order, 1) == numbered(1)
     assert order.take_in(Span(1, 3, SENDER), b"") == []
     assert order.missed(0.0) == Span(2, 3, SENDER)
     assert taken_in(order, 2, 3) == numbered(2, 3)
 
 
-def test_what_is_asked_for_in_vain_is_waited_for_no_longer() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_what_is_asked_for_in_vain_is_waited_for_no_longer(order: BundleOrder) -> None:
     assert taken_in(order, 2, 4) == []
     for time in range(_MOST_ASKED):
         assert order.overdue() == []
@@ -253,8 +257,7 @@ def test_what_is_asked_for_in_vain_is_waited_for_no_longer() -> None:
     assert order.missed(HANG_S * _MOST_ASKED) == Span(3, 3, SENDER)
 
 
-def test_no_more_than_so_many_wait_for_one_that_never_comes() -> None:
-    order = BundleOrder(SENDER, Counter())
+def test_no_more_than_so_many_wait_for_one_that_never_comes(order: BundleOrder) -> None:
     waiting = range(2, _MOST_WAITING + 2)
     assert taken_in(order, *waiting) == []
     assert taken_in(order, 1000) == numbered(*waiting)

@@ -10,8 +10,7 @@ import pytest
 import zenoh
 import zenoh.ext
 
-from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder, LinkConfiguration
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
 from bus_schema.zenoh.access import (

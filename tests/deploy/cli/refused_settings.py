@@ -110,6 +110,10 @@ TOGETHER = [
         (f"{EXTERNAL}=[./half.urdf]", "half.urdf is not executable"),
         (f"{PROCESS} & controller.delay_compensation.enabled=true", "must be left out or off"),
         (f"{PROCESS} & controller.torque_rate_limit_nm_s=5", "controller.torque_rate_limit_nm_s"),
+        (f"{PROCESS} & controller.inference_jitter_ms=5", "controller.inference_jitter_ms = 5"),
+        ("controller.between_answers=linear & controller.every=5",
+         "between_answers = 'linear': must be hold, unless controller.drive_feedback.enabled"),
+        (f"controller.between_answers=linear & {FEEDBACK}", "controller.every above 1 or"),
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
     *[("paper_arm_can", setting, said) for setting, said in (
         ("link.can.interface=nope", "'nope': must be an interface of python-can"),

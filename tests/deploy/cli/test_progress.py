@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from bus_schema.runtime.compiled import COMPILES, HAS_SAID
-from deploy.cli import one_run
+from deploy.cli import run_and_simulate
 from deploy.cli.commands import LogLines
 from deploy.cli.study.studies import RunCounter
 from deploy.cli.terminal import progress as progress_module
@@ -127,8 +127,8 @@ def test_compilation_by_several_processes_is_reported_once(console, monkeypatch)
 
 def test_report_is_loaded_once_the_plant_has_ended(monkeypatch):
     loaded, shown = threading.Semaphore(0), []
-    monkeypatch.setattr(one_run, "load_report", loaded.release)
-    handle = one_run.loading_report(shown.append)
+    monkeypatch.setattr(run_and_simulate, "load_report", loaded.release)
+    handle = run_and_simulate.loading_report(shown.append)
     early = [
         StatusMessage("plant", "note", {}),
         StatusMessage("plant", "progress", {"time_s": 0.2}),

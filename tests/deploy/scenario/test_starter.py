@@ -12,11 +12,16 @@ from deploy.scenario.starter import starter_scenario, torque_limits
 from deploy.scenario.warnings import reference_torques, scenario_warnings
 from tests.arms import ARMS, shipped_arm
 
-LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="0.25 0 0"/>
-<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
-<origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>
-<limit lower="-2" upper="2" effort="{effort}" velocity="2"/></joint>"""
+ARM = """<robot name="two"><link name="base"/>
+<link name="link0"><inertial><mass value="3"/><origin xyz="0.25 0 0"/>
+<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="link1"><inertial><mass value="2"/><origin xyz="0.25 0 0"/>
+<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="joint0" type="revolute"><parent link="base"/><child link="link0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{}" velocity="2"/></joint>
+<joint name="joint1" type="revolute"><parent link="link0"/><child link="link1"/>
+<origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{}" velocity="2"/></joint></robot>"""
 
 
 @pytest.fixture
@@ -24,16 +29,8 @@ def two_links(tmp_path):
     """A URDF of two links that pitch, of 3 and 2 kg, 0.5 m each."""
 
     def write(*efforts):
-        parts = ['<robot name="two"><link name="base"/>']
-        for number, (mass, effort) in enumerate(zip((3.0, 2.0), efforts, strict=True)):
-            parent = "base" if number == 0 else "link0"
-            child, x = f"link{number}", 0.5 * number
-            parts.append(LINK.format(name=child, mass=mass))
-            parts.append(JOINT.format(
-                name=f"joint{number}", parent=parent, child=child, x=x, effort=effort
-            ))  # fmt: skip
         file = tmp_path / "two.urdf"
-        file.write_text("".join(parts) + "</robot>")
+        file.write_text(ARM.format(*efforts))
         return file
 
     return write

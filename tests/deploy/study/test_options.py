@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from controller.laws import LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with

@@ -36,15 +36,8 @@ def test_scale_is_a_factor_on_the_torques_of_all_terms():
 
 
 def test_sine_follows_its_formula():
-    table = table_of(
-        {
-            "joint": "elbow",
-            "kind": "sine",
-            "amplitude_nm": 3.0,
-            "frequency_rad_s": 2.0,
-            "phase_rad": 0.4,
-        }
-    )
+    sine = {"amplitude_nm": 3.0, "frequency_rad_s": 2.0, "phase_rad": 0.4}
+    table = table_of({"joint": "elbow", "kind": "sine"} | sine)
     for time_s in np.linspace(0.0, 20.0, 50):
         expected = 3.0 * math.sin(2.0 * time_s + 0.4)
         assert torque(table, time_s)[2] == pytest.approx(expected, abs=1e-12)

@@ -13,7 +13,7 @@ from controller.manipulator_model import ManipulatorModel
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics import mujoco_arm
 from plant_emulator.physics.engines import ENGINES, engine_in_force, engine_name
-from tests.arms import ARMS, INSTALLED, FreeArm, shipped_arm
+from tests.arms import ARMS, INSTALLED, PAPER_ARM, FreeArm, shipped_arm
 
 TICKS = 50
 START = [0.3, -0.9, 1.2]
@@ -28,10 +28,6 @@ PLANT = PlantConfiguration.model_validate(
     }
 )  # fmt: skip
 every_engine = pytest.mark.parametrize("engine", INSTALLED)
-
-
-def arm_of(name="paper_arm"):
-    return shipped_arm(name)
 
 
 def thrown(robot, engine, payload_kg=0.0):
@@ -50,7 +46,7 @@ def thrown(robot, engine, payload_kg=0.0):
 @pytest.mark.parametrize("payload_kg", [0.0, 2.0])
 @pytest.mark.parametrize("name", ARMS)
 def test_engines_move_an_arm_alike(name, payload_kg):
-    robot = arm_of(name)
+    robot = shipped_arm(name)
     reference, *others = (thrown(robot, engine, payload_kg) for engine in INSTALLED)
     assert np.abs(reference[-1, 1]).max() > 0.1
     for other in others:  # both are semi-implicit Euler's: what differs is rounding that grows
@@ -59,7 +55,7 @@ def test_engines_move_an_arm_alike(name, payload_kg):
 
 @every_engine
 def test_several_arms_do_not_know_of_each_other(engine):
-    robot = arm_of()
+    robot = PAPER_ARM
     with closing(FreeArm(robot, engine)) as bystander:
         bystander.place(np.array([0.1, 0.2, 0.3]))
         assert thrown(robot, engine).tobytes() == thrown(robot, engine).tobytes()
@@ -69,7 +65,7 @@ def test_several_arms_do_not_know_of_each_other(engine):
 @every_engine
 def test_brake_of_a_moving_joint_passes_its_momentum_on(engine):
     """What the free joints gain is M_ff⁻¹ M_fh q̇_h: the brake acts on its own joint alone."""
-    robot = arm_of()
+    robot = PAPER_ARM
     with closing(FreeArm(robot, engine, 1e-4)) as free:
         free.place(np.array(START))
         free.push(np.zeros(3), substeps=2000)
@@ -86,7 +82,7 @@ def test_brake_of_a_moving_joint_passes_its_momentum_on(engine):
 
 @every_engine
 def test_urdf_that_an_engine_cannot_load_is_named(engine, tmp_path):
-    robot, kind = arm_of(), ENGINES[engine].arm_type
+    robot, kind = shipped_arm("paper_arm"), ENGINES[engine].arm_type
     kind.check(robot, 0.0, gui=False)
     object.__setattr__(robot, "path", tmp_path / "arm.urdf")
     object.__setattr__(robot, "resolved_urdf", lambda *_: TWICE)
@@ -98,30 +94,30 @@ def test_urdf_that_an_engine_cannot_load_is_named(engine, tmp_path):
 @every_engine
 def test_engine_prints_nothing(engine, capfd):
     """What its C code prints would stand in the middle of a command's output."""
-    FreeArm(arm_of(), engine).close()
+    FreeArm(PAPER_ARM, engine).close()
     ctypes.CDLL(None).fflush(None)
     assert capfd.readouterr() == ("", "")
 
 
 @every_engine
 def test_links_may_have_any_name(engine, tmp_path):
-    text = arm_of().path.read_text()
+    text = PAPER_ARM.path.read_text()
     for old, new in (("upper_arm", "world"), ("forearm", "a/b c")):
         text = text.replace(f'"{old}"', f'"{new}"')
     (tmp_path / "arm.urdf").write_text(text)
     renamed = load_robot(tmp_path / "arm.urdf")
-    assert thrown(renamed, engine).tobytes() == thrown(arm_of(), engine).tobytes()
+    assert thrown(renamed, engine).tobytes() == thrown(PAPER_ARM, engine).tobytes()
 
 
 def test_mujoco_that_shows_no_addresses_gives_the_same_bits(monkeypatch):
-    expected = thrown(arm_of(), "mujoco")
+    expected = thrown(PAPER_ARM, "mujoco")
     monkeypatch.setattr(mujoco_arm, "step", None)
-    assert thrown(arm_of(), "mujoco").tobytes() == expected.tobytes()
+    assert thrown(PAPER_ARM, "mujoco").tobytes() == expected.tobytes()
 
 
 def test_diverging_arm_writes_no_log_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with closing(FreeArm(arm_of(), "mujoco")) as free:
+    with closing(FreeArm(PAPER_ARM, "mujoco")) as free:
         free.place(np.full(3, 1e300))
         free.push(np.zeros(3), substeps=3)
     assert not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from bus_schema.link.key_files import KeyFolder
+from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.run.network.keys import check_keys, common_name, create_authority, hosts_of, issue
 from deploy.scenario.scenario import load_setup

@@ -10,7 +10,7 @@ import subprocess
 import pytest
 from rich.console import Console
 
-from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.link.configuration import DEFAULT_FOLDER, KeyFolder
 from bus_schema.runtime import realtime
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler

@@ -61,15 +61,6 @@ def test_no_law_at_all_is_refused_with_the_names_of_all(text):
         parse_laws(text)
 
 
-def test_an_unknown_law_is_refused_before_anything_is_written(funnel_hil, tmp_path):
-    out = tmp_path / "out"
-    code, output = funnel_hil("compare", "--laws", "pid,magic", "--out", out)
-    assert code == 2
-    assert "'magic'" in output
-    assert all(law in output for law in LAWS)
-    assert not out.exists()
-
-
 @pytest.mark.parametrize("command", ["compare", "simulate"])
 def test_faults_that_no_simulation_has_are_refused_before_anything_is_written(
     command, funnel_hil, tmp_path
@@ -99,13 +90,6 @@ def test_a_comparison_leaves_rows_summary_manifest_and_report(compared):
         assert one["digest"] == expected["digest"]
         assert one["error"] is None
         assert len(one["total_variation_nm_per_s"]) == 3
-
-
-def test_a_law_is_run_as_simulate_runs_it(compared):
-    _, _, folder = compared
-    setup = load_setup("paper_arm", ["duration_s=0.3", "controller.law=pid"])
-    data, _ = load_run(folder / "pid")
-    assert data.digest == simulate(setup).data().digest
 
 
 def test_report_renders_a_comparison_again_from_its_recordings(compared, funnel_hil):

@@ -11,8 +11,7 @@ import typer
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
-from deploy.cli.common import finish, say_oddities, watching
-from deploy.cli.gating import CommandGate
+from deploy.cli.common import CommandGate, finish, say_oddities, watching
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler

@@ -123,7 +123,7 @@ def _report(times: ProbeTimes, measured: MeasuredLink, out: str) -> None:
     ):
         files[name] = Path(f"{out}_{name}.csv")
         write_trace(way, files[name])
-        print(f"{name}: {way.summary()}, reordered {reordered}")
+        print(f"{name}: {way.summary(reordered)}")
     if times.has_one_clock:
         print("both sides run under one kernel and have one clock: one-way delays are exact")
     else:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.link.configuration import DEFAULT_FOLDER, KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.run.network.keys import common_name, create_authority, hosts_of, issue, read_certificate
 

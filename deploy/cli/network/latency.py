@@ -11,7 +11,7 @@ import typer
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
-from deploy.cli.trace import Unit
+from deploy.cli.network.trace import Unit
 from deploy.measure.latency import find_latency
 from deploy.measure.trace_import import UNITS_MS
 
