@@ -11,7 +11,7 @@ import numpy as np
 from bus_schema.errors import did_you_mean
 from bus_schema.messages.types import stamp_of
 from bus_schema.user_files import read_text
-from deploy.measure.trace_output import Measured
+from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.columns import MOST_BYTES
 

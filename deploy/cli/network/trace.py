@@ -10,8 +10,9 @@ import numpy as np
 import typer
 
 from bus_schema.errors import InputError
+from deploy.judge.link_delays import Measured
 from deploy.measure import trace_import
-from deploy.measure.trace_output import Measured, scenario_lines, write_trace
+from deploy.measure.trace_output import scenario_lines, write_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 
