@@ -54,7 +54,7 @@ def view(
         int | None,
         typer.Option(
             min=0, max=65535, show_default=False,
-            help="Of Foxglove's server; 8765 by default, or any if that is taken.",
+            help="Port of Foxglove's server; 8765 by default, or any free port.",
         ),
     ] = None,
     layout: Annotated[

@@ -1,4 +1,4 @@
-"""What jitter adds to delays: distributions, with correlation from one message to the next.
+"""Distributions of jitter, with correlation between successive messages.
 
 Draws come from a Gaussian copula: a first-order autoregressive sequence of standard normal numbers
 z, each put through the distribution's quantile function at Φ(z). So the distribution is kept
@@ -25,7 +25,7 @@ _HEADER_BYTES = 1000
 
 
 def endless(draw: Callable[[int], Vector]) -> Iterator[float]:
-    """Numbers one by one from a method of a generator that draws as many as it is told to."""
+    """Yields single numbers from a generator's method that draws many at once."""
     while True:
         yield from draw(_BLOCK).tolist()
 
@@ -71,7 +71,7 @@ def read_delays_ms(path: Path) -> Vector:
 
 
 def _named_delays_ms(path: Path) -> Vector:
-    """The column of delays; where messages were lost, there is none."""
+    """Return the column of delays, without lost messages."""
     columns = read_columns(path, ["delay_ms"], ["time_s", "lost", "size"])
     delays_ms = columns.values["delay_ms"]
     columns.refuse_where(
@@ -84,7 +84,7 @@ def _named_delays_ms(path: Path) -> Vector:
 
 
 def _delay(path: Path, number: int, line: str) -> Iterator[float]:
-    """The delay of a line without names; none where it has nothing but a comment."""
+    """Return the delay in a line of a file without column names; None for a comment."""
     cells = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
     numbers = list(map(_number, cells))
     if not cells:
@@ -168,12 +168,12 @@ def copula_correlations(quantile: Quantile) -> tuple[Vector, Vector]:
 
 
 def _mean(values: Vector) -> float:
-    """Over the normal distribution, from values at `_Z`; not by @, whose bits depend on the CPU."""
+    """Expectation under the normal distribution, from values at `_Z`; not by @: its bits vary."""
     return float((_WEIGHTS * values).sum())
 
 
 def _uniform(z: float) -> float:
-    """Between -1 and 1."""
+    """Uniform between -1 and 1."""
     return math.erf(z / math.sqrt(2.0))
 
 
@@ -184,7 +184,7 @@ def _pareto(z: float) -> float:
 
 
 QUANTILES: dict[str, Quantile] = {"uniform": _uniform, "normal": float, "pareto": _pareto}
-"""The distributions that need no file, as ``distribution`` names them."""
+"""The distributions that need no file, by their names in the scenario."""
 
 
 def _empirical(ascending: Vector) -> Quantile:

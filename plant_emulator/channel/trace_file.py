@@ -1,4 +1,4 @@
-"""Traces of measured networks: the delay of each message, or that it was lost, over time."""
+"""Traces of measured networks: delay or loss of each message over time."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Trace:
 
     @cached_property
     def gap_ns(self) -> int:
-        """Time between two messages, the median: also from the last one to the first again."""
+        """Median time between messages; also used from the last message to the repeated first."""
         return max(1, int(np.median(np.diff(self.times_ns))))
 
     @property
     def length_ns(self) -> int:
-        """Time that the trace lasts."""
+        """Duration of the trace."""
         return int(self.times_ns[-1]) + self.gap_ns
 
     @cached_property
@@ -49,7 +49,7 @@ class Trace:
 
     @cached_property
     def seam(self) -> tuple[int, int]:
-        """The first and last message of what is repeated, so that a repetition is not seen.
+        """Indices of the first and last repeated message, chosen so that delays match there.
 
         The last messages before the first one and those up to the last one are as alike as any
         two windows near the ends of the trace; messages beyond them play in the first pass alone.

@@ -196,7 +196,7 @@ def test_series_are_columns_and_data_frames(run):
         (lambda: funnel_hil.diff(3, 4), "diff: 3: must be a folder, an MCAP file, or a run"),
     ],
 )  # fmt: skip
-def test_bad_input_is_told_with_key_and_value(ask, told):
+def test_bad_input_is_refused_with_key_and_value(ask, told):
     with pytest.raises(funnel_hil.InputError, match=told):
         ask()
 

@@ -60,7 +60,7 @@ def test_a_xacro_file_is_an_arm_like_any_other(folder):
 
 
 @pytest.mark.parametrize("before", ["", '<?xml version="1.0"?>\n', "\n<!-- an arm: of mine -->\n"])
-def test_an_arm_where_yaml_is_expected_is_told_where_it_goes(folder, funnel_hil, before):
+def test_urdf_instead_of_a_study_is_refused_with_a_hint(folder, funnel_hil, before):
     arm = folder / "arm.urdf"
     arm.write_text(before + XACRO)
     code, said = funnel_hil("sweep", arm)

@@ -112,7 +112,7 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
     assert names_in(shelf / "broken") == ["notes.txt"]
 
 
-def test_runs_with_a_fault_are_told_from_those_that_came_to_no_end(funnel_hil, shelf):
+def test_list_distinguishes_faulted_and_unfinished_runs(funnel_hil, shelf):
     summary = json.loads((shelf / "new" / "summary.json").read_text())
     faulted, half = {"verdict": "faulted"}, {"verdict": "interrupted"}
     for name, changes in (

@@ -74,11 +74,11 @@ def test_where_nobody_knows_what_loops_were_granted_the_host_is_not_blamed_alone
     assert "could not run for 102 ms, by the host or by other processes:" in shown(held_up)
 
 
-def test_over_which_time_errors_are_taken_is_told(run):
+def test_time_range_of_the_errors_is_shown(run):
     assert "Joints, errors from 0.04 s on\n" in shown(run)
 
 
-def test_ticks_that_a_late_plant_skipped_are_told(run):
+def test_ticks_skipped_by_a_late_plant_are_shown(run):
     truth = run.tables[topics.PLANT_TRUTH.name].copy()
     truth["timing.skipped"][60:] = 7
     skipped = replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})

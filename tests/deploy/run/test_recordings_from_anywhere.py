@@ -59,7 +59,7 @@ def own_law(folder):
     return folder, law
 
 
-def test_replay_imports_a_law_of_ones_own_only_if_told_to(own_law):
+def test_replay_imports_a_custom_law_only_with_permission(own_law):
     folder, law = own_law
     code, _, error = left(replay, folder)
     assert code != 0

@@ -85,7 +85,7 @@ def test_what_is_kept_out_is_counted(name):
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_fault_is_told_and_begins_on_time(name):
+def test_fault_is_announced_and_begins_on_time(name):
     run = measured(name).run
     told = [event for event in run.events if event.kind == EventKind.INJECTED]
     fault = run.setup.scenario.faults[0]

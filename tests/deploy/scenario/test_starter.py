@@ -102,7 +102,7 @@ def test_a_shipped_arm_with_motors_keeps_its_bounds_over_a_delay(name):
     assert execute(setup).summary["verdict"] == "kept"
 
 
-def test_a_torque_that_no_motor_has_is_warned_of_before_the_run(two_links):
+def test_reference_beyond_the_largest_torque_causes_a_warning(two_links):
     # Held out flat, the first joint carries 9.81 (3 · 0.25 + 2 · 0.75) = 22 N m.
     flat = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": 0.0}]}
     values = {"name": "flat", "duration_s": 1, "reference": flat}

@@ -196,7 +196,7 @@ def test_what_never_fails_holds_at_the_limit():
     assert search.first_failure is None
 
 
-def test_larger_values_that_hold_again_are_told_and_do_not_count():
+def test_larger_values_that_hold_again_are_reported_and_do_not_count():
     search, _ = found(lambda value: value <= 9 or value == 15)
     assert search.margin == 9
     assert search.held_again == [15]

@@ -107,7 +107,7 @@ def test_report_renders_a_comparison_again_from_its_recordings(compared, funnel_
     assert parquet.read_table(folder / "comparison.parquet").num_rows == 2
 
 
-def test_a_damaged_recording_is_told_with_what_it_lacks(compared, funnel_hil):
+def test_damaged_recording_is_reported_with_its_missing_parts(compared, funnel_hil):
     _, _, folder = compared
     damage_at(folder / "fixed_time_neural" / "run.mcap", 100_000_000)
     code, output = funnel_hil("report", folder)

@@ -76,7 +76,7 @@ def test_gains_of_laws_that_no_run_has_are_no_difference(folder, tmp_path):
     assert list(compared.differing) == ["controller.law", "controller.gains.ftsmc.eta"]
 
 
-def test_gains_of_a_law_of_ones_own_are_a_difference(tmp_path, import_folder):
+def test_diff_shows_gains_of_a_custom_law(tmp_path, import_folder):
     law, idle = f"controller.law={own_law(tmp_path, 'pass')}", "controller.gains.ftsmc.eta=0.1"
     early = record(tmp_path / "early", law, "controller.gains.custom={at_tick: 5}")
     late = record(tmp_path / "late", law, "controller.gains.custom={at_tick: 9}", idle)
