@@ -283,12 +283,12 @@ def entry_of(found: Sequence[Gauged]) -> Entry:
 
 def since_when(entries: Sequence[Entry], gauge: Gauged) -> str:
     """What a number was when it was last better, and at which commit it fell; empty if never."""
-    known = [(entry.commit, entry.values.get(gauge.name)) for entry in entries]
-    for place in reversed(range(len(known))):
-        commit, value = known[place]
+    fell = ""
+    for entry in reversed(entries):
+        value = entry.values.get(gauge.name)
         if value is not None and (gauge.value is None or gauge.is_below(value)):
-            fell = known[place + 1][0] if place + 1 < len(known) else _commit()
-            return f"; it was {value:.4g} at {commit}, and fell at {fell}"
+            return f"; it was {value:.4g} at {entry.commit}, and fell at {fell or _commit()}"
+        fell = entry.commit
     return ""
 
 
