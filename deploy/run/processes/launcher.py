@@ -181,12 +181,14 @@ class Launcher:
             self._program_left_first = True
         if self._has_gone(Role.PLANT):
             program.ask_to_stop()
-            if not self._has_begun:
-                self._children[Role.RECORDER].ask_to_stop()  # it may not have found the plant
-        elif self._has_gone(Role.CONTROLLER) and not self._has_begun:
-            plant = self._children[Role.PLANT]
-            if plant.has_started.is_set():  # earlier, a signal would kill it
-                plant.ask_to_stop()  # it would wait for the program in vain
+            waiting = Role.RECORDER  # it may not have found the plant
+        elif self._has_gone(Role.CONTROLLER):
+            waiting = Role.PLANT  # it would wait for the program in vain
+        else:
+            return
+        child = self._children[waiting]
+        if not self._has_begun and child.has_started.is_set():  # earlier, a signal would kill it
+            child.ask_to_stop()
 
     def _time_to_leave_s(self) -> float:
         """Return the wall time that the plant needs to leave: its command timeout and its stop."""

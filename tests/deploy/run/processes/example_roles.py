@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
+from deploy.run.processes.roles import RoleOptions, recorder
 from deploy.run.processes.status import StatusReporter
 from deploy.run.stop_signals import StopRequest
 
@@ -37,3 +38,9 @@ def loses_a_request(_options: object, _reporter: StatusReporter) -> int:
     """Is asked to stop in a destructor, where what the signal raises is lost; whether it knows."""
     _AsksToStop()
     return INTERRUPTED if StopRequest().is_set else FINISHED
+
+
+def records_late(options: RoleOptions, reporter: StatusReporter) -> int:
+    """Be a recorder on a busy machine."""
+    time.sleep(1.0)
+    return recorder(options, reporter)

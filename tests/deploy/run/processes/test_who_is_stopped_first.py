@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from bus_schema.messages.topics import Role
+from deploy.run.processes import roles
 from deploy.run.processes.launcher import Launcher
 from deploy.run.run_folder import RunFolder
+from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
+from tests.deploy.run.processes.example_roles import records_late
 
 
 class Process:
@@ -52,3 +55,16 @@ def test_over_can_the_master_of_the_drives_is_stopped_first(
     assert list(dict.fromkeys(asked)) == expected
     assert outcome.interrupted
     assert outcome.failures == []
+
+
+def test_a_recorder_that_starts_after_the_program_has_failed_still_writes_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A request to stop would kill it while it starts, and the run would have no recording."""
+    monkeypatch.setitem(roles.ROLES, Role.RECORDER, records_late)
+    setup = load_setup("paper_arm", ["controller.process=[sh, -c, exit 3]", "clock=lockstep"])
+    folder = RunFolder(tmp_path)
+    write_scenario(setup, folder.scenario)
+    outcome = Launcher(setup, folder).run(lambda _: None)
+    assert "exit code 3" in outcome.failures[0]
+    assert folder.log.is_file()
