@@ -84,9 +84,9 @@ class ScenarioMismatchError(BusError):
     def __init__(self, peer: str, keys: Sequence[str], *, may_be_forged: bool = False) -> None:
         shown = ", ".join(keys[:_SHOWN_KEYS])
         more = f" and {len(keys) - _SHOWN_KEYS} more" if len(keys) > _SHOWN_KEYS else ""
-        forged = f"; or a stranger claims to be the {peer}: link.security keeps strangers out"
+        forged = f"; or another program claims to be the {peer}: link.security prevents this"
         super().__init__(
-            f"the {peer} runs another scenario; what differs: {shown}{more}: start both with the"
+            f"the {peer} runs another scenario; different keys: {shown}{more}: start both with the"
             f" same file and the same --set{forged if may_be_forged else ''}"
         )
         self.keys = list(keys)

@@ -145,7 +145,7 @@ def _described(
     path: Path, text: str, root: ET.Element, driven: Sequence[str] | None, *, repair: bool
 ) -> RobotDescription:
     if not any(joint.get("type") in MOVING_TYPES for joint in root.findall("joint")):
-        raise RobotDescriptionError("has no revolute or continuous joint, nor a prismatic one")
+        raise RobotDescriptionError("has no revolute, continuous or prismatic joint")
     check_urdf(root)
     roles = joint_roles(root, driven)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
@@ -174,22 +174,22 @@ def _check_ranges(names: Sequence[str], lower: Vector, upper: Vector) -> None:
     for name, low, high in zip(names, lower, upper, strict=True):
         if low >= high:
             raise RobotDescriptionError(
-                f"joint {name} has no room between lower={low:g} and upper={high:g}: lower must be"
-                " less than upper; or the joint continuous, fixed, or not among robot.joints"
+                f"joint {name} has lower={low:g} and upper={high:g}: lower must be less than"
+                " upper, or the joint must be continuous, fixed, or not in robot.joints"
             )
 
 
 def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
     """Return warnings about accepted but suspicious contents of a file."""
     said = [
-        f"the axis of joint {name} is no unit vector: it is taken as a direction alone"
+        f"the axis of joint {name} is not a unit vector: only its direction is used"
         for name in long_axes(root)
         if name in moving
     ]
     if missing := missing_meshes(root, path.parent):
         said.append(
-            f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: pictures"
-            " lack them, and the physics needs none"
+            f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: they are"
+            " missing in pictures; the physics does not need them"
         )
     return said
 
@@ -204,7 +204,7 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
     if root.tag not in ("robot", "mujoco"):
         raise RobotDescriptionError(
-            f"{path} is no URDF, nor MJCF: its root element is <{root.tag}>"
+            f"{path} is neither URDF nor MJCF: its root element is <{root.tag}>"
         )
     return text, root
 

@@ -25,14 +25,14 @@ def read_bytes(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
     """Return the content of a regular file; devices and pipes, which may never end, are not opened.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is too large.
+        OSError: it cannot be read, is not a regular file, or is too large.
     """
     try:
         path.stat()
     except (RuntimeError, ValueError) as error:
         raise UserFileError(str(error)) from error
     if not path.is_file():
-        raise UserFileError("is a folder" if path.is_dir() else "is no regular file")
+        raise UserFileError("is a folder" if path.is_dir() else "is not a regular file")
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb") as file:
         content = file.read(most_bytes + 1)

@@ -86,8 +86,7 @@ class DriveFeedbackConfiguration(StrictModel):
     """Targets for drives that close their own loop; for any law.
 
     Attributes:
-        enabled: whether commands carry targets beside their torques, and the emulated drives use
-            them.
+        enabled: whether commands contain targets and torques, and the emulated drives use both.
         bandwidth_rad_s: bandwidth ω of the drives' loop; stiffness is I ω², damping 2 I ω, with the
             joint's inertia I.
     """
@@ -133,11 +132,12 @@ class ControllerConfiguration(StrictModel):
         model_scale: factor on masses and inertias of the nominal model, including rotors.
         rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
-        every: ask the law at every so many states; the torque is held in between.
-        inference_ms: time from a question to the law's answer, while the loop goes on.
-        inference_jitter_ms: that time varies by up to so much, uniformly, drawn from the seed.
-        between_answers: what targets for the drives do until the next answer: ``hold``, or
-            ``linear``: go on at their velocity.
+        every: the law runs at every n-th state; the torque is held in between.
+        inference_ms: time that the law takes for an answer, while the loop continues.
+        inference_jitter_ms: random change of that time, uniform within ± this
+            value, drawn from the seed.
+        between_answers: targets for the drives until the next answer: ``hold`` them, or
+            ``linear``: continue at their velocity.
     """
 
     law: str = "fixed_time_adaptive"
@@ -166,8 +166,8 @@ class ControllerConfiguration(StrictModel):
     def _known(cls, law: str) -> str:
         if law not in LAWS and law != PROCESS and not is_custom(law):
             raise ValueError(
-                f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
-                f" program of your own{likely_law(law)}"
+                f"one of {', '.join(LAWS)}, module:Class for your own law, or {EXTERNAL} for your"
+                f" own program{likely_law(law)}"
             )
         return law
 
@@ -183,16 +183,22 @@ class ControllerConfiguration(StrictModel):
     @classmethod
     def _is_there(cls, process: Any, info: ValidationInfo) -> Any:
         if process is None and info.data.get("law") == PROCESS:
-            raise ValueError(f"a program and its arguments, as controller.law is {PROCESS}")
+            raise ValueError(f"a program and its arguments if controller.law is {PROCESS}")
         return process
 
-    @field_validator("torque_rate_limit_nm_s", "delay_compensation", "every", "inference_ms")
+    @field_validator(
+        "torque_rate_limit_nm_s",
+        "delay_compensation",
+        "every",
+        "inference_ms",
+        "inference_jitter_ms",
+    )
     @classmethod
     def _takes_effect(cls, value: Any, info: ValidationInfo) -> Any:
         is_default = value == cls.model_fields[str(info.field_name)].default
         is_off = is_default or not getattr(value, "enabled", True)
         if not is_off and info.data.get("law") == PROCESS:
-            raise ValueError("left out or off: controller.process has its own, if any")
+            raise ValueError("left out or off: it does not apply to controller.process")
         return value
 
     @property
@@ -229,7 +235,7 @@ class ControllerConfiguration(StrictModel):
             ConfigurationError: a user's law cannot be created, or the controller is a process.
         """
         if self.law == PROCESS:
-            allowed = "must be the name of a law: a process is there in `run` and studies alone"
+            allowed = "must be the name of a law: only `run` and studies start a process"
             raise ConfigurationError("controller.law", self.law, allowed)
         if self.law == EXTERNAL:
             if are_left_out():
@@ -311,9 +317,16 @@ class ControllerConfiguration(StrictModel):
             seed: of the scenario.
         """
         inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
-        if self.every == 1 and not inference_s and not jitter_s:
-            return law
+        is_slow = self.every > 1 or inference_s > 0.0 or jitter_s > 0.0
         between = self.between_answers
+        if between != "hold" and not (is_slow and self.drive_feedback.enabled):
+            allowed = (
+                "must be hold, unless controller.drive_feedback.enabled is true, and"
+                " controller.every above 1 or controller.inference_ms above 0"
+            )
+            raise ConfigurationError("controller.between_answers", between, allowed)
+        if not is_slow:
+            return law
         timing = AnswerTiming(self.every, inference_s, jitter_s, between, period_s, seed)
         return SlowLaw(law, timing)
 

@@ -13,7 +13,7 @@ import math
 import time
 from dataclasses import dataclass
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.limits import JointLimits, name_of
 from bus_schema.link.interface import ControllerLink
@@ -23,6 +23,7 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.messages.types import join_stamp
 from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import own_kernel
 from bus_schema.runtime.compiled import all_finite, bind
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from controller.compensation.command_timeline import CommandFeedback
@@ -32,6 +33,7 @@ from controller.control_status import ControlStatus
 from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
 from controller.reference import Reference
+from controller.slow_law import checked_rows
 from controller.torque_guard import TorqueGuard
 
 logger = logging.getLogger(__name__)
@@ -118,7 +120,7 @@ class ControlLoop:
             self._compensation.warm_up(self.tracking, reference, funnel)
             situation = self._compensation.predicted  # a law binds its kernels to these
         try:
-            torque_nm = self._task.law.torque(situation)
+            torque_nm = self._ask(situation)
             self._task.law.reset()
         except BaseException as error:
             raise self._as_law_error(error, None) from error
@@ -157,7 +159,7 @@ class ControlLoop:
             self._target[:] = math.nan  # without targets, or the drives would follow the last one
         with contextlib.suppress(Exception):  # the bus may be the fault
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        self._change_mode(Trigger.STOPPED, "gives no more torques")
+        self._change_mode(Trigger.STOPPED, "sends no more torques")
         self._events.append((EventKind.FAULT, reason))
         self._release_law()
         with contextlib.suppress(Exception):
@@ -166,11 +168,12 @@ class ControlLoop:
     def end(self) -> dict[str, object]:
         """End the run; return the counts."""
         if self.mode in COMMANDABLE:
-            self._change_mode(Trigger.END, "gives no more torques")
+            self._change_mode(Trigger.END, "sends no more torques")
             self._release_law()
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
-            "limits": self._guard.counts.summary(),
+            "limits": self._guard.counts.summary(), "kernel": own_kernel(),
+            "newest_cycle_s": 1e-9 * self._status.cycle_started_ns,
         }  # fmt: skip
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()
@@ -225,12 +228,18 @@ class ControlLoop:
                 situation, self.stamp_ns, self._feedback, self._task.reference, self._task.funnel
             )
         try:
-            torque_nm = self._task.law.torque(situation)
-            if self._target is not None and self._target_of_law is not None:
-                self._target[:] = self._target_of_law(situation)
+            torque_nm = self._ask(situation)
         except BaseException as error:  # a user's law may raise any exception
             raise self._as_law_error(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
+
+    def _ask(self, situation: Tracking) -> Vector:
+        """Return the law's torque, and write its targets as a command if it has its own."""
+        torque_nm = self._task.law.torque(situation)
+        if self._target is not None and self._target_of_law is not None:
+            wanted = self._target_of_law(situation)
+            self._target[:] = checked_rows("targets", wanted, self._target.shape)
+        return torque_nm
 
     def _release_law(self) -> None:
         """Release the law's resources; it is not called any more."""

@@ -34,6 +34,7 @@ class ControlStatus:
 
     Attributes:
         tracking_rows: array for the `Tracking`'s published values.
+        cycle_started_ns: start of the newest cycle; 0 before the first.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class ControlStatus:
         for name in _LEARNED:
             self._record.fields[name][:] = np.nan
         self._take_learned = None if compensation is None else self._learned_by(compensation)
-        self._cycle_started_ns = 0
+        self.cycle_started_ns = 0
 
     def encode(self, state: Record, cycle: int, sequence: int, started_ns: int) -> bytes:
         """Return the message of a cycle.
@@ -63,7 +64,7 @@ class ControlStatus:
         self._record.stamp[:] = state.stamp
         scalars = self._record.scalars
         scalars.timing_cycle = cycle
-        scalars.timing_period_ns = started_ns - self._cycle_started_ns if cycle else 0
+        scalars.timing_period_ns = started_ns - self.cycle_started_ns if cycle else 0
         scalars.sequence = sequence
         if self._law.diagnostics is not self._diagnostics:
             self._bind(self._law.diagnostics)
@@ -71,7 +72,7 @@ class ControlStatus:
         scalars.network_norm = self._network_norm[0]
         if self._take_learned is not None:
             self._take_learned()
-        self._cycle_started_ns = started_ns
+        self.cycle_started_ns = started_ns
         scalars.timing_step_ns = time.perf_counter_ns() - started_ns
         return self._record.payload()
 

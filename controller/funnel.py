@@ -173,8 +173,8 @@ class FunnelConfiguration(StrictModel):
             raise ConfigurationError(
                 "robot.initial_offset_rad",
                 initial_error_rad.tolist(),
-                f"the initial error of joint {joint + 1} must lie inside the funnel, which opens"
-                f" to {near[joint]:.4g} rad there",
+                f"the initial error of joint {joint + 1} must be inside the funnel, whose bound"
+                f" is {near[joint]:.4g} rad there",
             )
         if np.any(far < final) or np.any(near < final):
             raise ConfigurationError(

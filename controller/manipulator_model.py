@@ -125,7 +125,9 @@ class ManipulatorModel:
         moving = (*robot.joint_names, *(follower.name for follower in robot.followers))
         missing = [name for name in moving if not self._model.existJointName(name)]
         if missing:
-            raise RobotDescriptionError(f"{robot.path}: pinocchio makes no joint of {missing}")
+            raise RobotDescriptionError(
+                f"{robot.path}: pinocchio does not load the joint {missing}"
+            )
         self._data = self._model.createData()
         self._names = robot.joint_names
         self._tip = self._model.getFrameId(robot.tip_link, pinocchio.FrameType.BODY)

@@ -104,14 +104,14 @@ class JointSinusoidsConfiguration(_Timed):
 
 
 class WaypointConfiguration(StrictModel):
-    """The arm's rest position at a time."""
+    """A position in which the arm rests at a given time."""
 
     time_s: NonNegative
     position_rad: PerJoint
 
 
 class MinimumJerkConfiguration(_Timed):
-    """Rest-to-rest moves through waypoints, for any arm."""
+    """Moves from rest to rest through waypoints, for any arm."""
 
     kind: Literal["minimum_jerk"]
     waypoints: Annotated[list[WaypointConfiguration], Field(min_length=1)]
@@ -143,8 +143,8 @@ class CsvConfiguration(_Timed):
 
     Attributes:
         file: a path relative to the scenario file, or else to the current folder.
-        beyond: outside the times of the file, ``refuse`` the run, or ``hold`` the position of the
-            first or last row at rest.
+        beyond: outside the times of the file: ``refuse`` the run, or ``hold`` the position of the
+            first or last row.
     """
 
     kind: Literal["csv"]
@@ -164,7 +164,9 @@ class CsvConfiguration(_Timed):
         if self.beyond == "refuse":
             return ThroughRows(times, rows, warnings=warnings, known_s=(times[0], times[-1]))
         if found.moves_at_an_end():
-            warnings += (f"{self.file}: moves in its first or last row, and is held at rest there",)
+            warnings += (
+                f"{self.file}: has a velocity in its first or last row, but the arm rests there",
+            )
         return ThroughRows(times, rows, warnings=warnings)
 
 

@@ -50,8 +50,8 @@ class ReferenceRows:
         steps = np.diff(self.motion[:, 0], axis=0) * (speed / np.diff(self.times_s))[:, np.newaxis]
         too_fast = np.abs(steps) > robot.velocity_limits_rad_s
         said = [
-            f"{self.file}, line {self.lines[(row := int(np.argmax(too_fast[:, j]))) + 1]}:"
-            f" {name} gets there at {abs(steps[row, j]):.4g} rad/s, its velocity limit is"
+            f"{self.file}, line {self.lines[(row := int(np.argmax(too_fast[:, j]))) + 1]}: {name}"
+            f" needs {abs(steps[row, j]):.4g} rad/s to get there, but its velocity limit is"
             f" {robot.velocity_limits_rad_s[j]:.4g}"
             for j, name in enumerate(robot.joint_names)
             if too_fast[:, j].any()
@@ -87,7 +87,7 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
             what = f"has {len(row)} values, the first line {len(header)} names: must have one each"
             raise _wrong(file, f"line {line} {what}")
     if not cells:
-        raise _wrong(file, "must have a row below its first line")
+        raise _wrong(file, "must have a row after its first line")
     numbers = [number for number, _ in cells]
     columns = {
         name: np.array(list(_numbers(file, cells, name, place))) for name, place in places.items()
@@ -111,7 +111,7 @@ def _places(file: str, header: Sequence[str], joints: Sequence[str]) -> dict[str
             allowed = f"the columns of a joint are {', '.join(f'<joint>.{kind}' for kind in KINDS)}"
             raise _wrong(file, f"line 1: column {shown(name)}: {allowed}")
         if name in (TIME, *known) and header.count(name) > 1:
-            raise _wrong(file, f"line 1: column {shown(name)}: must be there once")
+            raise _wrong(file, f"line 1: column {shown(name)}: must occur only once")
     required = [TIME, *(f"{joint}.{KINDS[0]}" for joint in joints)]
     required += [
         f"{joint}.{KINDS[1]}" for joint in joints if f"{joint}.{KINDS[2]}" in header

@@ -26,7 +26,7 @@ class AnswerTiming:
     Attributes:
         every: the law is asked at every so many states.
         inference_s: time from a question to its answer.
-        jitter_s: it varies by up to so much, uniformly.
+        jitter_s: random change of that time, uniform within ± this value.
         between: what targets do after an answer's last row: stay, or go on at their velocity.
         period_s: of the control loop; rows of a chunk are so far apart.
         seed: of the inference times drawn.
@@ -64,6 +64,7 @@ class SlowLaw:
 
     def __init__(self, law: ControlLaw, timing: AnswerTiming) -> None:
         self._law, self._timing = law, timing
+        self._own_target = getattr(law, "target", None)
         self.diagnostics = law.diagnostics
         self._in_force: _Answer | None = None
         self._coming: _Answer | None = None
@@ -113,16 +114,41 @@ class SlowLaw:
         self._in_force = self._coming = None
 
     def _ask(self, tracking: Tracking) -> _Answer:
-        torques = np.array(self._law.torque(tracking), ndmin=2)
-        own = getattr(self._law, "target", None)
-        wanted = own(tracking) if callable(own) else (
+        joints = tracking.position.size
+        torques = checked_rows("torques", self._law.torque(tracking), (joints,))
+        wanted = (
             [tracking.reference_position, tracking.reference_velocity]
-        )  # fmt: skip
+            if self._own_target is None
+            else self._own_target(tracking)
+        )
+        targets = checked_rows("targets", wanted, (2, joints))
         jitter_s = self._random.uniform(-1.0, 1.0) * self._timing.jitter_s
         ready_s = tracking.time_s + max(0.0, self._timing.inference_s + jitter_s)
-        return _Answer(tracking.time_s, ready_s, torques, np.array(wanted, ndmin=3))
+        return _Answer(tracking.time_s, ready_s, torques, targets)
 
     def _row(self, now_s: float, rows: int) -> int:
         assert self._in_force is not None
         ticks = int((now_s - self._in_force.asked_s) / self._timing.period_s + _NEAR)
         return min(ticks, rows - 1)
+
+
+def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
+    """A copy of a law's answer, as one row or more.
+
+    Args:
+        what: it is, for the error message.
+        answer: from the law.
+        shape: of a row.
+
+    Raises:
+        ValueError: the answer has another shape, or an entry is not finite.
+    """
+    rows: Matrix = np.array(answer, dtype=np.float64)
+    given = rows.shape
+    if given == shape:
+        rows = rows[np.newaxis]
+    if rows.shape[1:] != shape or not rows.size:
+        raise ValueError(f"{what} have shape {given}: must be {shape}, or {shape} for each row")
+    if not np.isfinite(rows).all():
+        raise ValueError(f"{what} {rows.tolist()}: must be finite")
+    return rows

@@ -113,7 +113,7 @@ class ArmPlant:
             RobotDescriptionError: the physics engine cannot load the arm.
         """
         if configuration.gui and not os.environ.get("DISPLAY"):
-            raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
+            raise ConfigurationError("plant.gui", True, "needs a display, but DISPLAY is not set")
         random = np.random.default_rng()
         _stop_damping(configuration, robot)
         gains = no_drive_feedback(robot.joints)

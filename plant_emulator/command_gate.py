@@ -46,10 +46,10 @@ class SenderNumbers:
         known = self._contents.get(number)
         if known is not None:
             if known != contents:
-                self.second_source = f"its number {number} came with two contents"
+                self.second_source = f"two commands with number {number} have different contents"
             return False
         if number < self._highest - _REMEMBERED:
-            self.second_source = f"its number {number} came after {self._highest}"
+            self.second_source = f"number {number} came after {self._highest}"
         self._highest = max(number, self._highest)
         self._contents[number] = contents
         if len(self._contents) > _REMEMBERED:
@@ -162,7 +162,9 @@ class CommandGate:
         if stamp_ns == self._awaited_ns:
             self.is_waiting = False
         if stamp_ns <= self.newest_ns:
-            raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
+            raise InvalidMessageError(
+                "stale", "its state is not newer than that of the last command"
+            )
         self.newest_ns = stamp_ns
         self._newest_sequence = arrival.sequence
         if arrival.sender != self.commander:
@@ -180,9 +182,11 @@ class CommandGate:
             if arrival.sender and number:
                 is_known = not self._numbers.is_new(number, arrival.payload)
             if is_known or (number <= self._newest_sequence and self._newest_sequence):
-                raise InvalidMessageError("replayed", "its number is no newer than the last one's")
+                raise InvalidMessageError(
+                    "replayed", "its number is not newer than that of the last command"
+                )
         elif self.commander is not None and not self._has_left(self.commander):
-            raise InvalidMessageError("other_commander", "another session is in command")
+            raise InvalidMessageError("other_commander", "another session is the commander")
 
 
 def _given(target: Matrix) -> Matrix | None:

@@ -75,7 +75,7 @@ class SineTerm(_Term):
 
 
 class StepTerm(_Term):
-    """A constant torque from a time on."""
+    """A constant torque that starts at a given time."""
 
     kind: Literal["step"]
     torque_nm: Number
@@ -83,7 +83,11 @@ class StepTerm(_Term):
 
 
 class PulseTerm(_Term):
-    """A constant torque for a period."""
+    """A constant torque for a limited time.
+
+    Attributes:
+        duration_s: length of the pulse.
+    """
 
     kind: Literal["pulse"]
     torque_nm: Number
@@ -118,7 +122,7 @@ class DisturbanceConfiguration(StrictModel):
 
 
 class EncoderConfiguration(StrictModel):
-    """Encoders through which the controller sees the joints.
+    """Encoders that measure the joints for the controller.
 
     Attributes:
         resolution_rad: positions are whole multiples of this; 0 for exact positions.
@@ -139,8 +143,8 @@ Our estimate; motors of the same torque differ by a factor of 3 and more.
 class ActuatorConfiguration(StrictModel):
     """The drive train between a commanded torque and the link: motor, gear and encoder.
 
-    All values are as felt at the joint, beyond the gear. Rotor inertia, elastic gear and cogging
-    need MuJoCo; Bullet has none of them.
+    All values refer to the joint, on the output side of the gear. Rotor inertia, elastic gear and
+    cogging need MuJoCo; Bullet has none of them.
 
     Attributes:
         saturation_nm: largest torque; by default the URDF's effort limits.
@@ -153,9 +157,9 @@ class ActuatorConfiguration(StrictModel):
         rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared; 0 for none. The
             controller's nominal model includes it, see controller.rotor_scale.
         gear_stiffness_nm_rad: stiffness of the gear between rotor and link; rigid by default.
-        gear_resonance_hz: alternative to the stiffness, for an arm of any size: stiffness in
-            proportion to the largest torques, such that the arm at its start, its rotors held, has
-            this first resonance.
+        gear_resonance_hz: alternative to the stiffness: first resonance of the arm at its start
+            with the rotors held. The stiffness of each gear is then proportional to the joint's
+            largest torque.
         gear_damping_nm_s: damping of an elastic gear.
         encoder_side: where positions and velocities are measured if the gear is elastic: at the
             ``motor``, as drives do, or at the ``link``; there no law can damp the oscillation
@@ -180,16 +184,16 @@ class ActuatorConfiguration(StrictModel):
     @model_validator(mode="after")
     def _check(self) -> ActuatorConfiguration:
         if self.current_loop_hz is not None and self.lag_ms:
-            raise ValueError("with lag_ms or current_loop_hz, not both: they are the same")
+            raise ValueError("with lag_ms or current_loop_hz, not both: they have the same meaning")
         if self.rated_speed_rad_s is not None and self.no_load_speed_rad_s is None:
-            raise ValueError("with no_load_speed_rad_s where rated_speed_rad_s is given")
+            raise ValueError("with no_load_speed_rad_s if rated_speed_rad_s is given")
         has_stiffness, has_resonance = (
             each is not None for each in (self.gear_stiffness_nm_rad, self.gear_resonance_hz)
         )
         if has_stiffness and has_resonance:
             raise ValueError("with gear_stiffness_nm_rad or gear_resonance_hz, not both")
         if self.gear_damping_nm_s.any() and not (has_stiffness or has_resonance):
-            raise ValueError("with gear_stiffness_nm_rad where gear_damping_nm_s is given")
+            raise ValueError("with gear_stiffness_nm_rad if gear_damping_nm_s is given")
         return self
 
     @property
@@ -224,7 +228,7 @@ Integrator = Literal["semi_implicit_euler", "runge_kutta_4"]
 
 
 class PhysicsConfiguration(StrictModel):
-    """Physics engine of the rigid bodies; see the table in `plant_emulator.physics.engines`.
+    """Physics engine of the rigid bodies.
 
     Attributes:
         engine: by default Bullet if it is installed, otherwise MuJoCo.

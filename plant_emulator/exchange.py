@@ -194,7 +194,7 @@ class Exchange:
                 self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
         if arrivals and not self._second_source_is_told and (source := self._gate.second_source):
             self._second_source_is_told = True
-            self._supervisor.fail(f"two sources send as the one commander: {source}")
+            self._supervisor.fail(f"two senders use the commander's id: {source}")
 
 
 def _commander(sender: bytes, former: bytes | None) -> str:

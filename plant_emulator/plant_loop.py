@@ -16,7 +16,7 @@ from typing import cast
 from bus_schema.link.interface import PlantLink
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.clock import Clock
+from bus_schema.runtime.clock import Clock, own_kernel
 from bus_schema.runtime.modes import COMMANDABLE
 from bus_schema.runtime.realtime import stolen_ms
 from plant_emulator.arm_plant import ArmPlant
@@ -230,7 +230,10 @@ class PlantLoop:
             supervisor.announce(EventKind.STOPPED, "stopped on request")
         supervisor.announce(EventKind.COUNTS, json.dumps(counts))
         ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
-        ended["physics"] = self._arm.physics
+        ended |= {
+            "physics": self._arm.physics, "kernel": own_kernel(),
+            "start_s": 1e-9 * (time.monotonic_ns() - self._clock.now_ns()),
+        }  # fmt: skip
         if self._watch is not None:
             ended["bounds"] = self._watch.counts()
         supervisor.announce(EventKind.ENDED, json.dumps(ended))

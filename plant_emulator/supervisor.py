@@ -78,8 +78,8 @@ class Supervisor:
 
     def stop_after_error(self, error: Exception) -> None:
         """Stop the arm because of an error in the loop."""
-        reason = f"the plant cannot go on: {type(error).__name__}: {error}"
-        logger.exception("the plant cannot go on", exc_info=error)
+        reason = f"the plant cannot continue: {type(error).__name__}: {error}"
+        logger.exception("the plant cannot continue", exc_info=error)
         if self._arm.mode in COMMANDABLE:
             self.stop_safely(reason)
         else:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import io
 import json
 import os
 import select
@@ -19,11 +20,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, NoReturn, cast
 from unittest import mock
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,7 +32,7 @@ HANG_S = 300.0
 """Longer than anything here takes on a slow machine; only a hang lasts so long."""
 
 IMPORTED = (
-    "deploy.cli.processes", "deploy.cli.one_run", "deploy.cli.study.recorded",
+    "deploy.cli.processes", "deploy.cli.run_and_simulate", "deploy.cli.study.recorded",
     "deploy.cli.study.studies", "deploy.reports.run_reports",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
@@ -102,6 +103,39 @@ class WarmProcess:
         if self.returncode is None and select.select([self._status], [], [], timeout_s)[0]:
             self.returncode = int(self._status.readline())
         return self.returncode
+
+
+def here(*words: object, **environment: str) -> tuple[int, str]:
+    """Run a command to its end in this process, which has its libraries already.
+
+    Returns:
+        exit code and output. Processes of a run are processes of their own all the same.
+    """
+
+    def hangs(*_: object) -> NoReturn:
+        raise TimeoutError(f"{words} takes longer than {HANG_S} s")
+
+    out, err = io.StringIO(), io.StringIO()
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    signal.signal(signal.SIGALRM, hangs)
+    signal.alarm(round(HANG_S))
+    try:
+        with (
+            mock.patch.object(sys, "argv", ["funnel-hil", *map(str, words)]),
+            mock.patch.dict(os.environ, environment),
+            redirect_stdout(out),
+            redirect_stderr(err),
+        ):
+            cast("Callable[[], None]", import_module("deploy.cli").main)()
+            code: int | str | None = 0
+    except SystemExit as ended:
+        code = ended.code
+    finally:
+        signal.alarm(0)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return int(code or 0), out.getvalue() + err.getvalue()
 
 
 def cold(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:

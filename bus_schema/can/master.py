@@ -196,8 +196,8 @@ class CanMaster(ABC):
         for node_id, joint in self._joint_of.items():
             if self._answers[joint] > self._samplings:
                 sentences.append(
-                    f"drive {node_id} sent {self._answers[joint]} states and was asked for"
-                    f" {self._samplings}: another one has its address, or another master asks"
+                    f"drive {node_id} sent {self._answers[joint]} states for {self._samplings}"
+                    " requests: another drive has its address, or another master sends requests"
                 )
         return "; ".join(sentences)
 

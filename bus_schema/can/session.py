@@ -112,7 +112,7 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
     if interface not in can.VALID_INTERFACES:
         raise ConfigurationError(
             "link.can.interface", interface,
-            f"must be one that python-can knows: {', '.join(sorted(can.VALID_INTERFACES))}",
+            f"must be an interface of python-can: {', '.join(sorted(can.VALID_INTERFACES))}",
         )  # fmt: skip
     try:
         bus = open_python_can(configuration)
@@ -212,8 +212,8 @@ def _explained(error: Exception, configuration: CanConfiguration) -> Configurati
         case errno.EAFNOSUPPORT:
             key, given = "link.can.interface", interface
             advice = (
-                "this kernel has no SocketCAN; run the command through scripts/with-vcan, which"
-                " brings one along, or take udp_multicast (virtual for simulate)"
+                "this kernel has no SocketCAN; run the command with scripts/with-vcan, which"
+                " provides it, or use udp_multicast (virtual for simulate)"
             )
         case errno.ENODEV if interface == "socketcan":
             advice = (
@@ -227,7 +227,7 @@ def _explained(error: Exception, configuration: CanConfiguration) -> Configurati
             key, given = "link.can.port", configuration.port
             advice = "is in use by another program on this machine: must be another port"
         case errno.EPERM | errno.EACCES:
-            advice = "may not be opened by this user; ask for its group, or run as root"
+            advice = "this user may not open it; join its group, or run as root"
         case _ if interface == "udp_multicast":
             advice = (
                 "must be a multicast address that this host has a route to, such as 239.74.163.2"

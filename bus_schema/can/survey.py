@@ -54,6 +54,6 @@ def require_no_others(
     if strange := sorted(ask_drives(bus, protocol, can, others).keys() - {*known}):
         nodes = ", ".join(map(str, strange))
         raise DriveError(
-            f"drives with addresses {nodes} answer on this bus and are not the scenario's: nothing"
-            " was commanded; take them off the bus, or choose another (link.can.channel)"
+            f"drives with addresses {nodes} answer on this bus but are not in the scenario, so"
+            " nothing was commanded; disconnect them, or choose another bus (link.can.channel)"
         )

@@ -32,7 +32,7 @@ class Agreement:
         own = set(self._digests.values())
         differing = [key for key, digest in self._digests.items() if digest not in known]
         if not differing and known - own:
-            return ["keys that only the other side has"]
+            return ["keys that only the other process has"]
         return differing
 
 

@@ -63,7 +63,7 @@ class MitConfiguration(StrictModel):
         stiffness_nm_rad: largest stiffness (KP_MAX).
         damping_nm_s: largest damping (KD_MAX).
         reply_identifier: CAN identifier of all replies (the master's).
-        reply_bytes: 8 with temperature and error, as newer firmware sends; 6 without.
+        reply_bytes: 8 with temperature and error, as in newer firmware; 6 without.
     """
 
     position_rad: PerJointPositive = Field(default_factory=lambda: np.array([12.5]))
@@ -83,10 +83,10 @@ class DamiaoConfiguration(StrictModel):
 
     Attributes:
         motor: kind of motor of each joint, or of all: ``DM4310``, ``DM4310_48V``, ``DM4340``,
-            ``DM4340_48V``, ``DM8009``. It gives the ranges of the numbers in frames, and the most
-            torque.
+            ``DM4340_48V``, ``DM8009``. It defines the ranges of the
+            values in frames, and the largest torque.
         feedback_ids: CAN identifiers of the motors' frames (MST_ID), in the order of the joints; by
-            default the address + 16, as LeRobot and OpenArm have them.
+            default the address + 16, as in LeRobot and OpenArm.
     """
 
     motor: Annotated[
@@ -103,7 +103,7 @@ class DamiaoConfiguration(StrictModel):
 
 
 class CanSimpleConfiguration(StrictModel):
-    """ODrive axes; both sides of the bus must agree.
+    """ODrive axes; master and drives must have the same values.
 
     Attributes:
         input_vel_scale: steps per turn/s in the velocity feed-forward.
@@ -118,21 +118,21 @@ class CanConfiguration(StrictModel):
     """The CAN bus between controller and drives.
 
     Attributes:
-        interface: python-can's name of the interface: ``socketcan``, ``udp_multicast`` between
+        interface: name of the interface in python-can: ``socketcan``, ``udp_multicast`` between
             processes, ``virtual`` within one, or any hardware's.
-        channel: what the interface calls the bus; by default ``vcan0``, a multicast address, or a
+        channel: name of the bus; by default ``vcan0``, a multicast address, or a
             name.
         port: UDP port of ``udp_multicast``. A run takes a group and a port of its own unless
             one of the two is given.
         hop_limit: reach of ``udp_multicast``: 0 is this machine; 1 its network, where anyone can
             then command the drives; more crosses routers.
-        bitrate: bits per second; on emulated buses it counts in the plant's time.
+        bitrate: bits per second; on emulated buses frames take time on the plant's clock.
         fd: the bus carries CAN FD frames too.
         data_bitrate: bit rate of the data phase of FD frames.
         fd_process_data: with ``cia402``, states, torques and all other process data go in FD
             frames, with ``damiao`` all frames; `fd` has to be true.
         protocol: ``cia402`` on CANopen, ODrive's ``cansimple``, the mini-cheetah's ``mit``, or
-            ``damiao``, which OpenArm's motors speak.
+            ``damiao``, the protocol of OpenArm's motors.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.

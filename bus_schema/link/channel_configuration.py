@@ -44,7 +44,7 @@ class BurstLossConfiguration(StrictModel):
         if sum(given) != 1 or any(value is not None for value in (chain if given[1] else means)):
             raise ValueError("p and r, or mean_loss and mean_burst")
         if given[1] and (self.loss_in_bad, self.loss_in_good) != (1.0, 0.0):
-            raise ValueError("without loss_in_bad and loss_in_good where it has mean_loss")
+            raise ValueError("without loss_in_bad and loss_in_good if it has mean_loss")
         if self.chain[0] > 1.0:
             raise ValueError("a mean_loss of at most mean_burst / (mean_burst + 1)")
         return self
@@ -111,7 +111,7 @@ class TraceConfiguration(StrictModel):
         file: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
             ``lost`` and ``size``; a path as for `distribution_file`, or the name of a shipped
             trace.
-        start_s: where in the trace a run begins; null for a place drawn from the scenario's seed.
+        start_s: time in the trace at which a run begins; by default drawn from the scenario's seed.
         loop: begin again at the end, where the trace resembles its end; otherwise the run must not
             last longer, and `start_s` is given.
         interpolation: ``hold`` gives a message the delay of the last one in the trace that was
@@ -136,7 +136,7 @@ class TraceConfiguration(StrictModel):
 
 
 class ChannelConfiguration(StrictModel):
-    """One direction of the link.
+    """One direction of the link: plant to controller, or controller to plant.
 
     Attributes:
         delay_ms: delay of every message.
@@ -152,7 +152,7 @@ class ChannelConfiguration(StrictModel):
         burst_loss: loss in bursts.
         duplicate: probability that a message arrives twice; the copy has its own delay.
         reorder: let messages overtake each other; otherwise one waits for those sent before it.
-        rate_kbit_s: messages pass one after the other, payloads at 1000 bit/s times this.
+        rate_kbit_s: bandwidth for payloads; messages are transmitted one after the other.
         schedule: changes on the run's clock, in the order of ``at_s``.
     """
 
@@ -186,7 +186,7 @@ class ChannelConfiguration(StrictModel):
     def _check_file(cls, file: str | None, info: ValidationInfo) -> str | None:
         is_empirical = info.data.get("distribution") == "empirical"
         if is_empirical and file is None:
-            raise ValueError("a file of delays in ms where distribution is 'empirical'")
+            raise ValueError("a file of delays in ms if distribution is 'empirical'")
         if file is not None and "distribution" in info.data and not is_empirical:
             raise ValueError("left out unless distribution is 'empirical'")
         return file
@@ -195,7 +195,9 @@ class ChannelConfiguration(StrictModel):
     @classmethod
     def _check_jitter(cls, jitter_ms: float, info: ValidationInfo) -> float:
         if jitter_ms and info.data.get("distribution") == "empirical":
-            raise ValueError("left at 0 where distribution is 'empirical': the file has the jitter")
+            raise ValueError(
+                "left at 0 if distribution is 'empirical': the file includes the jitter"
+            )
         return jitter_ms
 
     @field_validator("schedule")
@@ -213,6 +215,6 @@ class ChannelConfiguration(StrictModel):
             if entry.at_s < changed_until_s:
                 raise ValueError(f"without a change before the ramp ends at {changed_until_s} s")
             if entry.jitter_ms is not None and info.data.get("distribution") == "empirical":
-                raise ValueError("without jitter_ms where distribution is 'empirical'")
+                raise ValueError("without jitter_ms if distribution is 'empirical'")
             changed_until_s = entry.end_s
         return schedule

@@ -40,7 +40,7 @@ class KeyFolder:
         try:
             return KeyFolder(Path(folder).expanduser())
         except RuntimeError as error:
-            raise FileNotFoundError(f"{folder}: {error}; an absolute path does without") from error
+            raise FileNotFoundError(f"{folder}: {error}; use an absolute path") from error
 
     @property
     def authority(self) -> Path:
@@ -81,7 +81,7 @@ class SecurityConfiguration(StrictModel):
 
     Attributes:
         enabled: accept only peers with a certificate of the authority, each in its role.
-        folder: where keys and certificates lie (`funnel-hil keys`); absolute, or from ``~``.
+        folder: folder of keys and certificates (`funnel-hil keys`); absolute, or from ``~``.
     """
 
     enabled: bool = False
@@ -97,10 +97,10 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     Attributes:
         kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
-            joint states and torques on a CAN bus (telemetry still goes over Zenoh), or another one
-            of the table of kinds of links.
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh), or another
+            entry of `LINK_KINDS`.
         domain: ROS domain, the first part of every key.
-        security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
+        security: keys and certificates; if enabled, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
         router_endpoint: a Zenoh router that every process also connects to, so that ROS 2 nodes
@@ -146,7 +146,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         protocol, address = endpoint.split("/", maxsplit=1)
         if security.enabled:
             if protocol not in ("tcp", "tls"):
-                raise ValueError("a tls/ or tcp/ endpoint where link.security.enabled is true")
+                raise ValueError("a tls/ or tcp/ endpoint if link.security.enabled is true")
             return f"tls/{address}"
         if protocol in ("tls", "quic"):
             raise ValueError("of another protocol, or link.security.enabled true")

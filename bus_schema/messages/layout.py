@@ -137,7 +137,7 @@ class MessageLayout:
             self._decode_foreign(payload, into)
         nanosec = into.nanosec[0]
         if nanosec >= NANOSECONDS:
-            raise InvalidMessageError("malformed", "its stamp is no time")
+            raise InvalidMessageError("malformed", "its stamp is not a valid time")
         return into.sec[0] * NANOSECONDS + nanosec
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:

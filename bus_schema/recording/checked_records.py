@@ -80,7 +80,7 @@ class CheckedRecords:
 
     def __iter__(self) -> Iterator[records.McapRecord]:
         if not MAGIC.startswith(self._take(len(MAGIC))):
-            self.damage.append("it does not begin as an MCAP file does")
+            self.damage.append("it does not begin like an MCAP file")
         while (raw := self._next()) is not None:
             if raw.opcode == Opcode.DATA_END:
                 self._end_data(raw)
@@ -125,21 +125,21 @@ class CheckedRecords:
 
     def _end_data(self, raw: _Raw) -> None:
         self._has_data_end, self._crc = True, 0
-        self._check_section(raw.content, raw.crc, "its data are not what was written")
+        self._check_section(raw.content, raw.crc, "its data do not match their checksum")
 
     def _end_file(self, raw: _Raw) -> None:
         head = HEAD.pack(raw.opcode, len(raw.content))
         covered = zlib.crc32(head + raw.content[: -_CRC.size], raw.crc)
         if not self._has_data_end or len(raw.content) != _FOOTER_BYTES:
-            self.damage.append("it does not end as an MCAP file does")
+            self.damage.append("it does not end like an MCAP file")
         else:
             self._check_section(
-                raw.content[-_CRC.size :], covered, "its summary is not what was written"
+                raw.content[-_CRC.size :], covered, "its summary does not match its checksum"
             )
         end, mark = self._position, self._take(len(MAGIC))
         self.is_finished = mark == MAGIC
         if not MAGIC.startswith(mark) or self._position != self._size:
-            self.damage.append("behind its end there is something else than the mark of an end")
+            self.damage.append("other data follow its end")
         elif not self.is_finished:
             self.cut_off_at = end
 
@@ -187,7 +187,7 @@ def _records_in(content: bytes) -> Iterator[records.McapRecord]:
         opcode, length = HEAD.unpack_from(content, place)
         start, place = place + HEAD.size, place + HEAD.size + length
         if place > len(content) or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
-            raise ValueError("a record that is not all there")
+            raise ValueError("an incomplete record")
         if opcode == Opcode.MESSAGE:
             channel, sequence, log_ns, sent_ns = _MESSAGE.unpack_from(content, start)
             data = content[start + _MESSAGE.size : place]

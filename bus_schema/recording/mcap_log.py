@@ -261,9 +261,9 @@ def read_log(path: Path) -> LogContents:
         stated, foreign_types = _sort(records, contents)
     damage = records.damage
     if records.cut_off_at is not None and not is_partial(path):
-        damage.append(f"nothing from byte {records.cut_off_at} of {size} on can be read")
+        damage.append(f"it cannot be read from byte {records.cut_off_at} of {size} on")
     damage += [
-        f"its messages of {name} are those of another version of funnel-hil, which can read them"
+        f"its messages of {name} are from another version of funnel-hil; that version can read them"
         for name in sorted(foreign_types)
     ]
     if damage:

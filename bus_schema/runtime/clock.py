@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import time
+import zlib
+from pathlib import Path
 from typing import Protocol
 
 _yield_cpu = ctypes.CDLL(None).sched_yield
@@ -104,6 +107,13 @@ class MonotonicClock:
         return -remaining_ns
 
 
+def own_kernel() -> int:
+    """Return a number of the running kernel: its processes have one monotonic clock; 0: unknown."""
+    with contextlib.suppress(OSError):
+        return zlib.crc32(Path("/proc/sys/kernel/random/boot_id").read_bytes())
+    return 0
+
+
 class TickGrid:
     """The absolute grid of ticks and substeps of a run.
 
@@ -164,6 +174,6 @@ class HostLateness:
         if self._worst_ns < _WORTH_NAMING_NS or now_ns - self._at_ns > _RECENTLY_NS:
             return ""
         return (
-            f"this host was late by {self._worst_ns * 1e-6:.0f} ms,"
+            f"this host was not running for {self._worst_ns * 1e-6:.0f} ms,"
             f" {self._at_ns * 1e-9:.2f} s into the run"
         )

@@ -24,8 +24,8 @@ logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
 """Environment variable: the message about compiling was shown, also for child processes."""
 COMPILES = (
-    "compiling the numerical kernels of this kind of run, which takes up to half a minute: each"
-    " kind needs it once on a machine, and again after a change of version"
+    "compiling the numerical kernels for this kind of run, once per machine and version; this"
+    " takes up to half a minute"
 )
 """The message."""
 P = ParamSpec("P")
@@ -69,7 +69,7 @@ class _CompiledBefore(_Cache):  # type: ignore[misc]
         try:
             super().save_overload(signature, machine_code)
         except OSError as error:
-            kernel_cache.report_refusal(f"a compiled kernel cannot be kept ({error})")
+            kernel_cache.report_refusal(f"a compiled kernel cannot be stored ({error})")
 
 
 def say_that_it_compiles(say: Callable[[str], None]) -> None:

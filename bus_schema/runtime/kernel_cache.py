@@ -54,14 +54,14 @@ def _choose_temporary_folder(name: Path, reason: OSError) -> None:
         found = own.lstat()
         # Its machine code is run: no other user may own it or write into it.
         if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o022 or own.is_symlink():
-            raise PermissionError(errno.EPERM, "belongs to somebody else", str(own))
+            raise PermissionError(errno.EPERM, "belongs to another user", str(own))
         _make_usable(own / name)
         os.environ[FOLDER] = str(own / name)
     except OSError as error:
-        instead = f"every process compiles them anew ({error})"
+        instead = f"every process compiles them again ({error})"
     else:
-        instead = f"they are kept in {own} ({FOLDER} or XDG_CACHE_HOME names another folder)"
-    report_refusal(f"no compiled kernels can be kept in the usual folder ({reason}): {instead}")
+        instead = f"they are stored in {own} ({FOLDER} or XDG_CACHE_HOME can name another folder)"
+    report_refusal(f"compiled kernels cannot be stored in the usual folder ({reason}): {instead}")
 
 
 def _make_usable(folder: Path) -> None:

@@ -39,6 +39,6 @@ def none_is_free(candidates: Sequence[int]) -> RealtimeSetting:
     return RealtimeSetting(
         AFFINITY,
         False,
-        f"each of the CPUs {shown} has a real-time loop of another run, behind which this one waits"
-        ": expect missed deadlines, or end the other run first",
+        f"each of the CPUs {shown} has a real-time loop of another run, for which this run waits:"
+        " expect missed deadlines, or end the other run first",
     )

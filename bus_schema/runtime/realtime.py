@@ -232,7 +232,7 @@ def _stay_awake(stack: contextlib.ExitStack) -> str:
         request = stack.enter_context(_IDLE_LATENCY_DEVICE.open("r+b", buffering=0))
     except FileNotFoundError as error:
         raise _RefusedError(
-            f"{_IDLE_LATENCY_DEVICE} is not there, or hidden by a sandbox"
+            f"{_IDLE_LATENCY_DEVICE} does not exist, or a sandbox hides it"
         ) from error
     except PermissionError as error:
         raise _RefusedError(

@@ -53,7 +53,7 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise RobotDescriptionError(
-            f"{attribute}={shortened(text)!r} of {owner} is no finite number"
+            f"{attribute}={shortened(text)!r} of {owner} is not a finite number"
         )
     if abs(value) > _LARGEST:
         allowed = f"must be at most {_LARGEST:g} in size"

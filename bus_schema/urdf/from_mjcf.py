@@ -83,7 +83,7 @@ def _prepare(root: ET.Element) -> None:
     check_depth(root, _DEEPEST)
     for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
         raise RobotDescriptionError(
-            f"{_shown(found)}: must be left out, as only a tree of bodies can be emulated"
+            f"{_shown(found)}: must be left out, because only a tree of bodies can be emulated"
         )
     for parent in list(root.iter()):
         for child in list(parent):
@@ -97,11 +97,11 @@ def _prepare(root: ET.Element) -> None:
     for element in elements:
         if element.tag in _MACROS or "file" in element.attrib:
             raise RobotDescriptionError(
-                f"{_shown(element)} is not understood: write out what it stands for"
+                f"{_shown(element)} is not supported: write its contents out"
             )
         for name, text in element.attrib.items():
             if any(_NOT_FINITE.fullmatch(part) for part in text.split()):
-                raise RobotDescriptionError(f"{name} of {_shown(element)} is no finite number")
+                raise RobotDescriptionError(f"{name} of {_shown(element)} is not a finite number")
 
 
 def _one_element_a_line(root: ET.Element) -> str:
@@ -252,7 +252,7 @@ def _left_out(model: Any, drives: dict[int, _Drive]) -> Iterator[str]:
     if any(joint.stiffness.any() for joint in driven):
         yield "stiffness of its joints is left out"
     if names := ", ".join(f"body {model.body(i).name}" for i in model.body_gravcomp.nonzero()[0]):
-        yield f"gravcomp of {names} is left out: gravity pulls on all of it here"
+        yield f"gravcomp of {names} is left out: gravity acts on the whole arm"
     if (gravity := model.opt.gravity.tolist()) != [0.0, 0.0, -9.81]:
         shown = " ".join(f"{part:g}" for part in gravity)
         yield f"its gravity {shown} is left out: it is 0 0 -9.81 here"

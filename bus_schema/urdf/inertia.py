@@ -34,16 +34,16 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
     for joint in root.findall("joint"):
         if (name := joint.get("name", "")) in moving and name not in heavy:
             raise RobotDescriptionError(
-                f"link {joint_ends(joint)[1]}, which joint {name} moves, has no inertia, nor has"
-                " any link fixed to it: give it an <inertial> with a mass, make the joint fixed, or"
+                f"link {joint_ends(joint)[1]}, which joint {name} moves, and the links fixed to it"
+                " have no inertia: give it an <inertial> with a mass, make the joint fixed, or"
                 " leave it out of robot.joints"
             )
     said = [warning for name in moved if (warning := _judged(name, moved[name], repair=repair))]
     massless = [name for name in moved if not mass_of(moved[name]) and any(inertia_of(moved[name]))]
     if massless:
         said.append(
-            f"{', '.join(massless)}: inertia without mass, which no body has: it counts all the"
-            " same, as the file has it"
+            f"{', '.join(massless)}: inertia without mass, which no rigid body has; it is used as"
+            " given"
         )
     return said
 
@@ -81,14 +81,14 @@ def _judged(name: str, link: ET.Element, *, repair: bool) -> str:
     if excess > _SLIGHT and not repair:
         raise RobotDescriptionError(
             f"link {name} has principal moments of inertia {principal.tolist()}; none may be"
-            " negative or exceed the sum of the others (robot.repair: true raises the smaller ones"
-            " until they do not)"
+            " negative or exceed the sum of the others (robot.repair: true raises the smaller"
+            " ones as far as necessary)"
         )
     if excess <= _ROUNDING:
         return ""
     return (
         f"the inertia of link {name} breaks the triangle rule by {100 * excess:.2g} % of its"
-        " largest moment: its smaller moments are raised until it does not"
+        " largest moment: its smaller moments are raised as far as necessary"
     )
 
 

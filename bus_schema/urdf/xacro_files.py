@@ -141,7 +141,7 @@ class _Folders:
                 f"{name}: must be below {self._folders[0]}, or a folder that {INCLUDE} names"
             )
         if path.exists() and not path.is_file():
-            raise ValueError(f"{name}: is no regular file")
+            raise ValueError(f"{name}: is not a regular file")
         return str(path)
 
 

@@ -136,6 +136,6 @@ class ExternalLaw:
             return f"reports failure {status:g}"
         began = self._answer.tobytes()[:_SHOWN_BYTES]
         return (
-            f"says {began!r}… where an answer begins with 0, or the number of a failure"
-            " (its standard output is for answers alone; what it prints must go to standard error)"
+            f"sent {began!r}…, but an answer begins with 0 or the number of a failure (standard"
+            " output is only for answers; other text must go to standard error)"
         )

@@ -92,7 +92,7 @@ class LawProgram:
         size = os.fstat(self._words.fileno()).st_size
         said = os.pread(self._words.fileno(), _LAST_WORDS, max(0, size - _LAST_WORDS))
         lines = said.decode(errors="replace").strip().splitlines()
-        words = f"; its last words: {lines[-1]}" if lines else ""
+        words = f"; end of its standard error: {lines[-1]}" if lines else ""
         self.end()
         return ExternalLawError(f"external law {self._name} {how}{words}")
 

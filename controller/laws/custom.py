@@ -149,14 +149,14 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         if not is_of_the_law(error):
             raise
         raise ConfigurationError(
-            _GAINS_KEY, gains, f"{name} cannot be made from these: {_described(error)}"
+            _GAINS_KEY, gains, f"{name} cannot be created with these: {_described(error)}"
         ) from error
     missing = [method for method in ("torque", "reset") if not callable(getattr(law, method, None))]
     if not isinstance(getattr(law, "diagnostics", None), Diagnostics):
         missing.append("diagnostics, a controller.control_law.Diagnostics")
     if missing:
         raise ConfigurationError(
-            _LAW_KEY, name, f"is no control law: it lacks {', '.join(missing)}"
+            _LAW_KEY, name, f"is not a control law: it lacks {', '.join(missing)}"
         )
     built: ControlLaw = law
     return built
@@ -183,7 +183,7 @@ def find_law(name: str) -> Maker:
     make: Maker | None = getattr(module, class_name, None)
     if not callable(make):
         ours = module_name.partition(".")[0] in OURS
-        whose = ", which is funnel-hil's own module of that name: rename yours" if ours else ""
+        whose = ", because funnel-hil has a module of that name: rename yours" if ours else ""
         raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}{whose}")
     return make
 

@@ -27,7 +27,7 @@ from controller.laws.sliding_surface import sig, surface_pull, surface_pull_slop
 
 
 class FixedTimeModelBasedGains(NamedTuple):
-    """Gains, named as in the equations above; per joint where they carry torque."""
+    """Gains, with the symbols of the equations; K₁, K₂ and K₃ per joint."""
 
     k_1: PerJointNonNegative
     k_2: PerJointNonNegative

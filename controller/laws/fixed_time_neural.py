@@ -86,7 +86,7 @@ def adapt(
 
 
 class FixedTimeNeuralGains(NamedTuple):
-    """Gains, named as in the equations above; per joint where they carry torque.
+    """Gains, with the symbols of the equations; K₁, K₂, K₃ and Γ per joint.
 
     With a compensated delay, a network with narrow nodes and fast adaptation is too stiff:
     prediction errors cause a limit cycle. So gains depend on the horizon h, and go the share (h /

@@ -56,7 +56,7 @@ class Reaching(NamedTuple):
 
 
 class SmcGains(NamedTuple):
-    """Slope of the surface λ (1/s) per joint; the rest as in `Reaching`."""
+    """Slope of the surface λ (1/s) per joint, and the gains of the reaching law."""
 
     slope: PerJointPositive
     switching: PerJointNonNegative
@@ -75,7 +75,7 @@ class SmcGains(NamedTuple):
 
 
 class TsmcGains(NamedTuple):
-    """Surface gain β per joint, power q/p, width η of its regularisation; rest as in `Reaching`."""
+    """Surface gain β per joint, power q/p, width η of its regularisation, reaching law."""
 
     beta: PerJointPositive
     switching: PerJointNonNegative
@@ -96,7 +96,7 @@ class TsmcGains(NamedTuple):
 
 
 class FtsmcGains(NamedTuple):
-    """Surface gains α and β per joint, powers, width η of ψ's regularisation; as in `Reaching`."""
+    """Surface gains α and β per joint, powers, width η of ψ's regularisation, reaching law."""
 
     alpha: PerJointPositive
     beta: PerJointPositive

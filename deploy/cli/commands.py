@@ -1,6 +1,6 @@
-"""The program `funnel-hil`: its commands, each imported when it is called, and how they end.
+"""The program `funnel-hil`: its commands and exit codes.
 
-Help and errors need no physics.
+A command is imported when it is called, so that help and errors load no physics.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ COMMANDS = {
     "plant": "cli.processes:plant",
     "record": "cli.processes:record",
     "relay": "cli.processes:relay",
-    "link": "cli.link:link",
-    "trace": "cli.trace:app",
-    "latency": "cli.latency:latency",
-    "keys": "cli.keys:app",
+    "link": "cli.network.link:link",
+    "trace": "cli.network.trace:app",
+    "latency": "cli.network.latency:latency",
+    "keys": "cli.network.keys:app",
     "compare": "cli.study.studies:compare",
     "sweep": "cli.study.studies:sweep",
     "margin": "cli.study.studies:margin",
@@ -56,15 +56,15 @@ COMMANDS = {
 """Where each command is below `deploy`: ``module:function``, or ``module:app`` for a group."""
 
 LOOKING = {"view", "report", "diff", "reference", "robot", "export", "ros2-control"}
-"""Commands that read scenarios and run nothing of what these name: no law, program or process."""
+"""Commands that only read: they run no law, program or process that a scenario names."""
 
 _NEW_OBJECTS = 200_000
-"""The garbage collector looks after so many, which is more than importing makes: Python's 700 make
-that a third slower, and 20 000 a sixth."""
+"""The garbage collector runs after this many new objects, more than the imports create. Python's
+default of 700 slows them down by a third, 20 000 by a sixth."""
 
 
 class LazyGroup(TyperGroup):
-    """All commands, by name; none is imported before it is called."""
+    """All commands by name. A command is imported when it is called."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -84,9 +84,9 @@ class LazyCommand(TyperCommand):
     """
 
     def make_context(self, *args: Any, **extra: Any) -> Any:
-        """That of the command itself, which does all the rest.
+        """Load the command and return its context.
 
-        A command that only looks runs no code of the files it looks at; any other one says whose.
+        A command in `LOOKING` runs no code from the files it reads. Any other names that code.
         """
         context = self.load().make_context(*args, **extra)
         if self.name in LOOKING:
@@ -98,7 +98,7 @@ class LazyCommand(TyperCommand):
         return context
 
     def load(self) -> Any:
-        """The command itself."""
+        """Import the command."""
         module, _, attribute = COMMANDS[self.name or ""].partition(":")
         found = getattr(import_module(f"deploy.{module}"), attribute)
         if isinstance(found, typer.Typer):
@@ -111,7 +111,7 @@ class LazyCommand(TyperCommand):
 
 
 def summary_of(name: str) -> str:
-    """The first paragraph of a command's help, read from its source without importing it."""
+    """Read the first paragraph of a command's help from its source, without importing it."""
     module, _, attribute = COMMANDS[name].partition(":")
     file = Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
     tree = ast.parse(file.read_text(encoding="utf-8"))
@@ -142,9 +142,9 @@ def funnel_hil(
 
 
 class LogLines(logging.Handler):
-    """Writes to standard error as it is at the time.
+    """Log handler that looks up `sys.stderr` for each line.
 
-    A live line on a terminal puts itself in its place, so that nothing is written to its end.
+    A live line replaces `sys.stderr` on a terminal, so that log lines appear above it.
     """
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -153,11 +153,11 @@ class LogLines(logging.Handler):
 
 
 def main() -> None:
-    """Run the command; bad input and requests to stop end here, with one message and their code."""
+    """Run the command. Bad input and requests to stop end it with one message and an exit code."""
     stop_at_once()
     outlive_readers()
     gc.set_threshold(_NEW_OBJECTS)
-    atexit.register(gc.freeze)  # at the end the system takes all memory back without a search
+    atexit.register(gc.freeze)  # skips the last collection: the system frees all memory anyway
     logging.basicConfig(level=logging.ERROR, format="%(message)s", handlers=[LogLines()])
     logging.getLogger("bus_schema").setLevel(logging.WARNING)
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)

@@ -1,12 +1,12 @@
-"""What the commands of the command line share: laws, interrupts, and how a run is concluded."""
+"""Functions that commands share: parsing laws, handling interrupts, finishing a run."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from typing import NoReturn
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -18,12 +18,12 @@ from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
-from deploy.cli.gating import CommandGate
-from deploy.cli.options import OneRunOptions
+from deploy.cli.options import GateOptions, OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import decide
+from deploy.reports import gate as gating
 from deploy.reports.results import conditions_in, write_run_results
 from deploy.run.confirmation import confirmation_of
 from deploy.run.execute import JudgedRun
@@ -45,10 +45,10 @@ from plant_emulator.plant_loop import PlantLoop
 
 
 def parse_laws(text: str | None) -> list[str] | None:
-    """Names of laws from ``a,b,…``; None for all, where none is given.
+    """Return the names of laws in ``a,b,…``, or None for all laws.
 
     Raises:
-        ScenarioError: there is no name in it, or one that no law has.
+        ScenarioError: the text has no name, or an unknown one.
     """
     if text is None:
         return None
@@ -57,15 +57,13 @@ def parse_laws(text: str | None) -> list[str] | None:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
     for law in named:
         if law not in LAWS and law != PROCESS and not is_custom(law):
-            allowed = (
-                f"{', '.join(LAWS)}, {PROCESS}, module:Class for a law of your own, or {EXTERNAL}"
-            )
+            allowed = f"{', '.join(LAWS)}, {PROCESS}, module:Class for your own law, or {EXTERNAL}"
             raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}{likely_law(law)}")
     return named
 
 
 def say_oddities(*setups: Setup) -> None:
-    """Warn once, on standard error, of what the arms' files leave open or have odd."""
+    """Print each warning about the scenarios and arms once, to standard error."""
     for said in all_warnings(setups):
         typer.echo(f"warning: {said}", err=True)
 
@@ -73,14 +71,14 @@ def say_oddities(*setups: Setup) -> None:
 def watching(
     progress: CommandProgress, setup: Setup, name: str, stop: threading.Event
 ) -> Callable[[PlantLoop], None]:
-    """For `simulate` to call at the start: follows the run, and ends it on an interrupt.
+    """Return a function that `simulate` calls at the start: it shows progress and handles stops.
 
-    A law may go on all the same: the process then ends, unless `on_stop` has been called again.
+    If a law does not return, the process ends after `WITHIN_S`, unless `on_stop` was called again.
 
     Args:
-        progress: where to show how far it is.
+        progress: where to show the progress.
         setup: the scenario.
-        name: what the run is called there.
+        name: name of the run on the progress line.
         stop: set by an interrupt.
     """
 
@@ -96,14 +94,53 @@ def watching(
     return watch
 
 
-def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> NoReturn:
-    """End a command with the exit code it deserves.
+class CommandGate:
+    """The gate of a command, checked before anything starts.
 
     Args:
-        interrupted: the user put an end to it.
-        whole: all runs came to their end, without a fault.
-        kept: all verdicts are that bounds were kept, or nobody requires it.
-        fault: exit code where they did not.
+        options: what it must reach.
+        name: of what is gated.
+        unit: of its numbers.
+
+    Raises:
+        ScenarioError: the options cannot be used with this result.
+    """
+
+    def __init__(self, options: GateOptions, name: str, unit: str) -> None:
+        self._gate = gating.build_gate(options.at_least, options.baseline, options.tolerance)
+        gating.require_unit(self._gate, unit)
+        self._options, self._name, self._unit = options, name, unit
+        self._entries = [] if options.history is None else gating.read_history(options.history)
+
+    def is_passed(self, summary: Mapping[str, Any], console: Console) -> bool:
+        """Whether a result reaches what it must; writes the files, and prints what failed."""
+        options, found = self._options, gating.gauged(summary)
+        failures = self._gate.failures(found)
+        failures |= {
+            each.name: failures[each.name] + gating.since_when(self._entries, each)
+            for each in found
+            if each.name in failures
+        }
+        if options.junit is not None:
+            gating.write_junit(options.junit, found, failures)
+        if options.markdown is not None:
+            gating.write_markdown(options.markdown, found, failures)
+        if options.history is not None:
+            entries = [*self._entries, gating.entry_of(found)]
+            gating.write_history(options.history, self._name, entries, self._unit)
+        for sentence in failures.values():
+            console.print(f"gate: {sentence}", style="bold red", markup=False, soft_wrap=True)
+        return not failures
+
+
+def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> NoReturn:
+    """End a command with its exit code.
+
+    Args:
+        interrupted: the user stopped the command.
+        whole: all runs finished without a fault.
+        kept: all runs kept their bounds, or nothing requires it.
+        fault: exit code for runs with a fault.
     """
     if interrupted:
         raise typer.Exit(INTERRUPTED)
@@ -113,19 +150,19 @@ def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> 
 
 
 def show_places(console: Console, folder: ResultFolder) -> None:
-    """Say where the results are."""
+    """Print where the results are."""
     console.print(f"results: {folder.path}", soft_wrap=True)
     if folder.report.exists():
         console.print(f"report:  {folder.report}", soft_wrap=True)
     else:
-        console.print(f"funnel-hil report {folder.path} draws its report", soft_wrap=True)
+        console.print(f"funnel-hil report {folder.path} writes the report", soft_wrap=True)
 
 
 @contextlib.contextmanager
 def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
-    """For what is worked out once the runs are over: a request to stop ends it after a step.
+    """Let a request to stop end the evaluation after its current step.
 
-    What is written by then stays; `funnel-hil report` works out the rest.
+    Files written by then stay. `funnel-hil report` repeats the evaluation.
     """
     before = {number: signal.getsignal(number) for number in STOPS}
     stop_between_steps()
@@ -134,7 +171,8 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
         end_if_asked()
     except Stopped:
         console.print(
-            f"stopped while judging: funnel-hil report {folder.path} does it again", soft_wrap=True
+            f"stopped during the evaluation: funnel-hil report {folder.path} repeats it",
+            soft_wrap=True,
         )
         raise typer.Exit(INTERRUPTED) from None
     finally:
@@ -152,16 +190,15 @@ def finish(
     confirms: bool = False,
     gate: CommandGate | None = None,
 ) -> None:
-    """Judge a run, show the result, and leave with the exit code it deserves.
+    """Evaluate a run, show the result, and end with its exit code.
 
     Args:
         console: where to show it.
-        folder: of the run.
-        run: what came of it.
-        options: whether a report is drawn, and whether an error that left the funnel has an exit
-            code of its own.
-        confirms: whether the run is simulated on other physics too.
-        gate: what the run must reach, if anything.
+        folder: folder of the run.
+        run: the finished run.
+        options: `no_report` and `require_bounds` count.
+        confirms: whether to repeat the run on other physics.
+        gate: thresholds that the run must reach, if any.
     """
     with judging(console, folder):
         data = _data_of(console, folder, run)
@@ -181,7 +218,7 @@ def finish(
 
 
 def _data_of(console: Console, folder: RunFolder, run: JudgedRun) -> RunData:
-    """The data of a run; leaves where there is nothing to judge."""
+    """Return the data of a run. Ends the command if nothing was recorded."""
     try:
         return run.data
     except RunFolderError as error:
@@ -195,5 +232,5 @@ def _data_of(console: Console, folder: RunFolder, run: JudgedRun) -> RunData:
 
 
 def _fault_code(outcome: RunOutcome) -> int:
-    """What a run with a fault ends with, like that one of its processes that found it."""
+    """Return the exit code of a run with a fault, which is that of the process that failed."""
     return BAD_INPUT if outcome.is_bad_input else FAULT

@@ -1,4 +1,4 @@
-"""What an installation has: `doctor` of the machine, `includes` of the C header."""
+"""The commands `doctor` and `includes`: what this machine and this installation offer."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ _CAN_INTERFACE_TYPE = "280"  # ARPHRD_CAN in <linux/if_arp.h>
 def doctor(
     fix: Annotated[
         bool,
-        typer.Option("--fix", help="Show commands to copy that allow real-time runs to this user."),
+        typer.Option("--fix", help="Print commands that give this user real-time permissions."),
     ] = False,
     rig: Annotated[
         str | None,
         typer.Option(
-            "--rig", metavar="SCENARIO", help="Ask the drives on its CAN bus, without any torque."
+            "--rig", metavar="SCENARIO", help="Query the drives on its CAN bus, without torque."
         ),
     ] = None,
     overrides: Overrides = None,
 ) -> None:
-    """Say what this machine grants, and what each missing thing costs; nothing is changed."""
+    """List what this machine offers to runs, and what each missing item costs. Changes nothing."""
     if fix:
         print(remedy())
         return
@@ -69,12 +69,12 @@ def doctor(
 
 
 def includes() -> None:
-    """Print the C compiler's option for the header of controller.law: external."""
+    """Print the compiler option (-I…) for the C header of controller.law: external."""
     typer.echo(f"-I{Path(controller.external.__file__).parent}")
 
 
 def examine() -> list[Finding]:
-    """Look at this machine; takes a few seconds and changes none of its settings."""
+    """Examine this machine. It takes a few seconds and changes no setting."""
     return [
         _python(),
         *map(_engine, ENGINES),
@@ -98,7 +98,7 @@ def _python() -> Finding:
 
 
 def _package(name: str, distribution: str, module: str, cost: str) -> Finding:
-    """A package with native code is there only when a process of its own can load it."""
+    """Check that a separate process can load a package with native code."""
     try:
         version = importlib.metadata.version(distribution)
         subprocess.run(
@@ -116,7 +116,7 @@ def _package(name: str, distribution: str, module: str, cost: str) -> Finding:
 
 
 def _engine(name: str) -> Finding:
-    """A physics engine; the other one can take its place."""
+    """Check a physics engine. A run needs only one of them."""
     engine = ENGINES[name]
     cost = f"no run with plant.physics.engine={name}, and --confirm has one physics less"
     if not engine.is_installed:

@@ -1,4 +1,4 @@
-"""The command `funnel-hil drives`: the emulator as motor drives on a CAN bus, nothing else."""
+"""The command `drives`: emulates motor drives on a CAN bus, without controller and recorder."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from plant_emulator.drives.fault_plan import PlannedFault, parse_fault
 
 Duration = Annotated[
     float | None,
-    typer.Option("--duration", metavar="S", min=0.001, help="End after so many seconds."),
+    typer.Option("--duration", metavar="S", min=0.001, help="Stop after this time."),
 ]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Decode every frame.")]
 Faults = Annotated[
@@ -53,7 +53,7 @@ def drives(
     verbose: Verbose = False,
     faults: Faults = None,
 ) -> None:
-    """Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code."""
+    """Emulate the arm's motor drives on a CAN bus, with simulated physics, for any driver code."""
     setup = load_setup(scenario, overrides or [])
     say_oddities(setup)
     can, plant = setup.scenario.link.can, setup.scenario.plant
@@ -82,7 +82,7 @@ def _require_empty(bus: CanBus, setup: Setup) -> None:
 def _serve(
     setup: Setup, bus: CanBus, plan: list[PlannedFault], duration_s: float | None, *, verbose: bool
 ) -> int:
-    """Run the rig to its end; the exit code."""
+    """Run the emulated drives until they stop. Returns the exit code."""
     clock = MonotonicClock()
     monitor = BusMonitor(bus, clock, verbose=verbose)
     can, robot = setup.scenario.link.can, setup.robot
@@ -113,9 +113,9 @@ def _serve(
         arm.close()
     skipped = f", {rig.counts.skipped} of {rig.counts.ticks} ticks late" * bool(rig.counts.skipped)
     rejected = dict(monitor.bank.rejections.counts) or "none"
-    dropped = f", {count} dropped unheard" if (count := bus.dropped()) else ""
+    dropped = f", {count} dropped by the system" if (count := bus.dropped()) else ""
     monitor.print(
-        f"{rig.counts.received} frames heard{dropped}, {monitor.sent} sent, rejected:"
+        f"{rig.counts.received} frames received{dropped}, {monitor.sent} sent, rejected:"
         f" {rejected}{skipped}"
     )
     was_cut_short = ticks is not None and rig.counts.ticks < ticks
@@ -142,26 +142,26 @@ class BusMonitor:
         self.sent = 0
 
     def send(self, frame: CanFrame) -> None:
-        """Take a frame that a drive sends."""
+        """Count a frame that a drive sends, and pass it to the bus."""
         self._bus.send(frame)
         self.sent += 1
         if self._verbose:
-            self._show("sent ", frame)
+            self._show("sent", frame)
 
     def on_heard(self, frame: CanFrame) -> None:
-        """Look at a frame that comes from the bus."""
+        """Report a frame that comes from the bus."""
         is_first = frame.identifier not in self._heard
         self._heard.add(frame.identifier)
         if self._verbose or (is_first and len(self._heard) <= _MOST_NAMED):
-            self._show("heard", frame)
+            self._show("received", frame)
         elif is_first and len(self._heard) == _MOST_NAMED + 1:
-            self.print("heard more identifiers, which only --verbose shows")
+            self.print("more identifiers were received; --verbose shows them")
 
     def print(self, sentence: str) -> None:
-        """Tell something that happened."""
+        """Print an event with its time."""
         self._console.print(f"{self._clock.now_ns() * 1e-9:9.4f}  {sentence}")
 
     def _show(self, direction: str, frame: CanFrame) -> None:
         data = "remote" if frame.is_remote else frame.data.hex(" ")
         words = self.bank.describe(frame)
-        self.print(f"{direction} {frame.identifier:03X} {data:<23}  {words}")
+        self.print(f"{direction:8} {frame.identifier:03X} {data:<23}  {words}")

@@ -1,4 +1,4 @@
-"""Tables for other programs: `export` of a run, `reference` of a scenario."""
+"""The commands `export` and `reference`: tables for other programs."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ def export(
     parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet files.")] = False,
     names: Annotated[
         list[str] | None,
-        typer.Option("--series", metavar="NAME", help="Only this series; repeatable."),
+        typer.Option("--series", metavar="NAME", help="Write only this series; repeatable."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the files; RUN/export by default.")
     ] = None,
 ) -> None:
-    """Write a recorded run as tables over time: what is judged, and every topic.
+    """Write a recorded run as time series: the judged errors and bounds, and every topic.
 
-    Of a damaged recording it is what can be read; what is missing is told, and exit code 1.
+    From a damaged recording, the command writes what it can read, reports what is missing, and
+    ends with exit code 1.
     """
     asked: dict[Format, bool] = {"csv": csv, "parquet": parquet}
     formats = [kind for kind, wanted in asked.items() if wanted]
@@ -59,7 +60,7 @@ def export(
 def export_series(
     run: RunData, folder: Path, formats: Sequence[Format], names: Sequence[str] = SERIES
 ) -> list[Path]:
-    """Write series of a run, a file each; existing ones are replaced.
+    """Write each series of a run to a file, and replace existing files.
 
     Args:
         run: the run.
@@ -86,7 +87,7 @@ def export_series(
 
 
 def _missing(run: RunData) -> list[str]:
-    """What the files of a run lack, a sentence each."""
+    """Describe in one sentence each what is missing in the files of a run."""
     found = [damaged(run.damage)] if run.damage else [] if run.complete else [PARTIAL]
     known = known_ticks(run)
     return [*found, missing_ticks_sentence(known)] if known.missing else found
@@ -95,13 +96,15 @@ def _missing(run: RunData) -> list[str]:
 def reference(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
-    as_csv: Annotated[bool, typer.Option("--csv", help="As text, a row per tick.")] = False,
-    as_parquet: Annotated[bool, typer.Option("--parquet", help="As a Parquet file.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Write CSV, one row per tick.")] = False,
+    as_parquet: Annotated[
+        bool, typer.Option("--parquet", help="Write Parquet, one row per tick.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(help="The file; by default <scenario>_reference.csv.")
     ] = None,
 ) -> None:
-    """Write where the joints are to be at each tick: position, velocity and acceleration."""
+    """Write the reference of each joint at every tick: position, velocity and acceleration."""
     if as_csv == as_parquet:
         raise InputError("reference: give one of --csv and --parquet")
     setup = load_setup(scenario, overrides or [])
@@ -112,7 +115,7 @@ def reference(
 
 
 def reference_columns(setup: Setup) -> dict[str, Vector]:
-    """The reference at every tick, by column.
+    """Return the reference at every tick, by column.
 
     `time_s`, and for each joint `<joint>.position_rad`, `<joint>.velocity_rad_s` and
     `<joint>.acceleration_rad_s2`; shape (ticks + 1,) each.

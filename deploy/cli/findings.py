@@ -1,4 +1,4 @@
-"""What `doctor` finds, and how it shows it."""
+"""The findings of `doctor`, and the table that shows them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _STYLES = {"ok": "green", "limited": "yellow", "missing": "red"}
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing a run can make use of.
+    """One resource or setting that a run can use.
 
     Attributes:
         name: what it is.
@@ -31,7 +31,7 @@ class Finding:
 
 
 def show(findings: list[Finding], console: Console) -> None:
-    """Print the findings as a table, each that is not ok with its cost."""
+    """Print the findings as a table, with the cost of each one that is not ok."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("Thing", min_width=max(len(finding.name) for finding in findings))
     table.add_column("Status", min_width=max(map(len, _STYLES)))

@@ -1,4 +1,4 @@
-"""Options that commands share; to know them imports nothing heavy."""
+"""Options that commands share. Importing this module loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Options = TypeVar("Options")
 
 
 def taking(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """Have a command line fill the fields of a dataclass, with which the command is called."""
+    """Make each field of a dataclass a command-line option, and call the command with it."""
 
     def decorated(command: Callable[[Options], None]) -> Callable[..., None]:
         @functools.wraps(command)
@@ -32,7 +32,7 @@ def taking(options: type[Options]) -> Callable[[Callable[[Options], None]], Call
 
 
 def _newest(overrides: list[str] | None) -> list[str] | None:
-    """What ``--set`` gives, of each key the last, so that scripts can add theirs."""
+    """Keep the last ``--set`` of each key, so that scripts can append their own."""
     keys = [text.partition("=")[0] for text in overrides or []]
     if overrides is None or len(set(keys)) == len(keys):
         return overrides
@@ -41,7 +41,7 @@ def _newest(overrides: list[str] | None) -> list[str] | None:
     last = {parse_override(text)[0]: place for place, text in enumerate(overrides)}
     for place, text in enumerate(overrides):
         if place != last[keys[place]]:
-            typer.echo(f"--set {text}: a later --set takes its place", err=True)
+            typer.echo(f"--set {text}: replaced by a later --set", err=True)
     return [text for place, text in enumerate(overrides) if place in last.values()]
 
 
@@ -60,11 +60,10 @@ Overrides = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
 ]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
-]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing results in --out.")]
 NoReport = Annotated[
-    bool, typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later.")
+    bool,
+    typer.Option("--no-report", help="Write no report.html; funnel-hil report writes it later."),
 ]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
@@ -73,8 +72,8 @@ Confirm = Annotated[
     bool,
     typer.Option(
         "--confirm",
-        help="Simulate every run on the other physics engine and by Runge-Kutta too, and say where"
-        " verdicts agree.",
+        help="Repeat every run on the other physics engine and with Runge-Kutta, and compare the"
+        " verdicts.",
     ),
 ]
 
@@ -93,26 +92,27 @@ class OneRunOptions:
 
 @dataclass(kw_only=True)
 class GateOptions:
-    """What a result must reach, and where a CI service finds the answer."""
+    """Thresholds on the margin, and files for a CI service."""
 
     at_least: Annotated[
         str | None,
         typer.Option(
             metavar="N",
-            help="Exit with 3 if a margin is smaller: 20ms, or 15% of the"
-            " bound for simulate, compare and sweep.",
+            help="Exit with 3 if a margin is smaller, e.g. 20ms; for simulate, compare and"
+            " sweep a share of the bound, e.g. 15%.",
         ),
     ] = None
     baseline: Annotated[
-        Path | None, typer.Option(help="Exit with 3 if a margin fell since this result.")
+        Path | None, typer.Option(help="Exit with 3 if a margin is smaller than in this result.")
     ] = None
     tolerance: Annotated[
-        str | None, typer.Option(metavar="N", help="Let it fall by so much since --baseline.")
+        str | None,
+        typer.Option(metavar="N", help="How much smaller than --baseline a margin may be."),
     ] = None
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML file.")] = None
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown table.")] = None
     history: Annotated[
-        Path | None, typer.Option(help="Add the result to a history; draw it over commits.")
+        Path | None, typer.Option(help="Append the result to this file, and plot it over commits.")
     ] = None
 
 
@@ -132,29 +132,27 @@ class RunOptions(OneRunOptions):
         typer.Option(
             "--real-delay",
             metavar="MS",
-            help="Have a relay between controller and plant hold every byte back: the round trip,"
-            " half of it each way.",
+            help="Delay every byte by a relay between controller and plant. MS is the round trip,"
+            " half of it in each direction.",
         ),
     ] = None
     await_controller: Annotated[
         bool,
         typer.Option(
             "--await-controller",
-            help="Start plant and recorder only, and wait for a controller that is started"
-            " elsewhere: for link.connect_timeout_s, at the endpoints of the scenario.",
+            help="Start only plant and recorder, and wait up to link.connect_timeout_s for a"
+            " controller that you start, at the endpoints of the scenario.",
         ),
     ] = False
     live: Annotated[
         bool,
-        typer.Option(
-            "--live", help="Show the run in the browser and in Foxglove while it happens."
-        ),
+        typer.Option("--live", help="Show the run live in the browser and in Foxglove."),
     ] = False
     confirm: Annotated[
         bool,
         typer.Option(
             "--confirm",
-            help="With clock=lockstep: simulate the run again in one process; another digest or"
+            help="With clock=lockstep: repeat the run in one process. A different digest or"
             " verdict is a fault.",
         ),
     ] = False

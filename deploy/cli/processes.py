@@ -1,4 +1,4 @@
-"""The commands that are one process of a run: `controller`, `plant`, `record` and `relay`."""
+"""Commands that start one process of a run: `controller`, `plant`, `record` and `relay`."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
 AwaitRecorder = Annotated[
-    bool, typer.Option("--await-recorder", help="Start only once a recorder listens.")
+    bool, typer.Option("--await-recorder", help="Start only after a recorder has connected.")
 ]
 
 
 def controller(
     scenario: ScenarioArgument, overrides: Overrides = None, await_recorder: AwaitRecorder = False
 ) -> None:
-    """Be the controller: answer the joint states of a plant on the bus."""
+    """Run the controller alone: it answers the joint states of a plant on the bus."""
     options = RoleOptions(scenario, overrides or [], await_recorder)
     raise typer.Exit(roles.controller(options, StatusReporter(Role.CONTROLLER)))
 
@@ -46,7 +46,7 @@ def plant(
     await_recorder: AwaitRecorder = False,
     can_log: Annotated[Path | None, typer.Option(help="File for the frames of a CAN bus.")] = None,
 ) -> None:
-    """Be the plant: emulate the arm for a controller on the bus."""
+    """Run the plant alone: it emulates the arm for a controller on the bus."""
     options = RoleOptions(scenario, overrides or [], await_recorder, can_log)
     raise typer.Exit(roles.plant(options, StatusReporter(Role.PLANT)))
 
@@ -57,7 +57,7 @@ def record(
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Be the recorder: write every message on the bus to a run folder."""
+    """Run the recorder alone: it writes every message on the bus to a run folder."""
     setup = load_setup(scenario, overrides or [])
     require_keys(setup, Role.RECORDER)
     stop = StopRequest()
@@ -70,24 +70,24 @@ def record(
 
 
 def relay(
-    listen: Annotated[str, typer.Argument(help="HOST:PORT where messages come in.")],
-    connect: Annotated[str, typer.Argument(help="HOST:PORT that they are passed on to.")],
+    listen: Annotated[str, typer.Argument(help="HOST:PORT to listen at.")],
+    connect: Annotated[str, typer.Argument(help="HOST:PORT to pass messages on to.")],
     delay_ms: Annotated[
-        float | None, typer.Option("--delay", metavar="MS", help="Delay messages, each way.")
+        float | None, typer.Option("--delay", metavar="MS", help="Delay in each direction.")
     ] = None,
     scenario: Annotated[
-        str, typer.Option(help="Whose link.uplink, link.downlink and seed are taken.")
+        str, typer.Option(help="Scenario whose link.uplink, link.downlink and seed apply.")
     ] = "paper_arm",
     overrides: Overrides = None,
-    is_udp: Annotated[bool, typer.Option("--udp", help="Relay UDP in place of TCP.")] = False,
+    is_udp: Annotated[bool, typer.Option("--udp", help="Relay UDP instead of TCP.")] = False,
     duration_s: Annotated[
         float, typer.Option("--duration", metavar="S", help="Stop after this time.")
     ] = math.inf,
 ) -> None:
-    """Be a relay between two programs, which does to their messages what an emulated link does.
+    """Relay messages between two programs, and impair them as an emulated link does.
 
-    Messages to CONNECT meet link.downlink, answers link.uplink: delay, jitter, loss, traces and the
-    rest. Over TCP, what is lost is sent again, and what follows waits.
+    Messages to CONNECT pass link.downlink, and answers pass link.uplink: delay, jitter, loss,
+    traces and the other keys. Over TCP, lost data are sent again, and later data wait for them.
     """
     delays = []
     if delay_ms is not None:

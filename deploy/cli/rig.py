@@ -1,4 +1,4 @@
-"""What `doctor --rig` looks at: the drives on a real bus, before anything is commanded."""
+"""The check of `doctor --rig`: queries the drives on a real bus before any command."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SILENT = "check its power, its wiring, its address, and whether it is set to CA
 
 
 def examine_rig(setup: Setup) -> list[Finding]:
-    """Ask every address on the bus of a scenario; no drive is enabled, and none gets a torque."""
+    """Query every address on a scenario's bus, without enabling a drive or sending a torque."""
     can, robot = setup.scenario.link.can, setup.robot
     protocol = PROTOCOLS.build(can.protocol)
     node_ids = check_drives(can, robot, setup.scenario.plant, takes_targets=setup.drive.is_active)
@@ -28,12 +28,12 @@ def examine_rig(setup: Setup) -> list[Finding]:
         check_can_bus(can)
         bus = open_can_bus(can)
     except ConfigurationError as error:
-        return [Finding("bus", "missing", str(error), "no drive can be asked")]
-    findings = [Finding("bus", "ok", f"{place} is up", "no drive can be asked")]
+        return [Finding("bus", "missing", str(error), "no drive can be queried")]
+    findings = [Finding("bus", "ok", f"{place} is up", "no drive can be queried")]
     questions = protocol.questions(can, node_ids[0])
     if not questions:
         what = f"{protocol.title} drives answer nothing but commands"
-        return [*findings, Finding("drives", "limited", what, "they were not asked")]
+        return [*findings, Finding("drives", "limited", what, "they were not queried")]
     with closing(bus):
         found = ask_drives(bus, protocol, can, range(1, protocol.largest_node_id + 1))
     expected = [
@@ -57,7 +57,7 @@ def _drive(
         if abs(found.get(what, float("inf")) - value) > _TOLERANCE * abs(value)
     ]
     if wrong:
-        cost = "numbers in its frames would be wrong; set the drive or the scenario"
+        cost = "values in its frames would be misread: change the drive or the scenario"
         return Finding(name, "missing", "; ".join(wrong), cost)
     answers = ", ".join(f"{what} {value:g}" for what, value in found.items())
     return Finding(name, "ok", answers, "")
@@ -65,7 +65,12 @@ def _drive(
 
 def _others(protocol: DriveProtocol, can: CanConfiguration, strange: list[int]) -> Finding:
     if strange:
-        cost = "neither run nor drives commands such a bus"
-        return Finding("other drives", "missing", f"addresses {strange} answer, too", cost)
+        cost = "run and drives refuse such a bus"
+        return Finding("other drives", "missing", f"addresses {strange} also answer", cost)
     last = protocol.largest_node_id
-    return Finding("other drives", "ok", f"no other of 1 to {last} on {can.resolved_channel}", "")
+    return Finding(
+        "other drives",
+        "ok",
+        f"no other address of 1 to {last} answers on {can.resolved_channel}",
+        "",
+    )

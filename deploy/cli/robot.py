@@ -1,4 +1,4 @@
-"""`funnel-hil robot`: what is understood of an arm."""
+"""The command `robot`: shows how the program reads an arm's file."""
 
 from __future__ import annotations
 
@@ -29,33 +29,36 @@ from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
 STARTER_COMMENT = """\
 # A first scenario: rest to rest at 30 % of the joints' speeds. robot.drive_data names what is
-# ESTIMATED (see the documentation of plant.actuator): put in your own.
+# ESTIMATED (see the documentation of plant.actuator): replace it by your own data.
 """
 
 
 def robot(
     file: Annotated[
-        str, typer.Argument(help="A URDF or xacro file, or what a scenario's robot.urdf may be.")
+        str, typer.Argument(help="A URDF, xacro or MJCF file, or any other value of robot.urdf.")
     ],
     joints: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Drive these, hold all others.")
+        str | None, typer.Option(metavar="A,B,…", help="Drive these joints, and hold all others.")
     ] = None,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Mend inertias that no body has, however far off.")
+        bool, typer.Option("--repair", help="Replace inertias that no rigid body can have.")
     ] = False,
     include: Annotated[
-        list[Path] | None, typer.Option(metavar="FOLDER", help="More folders that xacro may read.")
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", help="Folder that xacro may read; repeatable."),
     ] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the arm.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the arm to this file.")
+    ] = None,
     scenario: Annotated[
         bool, typer.Option("--scenario", help="Write a first scenario for the arm.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False),
+        typer.Option(metavar="FILE.yaml", help="File for --scenario.", show_default=False),
     ] = None,
 ) -> None:
-    """Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd."""
+    """Show how an arm's file is read: joints, limits, inertias, gains and warnings."""
     os.environ[INCLUDE] = os.pathsep.join([*map(str, include or []), os.environ.get(INCLUDE, "")])
     chosen = None if joints is None else [name.strip() for name in joints.split(",")]
     try:
@@ -84,7 +87,7 @@ def robot(
 
 
 def write_starter(values: dict[str, Any], file: Path) -> None:
-    """Write a starter scenario, and say what to do with it.
+    """Write a first scenario, and print the commands that run it.
 
     Raises:
         InputError: the file exists.
@@ -96,7 +99,7 @@ def write_starter(values: dict[str, Any], file: Path) -> None:
         why = f"cannot be written: {error.strerror}; --out names another"
         raise InputError(f"{file}: {why}") from error
     print(f"scenario: {file}\nfunnel-hil simulate {file} runs it")
-    print(f"funnel-hil margin {file} finds how much delay it takes")
+    print(f"funnel-hil margin {file} finds how much delay it tolerates")
 
 
 def at_rest(
@@ -106,7 +109,7 @@ def at_rest(
     repair: bool = False,
     duration_s: float = 1.0,
 ) -> Setup:
-    """A scenario in which the arm holds still, checked as any other.
+    """Return a scenario in which the arm holds still, checked like any other.
 
     Args:
         arm: the arm.
@@ -130,7 +133,7 @@ def at_rest(
 
 
 def _middle(arm: RobotDescription) -> Vector:
-    """Zero where the ranges have it, else their middle; shape (joints,)."""
+    """Return zero for ranges that contain it, otherwise their middle; shape (joints,)."""
     inside = (arm.lower_rad < 0.0) & (arm.upper_rad > 0.0)
     with np.errstate(invalid="ignore"):
         middle = 0.5 * (arm.lower_rad + arm.upper_rad)
@@ -164,7 +167,7 @@ def _other_joints_table(setup: Setup) -> Table:
         for each in setup.robot.followers
     ]
     rows += [[each.name, "held", each.reason] for each in setup.robot.held]
-    return _table("Other joints", ["Joint", "What it does", "How or why"], rows)
+    return _table("Other joints", ["Joint", "State", "Detail"], rows)
 
 
 def _gains_table(setup: Setup) -> Table:

@@ -1,4 +1,4 @@
-"""What ROS 2 needs of us: `ros-package` for message types, `ros2-control` for an arm."""
+"""The commands `ros-package` and `ros2-control`: files for ROS 2."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def ros2_control(
         Path | None, typer.Option(help="Folder; by default <scenario>_ros2_control.")
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace files there that differ.")
+        bool, typer.Option("--overwrite", help="Replace existing files that differ.")
     ] = False,
 ) -> None:
-    """Write the arm's URDF with its ros2_control element, and a controllers.yaml for it."""
+    """Write the arm's URDF with a ros2_control element, and a controllers.yaml."""
     setup = load_setup(scenario, overrides or [])
     folder = out or Path(f"{setup.scenario.name}_ros2_control")
     texts = {
@@ -77,11 +77,11 @@ def ros2_control(
 
 
 def _require_nothing_else(texts: Mapping[Path, str]) -> None:
-    """Check that no file is there with another text, which may be somebody's work."""
+    """Refuse to replace a file with other contents, which someone may have edited."""
     for file, text in texts.items():
         if file.is_file() and file.read_bytes() != text.encode():
             raise InputError(
-                f"{file}: is there already and differs from what would be written: must be moved"
+                f"{file}: exists and differs from the new file: must be moved"
                 " away, or give --overwrite or another --out"
             )
 
@@ -117,9 +117,11 @@ def controllers_of(setup: Setup) -> dict[str, Any]:
 
 
 def ros_package(
-    folder: Annotated[Path, typer.Argument(help="Where to put it, such as ~/ros2_ws/src.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Parent folder of the package, such as ~/ros2_ws/src.")
+    ],
 ) -> None:
-    """Write our message types as a ROS 2 package, for colcon to build."""
+    """Write the message types of funnel-hil as a ROS 2 package for colcon."""
     package = folder / PACKAGE
     source = resources.files("bus_schema.messages").joinpath("msg")
     names = sorted(file.name for file in source.iterdir() if file.name.endswith(".msg"))

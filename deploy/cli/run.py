@@ -1,7 +1,7 @@
 """One run: `funnel-hil run` in three processes, `funnel-hil simulate` in this one.
 
-What they do is in `one_run.py`, which loads all of the program: help and errors of the command line
-need none of it, and what the processes of a run are forked from loads it at the same time.
+`run_and_simulate.py` does the work and loads the whole program. Help and errors need none of it;
+`run` starts the fork server first, which loads the program at the same time.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from deploy.cli.options import RunOptions, SimulateOptions, taking
 
 @taking(RunOptions)
 def run(options: RunOptions) -> None:
-    """Run controller, plant and recorder as separate processes, and judge the run."""
+    """Run controller, plant and recorder as processes, and report whether bounds were kept."""
     from deploy.run.processes.role_process import prepare  # help and errors need none of it
 
     prepare()
-    from deploy.cli.one_run import run_in_processes
+    from deploy.cli.run_and_simulate import run_in_processes
 
     run_in_processes(options)
 
 
 @taking(SimulateOptions)
 def simulate(options: SimulateOptions) -> None:
-    """Run a scenario in one process and in virtual time."""
-    from deploy.cli.one_run import run_in_virtual_time
+    """Run a scenario in one process, in virtual time."""
+    from deploy.cli.run_and_simulate import run_in_virtual_time
 
     run_in_virtual_time(options)

@@ -1,4 +1,4 @@
-"""Folders of results: list, tag, prune."""
+"""List, tag and remove folders of results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deploy.scenario.yaml_files import FAULTS, ScenarioError
 from deploy.study.study import SHIPPED as SHIPPED_STUDIES
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
-Folder = Annotated[Path, typer.Argument(help="Folder with folders of results.")]
+Folder = Annotated[Path, typer.Argument(help="Folder that contains the folders of results.")]
 _MIB = 1 << 20
 _WIDEST = 100_000
 _HEADINGS = ["Folder", "Begun", "Kind", "What", "Result", "Tags", "MiB"]
@@ -27,14 +27,14 @@ _GAP = 2
 
 
 def scenarios() -> None:
-    """List the scenarios and studies that are shipped."""
+    """List the shipped scenarios and studies."""
     use = "run, simulate, compare, margin"
     for folder, title, before in (
         (SHIPPED, f"{SHIPPED.name} ({use})", ""),
         (SHIPPED / FAULTS, f"{SHIPPED.name} in which something breaks (the same)", f"{FAULTS}/"),
         (SHIPPED_STUDIES, f"{SHIPPED_STUDIES.name} (studies)", ""),
     ):
-        table = _table(title, "Name", "What it is")
+        table = _table(title, "Name", "Description")
         for file in sorted(folder.glob("*.yaml")):
             table.add_row(before + file.stem, _first_sentence(file))
         Console().print(table)
@@ -44,10 +44,10 @@ def scenarios() -> None:
 def list_runs(
     folder: Folder = Path("runs"),
     only: Annotated[
-        str | None, typer.Option("--tag", metavar="TAG", help="Only what has this tag.")
+        str | None, typer.Option("--tag", metavar="TAG", help="List only results with this tag.")
     ] = None,
 ) -> None:
-    """List what lies in a folder of results, the oldest first."""
+    """List the results in a folder, oldest first."""
     found = [each for each in results_in(folder) if only is None or only in each.tags]
     _show(found, Console())
 
@@ -57,10 +57,10 @@ def tag_run(
     path: Annotated[Path, typer.Argument(metavar="RUN", help="A folder of results.")],
     tags: Annotated[list[str] | None, typer.Argument(metavar="[TAG]…", help="Tags to add.")] = None,
     remove: Annotated[
-        list[str] | None, typer.Option(metavar="TAG", help="Take one off; repeatable.")
+        list[str] | None, typer.Option(metavar="TAG", help="Tag to remove; repeatable.")
     ] = None,
 ) -> None:
-    """Tag a run, comparison or study; `prune` keeps whatever has a tag."""
+    """Tag a run, comparison or study. `prune` keeps tagged results."""
     print(", ".join(tag(path, tags or [], remove or [])) or "no tags")
 
 
@@ -68,19 +68,24 @@ def tag_run(
 def prune(
     folder: Folder = Path("runs"),
     older_than: Annotated[
-        float | None, typer.Option(metavar="DAYS", min=0.0, help="What was begun before that.")
+        float | None, typer.Option(metavar="DAYS", min=0.0, help="Remove results older than this.")
     ] = None,
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="What came to no end, unless by a fault.")
+        bool,
+        typer.Option(
+            "--incomplete", help="Remove unfinished results, except those that a fault ended."
+        ),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Remove it; otherwise it is shown.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Remove; without this option, only list.")
+    ] = False,
 ) -> None:
-    """Remove results that have no tag; of both options given, both have to apply.
+    """Remove results without a tag. If both conditions are given, both must apply.
 
-    Files that no command of funnel-hil wrote stay, and so do their folders.
+    Files that funnel-hil did not write stay, and so do their folders.
     """
     if older_than is None and not incomplete:
-        raise ScenarioError("runs prune: must be given --older-than, --incomplete, or both")
+        raise ScenarioError("runs prune: give --older-than, --incomplete, or both")
     chosen = [
         each for each in results_in(folder)
         if not each.tags
@@ -89,7 +94,7 @@ def prune(
     ]  # fmt: skip
     _show(chosen, Console())
     if not yes:
-        print(f"{len(chosen)} to be removed: nothing is, without --yes")
+        print(f"{len(chosen)} would be removed; --yes removes them")
         return
     for each in chosen:
         remove_results(each.path)

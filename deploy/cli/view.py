@@ -1,4 +1,4 @@
-"""`funnel-hil view`: a run in the browser or in Foxglove, while it happens or played back."""
+"""The command `view`: shows a run in the browser and in Foxglove, live or from a recording."""
 
 from __future__ import annotations
 
@@ -47,21 +47,21 @@ def view(
     target: Target = None,
     speed: Annotated[
         float,
-        typer.Option(min=_SLOWEST, max=_FASTEST, help="How many times faster a RUN is played."),
+        typer.Option(min=_SLOWEST, max=_FASTEST, help="Playback speed of a RUN."),
     ] = 1.0,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for any.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 for any.")] = 0,
     foxglove_port: Annotated[
         int | None,
         typer.Option(
             min=0, max=65535, show_default=False,
-            help="Of Foxglove's server; 8765 by default, or any if that is taken.",
+            help="Port of Foxglove's server; 8765 by default, or any free port.",
         ),
     ] = None,
     layout: Annotated[
         Path | None, typer.Option(help="Write a layout for Foxglove to this file.")
     ] = None,
 ) -> None:  # fmt: skip
-    """Show a run in the browser and in Foxglove: one under way, or a recorded one."""
+    """Show a run in the browser and in Foxglove, live or from a recording."""
     stop = StopRequest()
     stand_back()
     leave_loops_their_cpus()
@@ -78,7 +78,7 @@ def view(
 
 
 def view_beside(folder: Path, reporter: StatusReporter) -> int:
-    """Show the run that is to begin in a folder until asked to stop; the exit code."""
+    """Show the run that will begin in a folder, until asked to stop. Returns the exit code."""
     stop = StopRequest()
     stand_back()
     leave_loops_their_cpus()
@@ -92,12 +92,12 @@ def view_beside(folder: Path, reporter: StatusReporter) -> int:
 
 
 def _show(target: str | None, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:
-    """Show what a user asks for: a run under way, or else a recorded one."""
+    """Show the run that the user names: a live one, or a recording."""
     folder = RunFolder(Path(target or ""))
     if target is None or (_ENDPOINT.fullmatch(target) and not folder.path.exists()):
         endpoint = target or LinkConfiguration().plant_endpoint
         if not _watch(endpoint, open_viewer, stop) and not stop.is_set:
-            typer.echo(f"error: nobody on this machine records a run at {endpoint}", err=True)
+            typer.echo(f"error: no recorder on this machine records a run at {endpoint}", err=True)
             raise typer.Exit(FAULT)
     elif folder.log.exists() or not folder.scenario.exists():
         _play(folder.path, speed, open_viewer, stop)
@@ -108,7 +108,7 @@ def _show(target: str | None, speed: float, open_viewer: OpenViewer, stop: StopR
 
 
 def _watch(endpoint: str, open_viewer: OpenViewer, stop: StopRequest) -> bool:
-    """Show the run under way at an endpoint to its end; whether there was one."""
+    """Show the run in progress at an endpoint until it ends. Returns whether there was one."""
     receiver = FeedReceiver(endpoint)
     try:
         give_up_s = time.monotonic() + _AWAIT_RECORDER_S
@@ -126,7 +126,7 @@ def _watch(endpoint: str, open_viewer: OpenViewer, stop: StopRequest) -> bool:
 
 
 def _play(path: Path, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:
-    """Play a recording once somebody looks, and go on showing it to whoever looks then."""
+    """Play a recording when the first viewer connects, then keep its end on show."""
     data, contents = load_run(path)
     viewer = open_viewer(data.setup, f"recorded, {path}")
     names = data.setup.robot.joint_names
@@ -140,7 +140,7 @@ def _serve(
     is_over: Callable[[], bool],
     may_close: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Show what a source has until it is over, and the end of it until the viewer may close."""
+    """Show a source until it ends, then its last state until the viewer may close."""
     try:
         viewer.run(source, is_over)
         while not may_close():

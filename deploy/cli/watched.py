@@ -55,7 +55,7 @@ def run_watched(command: Callable[[], None]) -> None:
 
 
 def _exit_code_of(child: int, watched: set[signal.Signals]) -> int:
-    """The exit code of a child, which gets every signal meanwhile; negative for a signal."""
+    """Forward signals to a child until it ends. Returns its exit code, negative for a signal."""
     while True:
         number = signal.sigwaitinfo(watched).si_signo
         if number != signal.SIGCHLD:

@@ -34,7 +34,8 @@ UNITS = {
 }  # fmt: skip
 """By the ends of names, the longest first."""
 RATES = {"torque_rate_nm_s": "N m/s", "torque_rate_limit_nm_s": "N m/s", "seeds": ""}
-PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything"}
+PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything",
+         types.NoneType: "must be left out"}  # fmt: skip
 BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 STANDARD = {"--help", "--install-completion", "--show-completion"}
 """Options of every command."""

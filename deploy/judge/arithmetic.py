@@ -46,22 +46,18 @@ def difference_of_arithmetic(one: Mapping[str, Any], other: Mapping[str, Any]) -
         one: manifest of a run.
         other: manifest of the other; values missing in either are ignored.
     """
-    pairs = [("libm", _libm(one), _libm(other))]
-    pairs += [(name, _version(one, name), _version(other, name)) for name in _COMPUTING]
-    found = [f"{name} {a} and {b}" for name, a, b in pairs if a and b and a != b]
+    first, second = _computing(one), _computing(other)
+    found = [
+        f"{name} {first[name]} and {second[name]}"
+        for name in ("libm", *_COMPUTING)
+        if first.get(name) and second.get(name) and first[name] != second[name]
+    ]
     if not found:
         return ""
-    return f"The arithmetic differs ({', '.join(found)}), which alone may change the last bits."
+    return f"The arithmetic differs ({', '.join(found)}), which may change the last bits."
 
 
-def _libm(manifest: Mapping[str, Any]) -> Any:
-    return _section(manifest, "arithmetic").get("libm")
-
-
-def _version(manifest: Mapping[str, Any], name: str) -> Any:
-    return _section(manifest, "versions").get(name)
-
-
-def _section(manifest: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    section = manifest.get(key)
-    return section if isinstance(section, Mapping) else {}
+def _computing(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fingerprint of the C library, and versions, as far as they are there."""
+    sections = (manifest.get(name) for name in ("versions", "arithmetic"))
+    return {k: v for each in sections if isinstance(each, Mapping) for k, v in each.items()}

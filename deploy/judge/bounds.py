@@ -77,7 +77,7 @@ def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> 
         f"{outside} of {ticks} ticks outside, smallest margin {margin}"
         for ticks, outside, margin in (found, told)
     )
-    return [] if is_same else [f"it shows {ours}, but the plant counted {theirs}"]
+    return [] if is_same else [f"it has {ours}, but the plant counted {theirs}"]
 
 
 def lacks_end(run: RunData) -> list[str]:
@@ -88,7 +88,7 @@ def lacks_end(run: RunData) -> list[str]:
     is_ended = "ticks" in run.last_values(Role.PLANT, EventKind.ENDED)
     if is_ended or run.faults() or not len(run.tables[topics.PLANT_TRUTH.name]):
         return []
-    return ["it lacks the plant's end, so the run may have gone on"]
+    return ["the end of the plant is missing, so the run may have continued"]
 
 
 def plant_count(run: RunData) -> dict[str, Any]:

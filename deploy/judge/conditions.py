@@ -16,7 +16,9 @@ Conditions = dict[str, str]
 """Sentences or numbers with their unit, by subject."""
 
 _UNKNOWN = "not known"
-_GRANTED_IN_SILENCE = f"{_UNKNOWN}: the manifest does not say, as where loops were started by hand"
+_GRANTED_IN_SILENCE = (
+    f"{_UNKNOWN}: not in the manifest, for example because the processes were started separately"
+)
 _SHOWN_GRANTS = (SCHEDULER, AFFINITY)
 
 
@@ -36,7 +38,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         "physics": _physics_of(setups),
         **drives_of(setups),
         "duration": f"{scenario.duration_s:g} s",
-        "starts": f"joints off by {start} rad",
+        "starts": f"initial offset {start} rad",
         "seeds": str(scenario.seed),
         "set": _UNKNOWN if manifest.get("set") is None else ", ".join(manifest["set"]) or "nothing",
         **host_of(manifest),
@@ -103,7 +105,8 @@ def host_of(manifest: Mapping[str, Any]) -> Conditions:
     granted = [f"{role} {_grants_text(settings)}" for role, settings in grants.items()]
     return {
         "host": _each(manifest, _host_text),
-        "granted": "; ".join(granted) or "nothing asked for, as no loop ran in real time",
+        "granted": "; ".join(granted)
+        or ("no real-time permissions, because no loop ran in real time"),
     }
 
 

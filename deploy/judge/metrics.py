@@ -15,6 +15,7 @@ from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import disagreement, judge_bounds, lacks_end, plant_count
 from deploy.judge.chattering import chatter_shares
 from deploy.judge.identified import identified
+from deploy.judge.link_delays import measured_link
 from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.judge.stalls import longest_stall_ms
@@ -22,8 +23,8 @@ from deploy.judge.verdict import decide, with_verdict
 from deploy.scenario.setup import Setup
 
 UNAUTHENTICATED = (
-    "without link.security, one commander protects against mistakes, not against somebody who"
-    " copies the commander's id"
+    "without link.security, the check of the commander protects against mistakes, but not against"
+    " someone who copies the commander's id"
 )
 _SHORTEST_S = 1e-6
 _MOST_GAPS = 20
@@ -216,8 +217,9 @@ def _transport(run: RunData) -> dict[str, Any]:
         "loss_burst": dict.fromkeys(("mean", "longest")),
     }
     channels = {name: always | (counts.get(name) or unknown) for name in ("uplink", "downlink")}
-    for channel in channels.values():
-        channel.pop("curves", None)  # for the report alone
+    for name, measured in measured_link(run).items():
+        channels[name].pop("curves", None)  # for the report alone
+        channels[name]["measured_ms"] = percentiles(measured.delays_ms)
     return channels | ({"can": counts["can"]} if "can" in counts else {})
 
 

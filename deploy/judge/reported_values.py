@@ -41,7 +41,8 @@ _CHANNEL = {
 _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {
         "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
-        "limits": _COUNTS, "physics": _TEXT,
+        "limits": _COUNTS, "physics": _TEXT, "cycles": _COUNT,
+        "kernel": _COUNT, "start_s": _AMOUNT, "newest_cycle_s": _AMOUNT,
         "bounds": {"ticks": _COUNT, "outside": _COUNT, "margin_min": _MARGIN},
     },
     EventKind.COUNTS: {
@@ -84,6 +85,6 @@ def _take(
             elif isinstance(value, Mapping):
                 _take(values.setdefault(name, {}), value, kind, place, notes)
             else:
-                raise TypeError("no mapping")
+                raise TypeError("not a mapping")
         except (TypeError, ValidationError):
             notes[f"{place} cannot be {repr(value)[:40]} and was left out"] = None

@@ -57,7 +57,7 @@ class CanKind(LinkKind[DrivenArm]):
     brings_plant_status = False
     controller_leads = True
     simulates_process_faults = False
-    no_link_faults = "without link.kind can, where link.can.faults says what befalls the bus"
+    no_link_faults = "without link.kind: can, for which link.can.faults has the faults of the bus"
 
     def check(self, run: LinkRun) -> None:
         can, robot = run.link.can, run.robot
@@ -65,7 +65,7 @@ class CanKind(LinkKind[DrivenArm]):
         node_ids = check_drives(can, robot, run.plant, takes_targets=run.takes_targets)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
-            allowed = f"false over CAN with {protocol.title}: these drives take torques alone"
+            allowed = f"false over CAN with {protocol.title}: these drives accept only torques"
             raise ConfigurationError(f"{side}.drive_feedback.enabled", True, allowed, _PROTOCOL)
         check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_delays(run, protocol)
@@ -179,7 +179,7 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
     """Check that messages are delayed at most, and only where time waits for them."""
     link, refusal = run.link, None
     if not run.lockstep:
-        refusal = "without delays where clock is realtime"
+        refusal = "without delays if clock is realtime"
     elif protocol.answers_torques:
         refusal = f"without delays with {protocol.title}, whose drives answer every frame"
     for name in ("uplink", "downlink"):
@@ -189,8 +189,8 @@ def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
             refusal = "delay_ms alone"
         if shown and refusal is not None:
             allowed = (
-                f"must be {refusal}, with link.kind = can: what a CAN bus does to frames is up to"
-                " link.can.bitrate and link.can.faults"
+                f"must be {refusal}, with link.kind = can: link.can.bitrate and link.can.faults"
+                " describe the bus"
             )
             raise ConfigurationError(f"link.{name}", shown, allowed, _PROTOCOL)
     if link.playout_ms:

@@ -126,8 +126,8 @@ def find_latency(
     period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else math.inf
     if times_s[-1] - times_s[0] < 4.0 * longest_s or len(times_s) < _FEWEST_ROWS:
         raise ValueError(
-            f"{len(times_s)} rows over {np.ptp(times_s):.3g} s: there must be {_FEWEST_ROWS}, and"
-            f" four times the longest latency, {longest_s:g} s"
+            f"{len(times_s)} rows over {np.ptp(times_s):.3g} s: needs {_FEWEST_ROWS} rows and four"
+            f" times the longest latency, {longest_s:g} s"
         )
     fit = _Fit(times_s, command, response, longest_s, is_held=is_held)
     if np.ptp(command) == 0.0 or np.ptp(fit.response) == 0.0:
@@ -138,15 +138,15 @@ def find_latency(
     if explained < _LEAST_EXPLAINED:
         raise ValueError(f"a dead time and a lag explain {100 * explained:.0f} % of the response")
     if max(dead_time_s, lag_s) > 0.98 * longest_s:
-        raise ValueError(f"dead time or lag reach the longest looked for, {longest_s:g} s")
+        raise ValueError(f"dead time or lag reach the end of the search range, {longest_s:g} s")
     covariance = _covariance(fit, dead_time_s, lag_s, residuals)
     half = _Z_95 * np.sqrt(np.diag(covariance))
     sum_s = dead_time_s + lag_s
     if not max(half[:2]) <= _WIDEST_S + _WIDEST_SHARE * sum_s:
         of_sum = _Z_95 * math.sqrt(max(0.0, covariance[:2, :2].sum()))
         raise ValueError(
-            "the motion does not excite the system enough to tell dead time from lag; together they"
-            f" are {1e3 * sum_s:.2f} ± {1e3 * of_sum:.2f} ms"
+            "the motion does not excite the system enough to separate dead time and lag; together"
+            f" they are {1e3 * sum_s:.2f} ± {1e3 * of_sum:.2f} ms"
         )
     return Latency((dead_time_s, half[0]), (lag_s, half[1]), (float(gain), half[2]), explained)
 

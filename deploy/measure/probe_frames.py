@@ -12,10 +12,10 @@ import select
 import socket
 import struct
 import time
-import zlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple, Self
+
+from bus_schema.runtime.clock import own_kernel
 
 REPEATED = 8
 _HEADER = struct.Struct(f"<4sIIIIqq{REPEATED}q")
@@ -60,13 +60,6 @@ class ProbeFrame(NamedTuple):
         return cls(size, session, number, kernel, sent, answered, tuple(received))
 
 
-def own_kernel() -> int:
-    """What tells the kernel under which this process runs, since it was started."""
-    with contextlib.suppress(OSError):
-        return zlib.crc32(Path("/proc/sys/kernel/random/boot_id").read_bytes())
-    return 0
-
-
 class FrameStream:
     """The frames of a connection, which come in pieces."""
 
@@ -83,7 +76,7 @@ class FrameStream:
         while len(self._buffer) >= LEAST_BYTES:
             frame = ProbeFrame.decode(self._buffer)
             if frame is None:
-                raise ValueError("no frames of a link probe")
+                raise ValueError("not frames of a link probe")
             if len(self._buffer) < frame.size:
                 return
             self._buffer = self._buffer[frame.size :]

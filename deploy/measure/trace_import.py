@@ -11,7 +11,7 @@ import numpy as np
 from bus_schema.errors import did_you_mean
 from bus_schema.messages.types import stamp_of
 from bus_schema.user_files import read_text
-from deploy.measure.trace_output import Measured
+from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.columns import MOST_BYTES
 
@@ -40,7 +40,7 @@ def from_ping(file: Path, interval_s: float) -> Measured:
         sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * interval_s
         answers[number] = sent_s, round_trip_ms / 2
     if len(answers) < 2:
-        raise ScenarioError(f"{file}: holds no two answers as ping shows them")
+        raise ScenarioError(f"{file}: does not contain two replies in the format of ping")
     first, last = min(answers), max(answers)
     numbers = np.arange(first, last + 1)
     known = sorted(answers)
@@ -68,7 +68,7 @@ def from_candump(file: Path, request: str, answer: str) -> Measured:
         elif delays and np.isnan(delays[-1]):
             delays[-1] = 1e3 * (float(found[1]) - sent[-1])
     if not sent:
-        raise ScenarioError(f"{file}: holds no frame {request} as candump writes them")
+        raise ScenarioError(f"{file}: does not contain frame {request} in the format of candump")
     return Measured(np.array(sent), np.array(delays))
 
 

@@ -4,46 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Vector, percentiles
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
+from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
-
-
-class Measured(NamedTuple):
-    """The messages of one direction, in the order of sending.
-
-    Attributes:
-        sent_s: when each was sent, shape (messages,).
-        delays_ms: how long it took, NaN where it was lost; shape (messages,).
-    """
-
-    sent_s: Vector
-    delays_ms: Vector
-
-    @property
-    def lost(self) -> int:
-        return int(np.isnan(self.delays_ms).sum())
-
-    def summary(self) -> str:
-        """What was measured, in a line."""
-        found = percentiles(self.delays_ms[~np.isnan(self.delays_ms)])
-        values = ", ".join(f"{name.replace('_', '.')} {value:.3f}" for name, value in found.items())
-        low, high = share_interval(self.lost, len(self.sent_s))
-        return (
-            f"{len(self.sent_s):,} messages in {np.ptp(self.sent_s):.1f} s, lost {self.lost}"
-            f" ({100 * low:.2g} to {100 * high:.2g} %), delay in ms: {values}"
-        )
-
-
-def share_interval(count: int, of: int) -> tuple[float, float]:
-    """Where a share lies with 95 % confidence, after Wilson."""
-    z2 = 1.96**2
-    centre, spread = count + z2 / 2, 1.96 * (count * (of - count) / of + z2 / 4) ** 0.5
-    return max(0.0, (centre - spread) / (of + z2)), min(1.0, (centre + spread) / (of + z2))
 
 
 def write_table(columns: Mapping[str, Any], file: Path, *, is_parquet: bool) -> None:
@@ -72,11 +39,14 @@ def write_trace(measured: Measured, file: Path) -> None:
     """
     sent_s, delays_ms = measured
     if len(sent_s) < 2 or measured.lost == len(sent_s):
-        raise ScenarioError(f"{file}: nothing to write: a trace has two messages, and one arrives")
+        raise ScenarioError(
+            f"{file}: nothing to write: a trace needs at least two messages, one of which arrives"
+        )
     least = float(np.nanmin(delays_ms))
     if least < 0.0:
         raise ScenarioError(
-            f"{file}: the least delay is {least:g} ms, as clocks differ: --least MS says what it is"
+            f"{file}: the smallest delay is {least:g} ms, because the clocks differ: give the true"
+            " smallest delay with --least MS"
         )
     times_s = np.round(sent_s - sent_s[0], 9)
     delays = [None if np.isnan(each) else round(each, 6) for each in delays_ms.tolist()]

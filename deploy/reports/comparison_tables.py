@@ -40,7 +40,7 @@ def verdict_table(comparison: ComparedRuns) -> Table:
         f"{scenario.name} · {scenario.duration_s:g} s · worst joint of each law",
         [*names, *(column for column, _, _ in shown)],
         rows,
-        "The best of all laws that kept their bounds is set off. RMS errors and steady"
+        "The best value of all laws that kept their bounds is highlighted. RMS errors and steady"
         f" margins from {scenario.metrics.from_s:g} s on; everything else over the whole run."
         f" {quantities.SETTLED}",
     )
@@ -85,18 +85,19 @@ def recorded_table(compared: RecordedRuns) -> Table:
     rows += number_rows(summaries)
     digest, *others = (summary["digest"] for summary in summaries)
     same = (Cell("same", "good") if each == digest else "differs" for each in others)
-    rows.append(["Digest, beside the first", ABSENT, *same])
+    rows.append(["Digest, compared with the first run", ABSENT, *same])
     partings = compared.partings[1:]
     ticks = (Cell("never", "good") if p is None else str(p.tick) for p in partings)
     times_s = (None if p is None else p.time_s for p in partings)
     apart = (Cell("0", "good") if p is None else scaled(p.largest_rad, _MRAD) for p in partings)
     rows.append(["First tick that differs", ABSENT, *ticks])
     rows.append(["… at (s)", ABSENT, *times_s])
-    rows.append(["Positions apart, most (mrad)", ABSENT, *apart])
+    rows.append(["Largest difference of a position (mrad)", ABSENT, *apart])
     return Table(
         "Runs", _columns(compared, "Run"), rows,
-        "Ticks are compared by position, velocity and torque of every joint, bit by bit; digests,"
-        " by every byte of states and commands with their stamps, so those of real time differ.",
+        "Ticks are compared by position, velocity and torque of every joint, bit by bit. Digests"
+        " cover every byte of states and commands with their stamps, so those of runs in real"
+        " time differ.",
     )  # fmt: skip
 
 
@@ -107,14 +108,14 @@ def difference_table(compared: RecordedRuns) -> Table:
         for key, values in compared.differing.items()
     ]
     columns = [Column(label, is_text=True) for label in ("Key", *compared.labels)]
-    return Table("What differs in the scenarios", columns, rows)
+    return Table("Differences of the scenarios", columns, rows)
 
 
 def recorded_joint_tables(compared: RecordedRuns) -> list[Table]:
     """RMS error, worst share of the bound and travel of torque, a row for each joint."""
     runs, rms, travel = compared.runs, quantities.RMS_ERROR, quantities.TOTAL_VARIATION
     usage = [_worst_usage(run) for run in runs]
-    each_from = "Each over its own scenario's metrics.from_s on."
+    each_from = "Each run from its own scenario's metrics.from_s on."
     return [
         _joints(compared, rms.column, [rms.of_joints(run.summary) for run in runs], each_from),
         _joints(compared, Column("Worst error in % of its bound"), usage),

@@ -22,10 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.verdict import Verdict
-from deploy.reports.study_texts import case_name, shown_value
+from deploy.reports.study_texts import case_name
 from deploy.run.run_folder import read_json
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import OF_BOUND
+from deploy.study.study import OF_BOUND, shown_value
 
 _ENTRIES = "history.jsonl"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
@@ -119,7 +119,7 @@ def build_gate(at_least: str | None, baseline: Path | None, tolerance: str | Non
         ScenarioError: a number cannot be read, or the baseline holds no results.
     """
     if tolerance is not None and baseline is None:
-        raise ScenarioError(f"--tolerance {tolerance}: must come with --baseline")
+        raise ScenarioError(f"--tolerance {tolerance}: needs --baseline")
     limit, unit = _size("--at-least", at_least)
     allowed, other = _size("--tolerance", tolerance)
     if unit and other and unit != other:
@@ -145,12 +145,13 @@ def require_unit(gate: Gate, unit: str) -> None:
     if gate.unit and gate.unit != unit.partition(" ")[0]:
         raise ScenarioError(
             f"--at-least or --tolerance: unit {shown(gate.unit)}: must be"
-            f" {unit.partition(' ')[0] or 'left out'}, as the result is in {unit or 'no unit'}"
+            f" {unit.partition(' ')[0] or 'left out'}, because the result is in"
+            f" {unit or 'no unit'}"
         )
     for each in gate.baseline.values():
         if each.unit != unit:
             raise ScenarioError(
-                f"--baseline: has {each.name} in {each.unit or 'no unit'}: must be a result in"
+                f"--baseline: {each.name} is in {each.unit or 'no unit'}: must be a result in"
                 f" {unit or 'no unit'}"
             )
 
@@ -253,7 +254,7 @@ def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) 
         ReportHead("good", f"{len(entries)} results", [said]),
         [Fact("Unit", unit or "none")],
         [Panel("History", "history", f"{name} over commits", lambda all_: _figure(all_, unit),
-               "A gap is a result in which nothing was kept.")],
+               "A gap is a result in which the bounds were never kept.")],
         list(entries),
     )  # fmt: skip
     write_page(folder / "history.html", page)
@@ -282,12 +283,12 @@ def entry_of(found: Sequence[Gauged]) -> Entry:
 
 def since_when(entries: Sequence[Entry], gauge: Gauged) -> str:
     """What a number was when it was last better, and at which commit it fell; empty if never."""
-    known = [(entry.commit, entry.values.get(gauge.name)) for entry in entries]
-    for place in reversed(range(len(known))):
-        commit, value = known[place]
+    fell = ""
+    for entry in reversed(entries):
+        value = entry.values.get(gauge.name)
         if value is not None and (gauge.value is None or gauge.is_below(value)):
-            fell = known[place + 1][0] if place + 1 < len(known) else _commit()
-            return f"; it was {value:.4g} at {commit}, and fell at {fell}"
+            return f"; it was {value:.4g} at {entry.commit}, and fell at {fell or _commit()}"
+        fell = entry.commit
     return ""
 
 

@@ -32,13 +32,13 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
-            Fact("Last value tried", texts.value_text(summary["limit"], summary)),
+            Fact("Largest value tried", texts.value_text(summary["limit"], summary)),
             Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
             _durations(summary),
             Fact("Held-arm ceiling",
                  ", ".join(f"{arm} {text}" for arm, text in ceilings.items() if text) or ABSENT,
-                 "The brakes hold the arm until the first command acts: no law can start under"
-                 " more delay."),
+                 "The brakes hold the arm until the first command acts: no law can start with a"
+                 " longer delay."),
         ],
         panels=[
             panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)
@@ -59,7 +59,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
     best, *others = texts.sentences(summary)
     explained = (
-        f"At this {summary['title']}, and at each smaller one that was tried, at least {share} of"
+        f"At this {summary['title']}, and at all smaller ones that were tried, at least {share} of"
         " the plants kept their bounds. The interval is Wilson's."
     )
     return Page(
@@ -75,8 +75,8 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
         panels=[
             *(_curves_panel(
                 summary, arm, own, "kept", study_figures.PLANTS_KEPT,
-                "Shares of all plants, with Wilson's 95 % intervals as shades. A click gives the"
-                " command of the plant that fared worst there.",
+                "Shares of all plants, with Wilson's 95 % intervals as shades. Click on a point"
+                " for the command that repeats its worst plant.",
                 f"Plants of {arm} that kept their bounds")
               for arm, own in _cases_by_arm(summary).items()),
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
@@ -88,7 +88,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             for value in case["values"]
             for point in value["worst_points"]
         ],
-        points_title="The worst points of each value, with the command that runs them again",
+        points_title="The worst points of each value, with the command that repeats them",
     )  # fmt: skip
 
 
@@ -97,19 +97,19 @@ def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Pan
         Panel(
             arm, f"margins-{arm}", f"Margins on {arm}",
             lambda study: study_figures.margin_bars(study, cases),
-            "The taller, the more a law takes. A click gives the command of the first value that"
-            " failed, from the start that fared worst. Dotted: the held-arm ceiling; no loop can be"
-            " started beyond it.",
+            "A taller bar is a larger margin. Click on it for the command that repeats the first"
+            " failure, from the worst start. Dotted: the held-arm ceiling, beyond which no loop"
+            " can start.",
             is_clickable=True,
         ),
         _curves_panel(
             summary, arm, cases, "outside", study_figures.TICKS_OUTSIDE,
-            "Where a line leaves zero, its law loses its bounds. Lines are means of all starts and"
-            " seeds, the shades reach from the best run to the worst.",
+            "A law loses its bounds where its line leaves zero. Lines are means of all starts"
+            " and seeds; shades reach from the best run to the worst.",
         ),
         _curves_panel(
             summary, arm, cases, "rms", study_figures.WORST_RMS,
-            "What precision remains, on a logarithmic scale, with the same shades.",
+            "Error on a logarithmic scale, with the same shades.",
         ),
     ]  # fmt: skip
 
@@ -144,10 +144,11 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
     losses = case["losses"]
     bars = [(one["quantity"], one["effect"]) for one in losses["effects"] or []]
     return Panel(
-        "What lost plants have in common", f"losses-{index}", texts.case_title(case),
+        "Common properties of lost plants", f"losses-{index}", texts.case_title(case),
         lambda _: study_figures.effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0),
-        f"{losses['lost_plants']} plants were lost at some value. To the right: they had more of"
-        " it. Grey bars lie within what chance alone may give the strongest of all quantities.",
+        f"{losses['lost_plants']} plants lost their bounds at some value. A bar to the right:"
+        " lost plants had larger values of this quantity. Grey bars are within the range of"
+        " chance.",
     )  # fmt: skip
 
 

@@ -146,7 +146,7 @@ class Page(Generic[T]):
     before: tuple[str, Sequence[Cards]] = ("", ())
     after: tuple[str, Sequence[Cards]] = ("", ())
     points: Sequence[tuple[str, str, str]] = ()
-    points_title: str = "Every point, with the command that runs it again"
+    points_title: str = "Every point, with the command that repeats it"
     points_note: str = ""
     end_s: float | None = None
     footer: str = ""

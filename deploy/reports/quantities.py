@@ -76,7 +76,7 @@ TIMES = {
     "wakeup_lateness_us": "Wake-up lateness",
 }
 """Names of the times of ``timing`` in a summary."""
-SETTLED = "A joint has settled when its error has entered the bounds' steady state to stay."
+SETTLED = "A joint has settled when its error stays within the final bounds."
 DEADLINES_MET = "Deadlines met"
 
 
@@ -108,7 +108,7 @@ RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Longest run of misses (ticks)": lambda s: s["timing"]["deadline_miss_longest_run"],
     "Saturated ticks (%)": lambda s: scaled(s["torque"]["saturated_fraction"], 100.0),
     "Real-time factor": lambda s: s["real_time_factor"],
-    "CPU time that a hypervisor took (ms)": lambda s: s["timing"]["stolen_ms"],
+    "CPU time taken by a hypervisor (ms)": lambda s: s["timing"]["stolen_ms"],
     "Longest stall of a loop (ms)": lambda s: s["timing"]["longest_stall_ms"],
     "Messages recorded": lambda s: s["recorder"]["messages"],
     "Messages lost by the recorder": lambda s: s["recorder"]["lost"],

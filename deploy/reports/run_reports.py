@@ -50,7 +50,7 @@ def write_report(
             Fact("Smallest margin", margin_text(bounds["margin_min"]) + margin_place(bounds),
                  "1 − |e| / bound; negative outside the bounds"),
             Fact("Steady margin", margin_text(bounds["margin_steady"]),
-                 f"the smallest from {from_s:g} s on, once the bounds have narrowed"),
+                 f"the smallest from {from_s:g} s on, when the bounds have narrowed"),
             Fact(quantities.DEADLINES_MET, percent(summary["timing"]["success_rate"]),
                  "share of the ticks that met their deadline"),
             Fact("Digest", summary["digest"][:12], summary["digest"]),
@@ -88,9 +88,9 @@ def write_comparison_report(comparison: ComparedRuns, path: Path, conditions: Co
             Fact("Laws", str(len(comparison.runs))),
             Fact("Duration", f"{scenario.duration_s:g} s"),
             Fact("Rate", number(scenario.rate_hz, 1.0, " Hz")),
-            Fact("Seed", str(scenario.seed), "the same for all laws, as is everything but the law"),
+            Fact("Seed", str(scenario.seed), "the same for all laws, like all other conditions"),
             Fact("Nominal model", f"× {scenario.controller.model_scale:g}",
-                 "factor on masses and inertias of the model that model-based laws use"),
+                 "factor on masses and inertias of the nominal model"),
             Fact("Clock", summary["clock"]),
         ],
         LAW_PANELS,
@@ -101,8 +101,8 @@ def write_comparison_report(comparison: ComparedRuns, path: Path, conditions: Co
             Cards([of_runs.law_table(comparison, each) for each in quantities.BY_LAW], "three"),
         ]),
         end_s=max(run.summary["duration_s"] for run in comparison.runs),
-        footer="Every law has a folder of its own beside this report, with its recording. What"
-        " draws that run alone:",
+        footer=("Each law has its own folder beside this report, with its recording. This command"
+               " writes the report of that run alone:"),
         footer_code="funnel-hil report",
     )  # fmt: skip
     write_page(path, page, shares_library=True)
@@ -125,6 +125,6 @@ def write_diff_report(compared: RecordedRuns, path: Path, conditions: Conditions
             Cards(of_runs.recorded_joint_tables(compared), "three"),
             Cards([of_runs.recorded_timing_table(compared)], "stacked"),
         ]),
-        footer="Each run was judged again from its recording, by its own scenario's funnel.",
+        footer="Each run was evaluated again from its recording, with its own scenario's funnel.",
     )  # fmt: skip
     write_page(path, page)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from bus_schema.arrays import PERCENTILES
@@ -10,7 +11,7 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
 from deploy.reports import quantities
-from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, table_of
 from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
 
 Row = list[Cell | Value]
@@ -18,8 +19,8 @@ Row = list[Cell | Value]
 _SHOWN_EVENTS = 200
 _UNITS = ("_s", "_ms")
 _REJECTED = (
-    "Sent is what was put on its way. Commands that were rejected as they arrived are not among"
-    " them; those overtaken, or through after the arm had stopped, are."
+    "Sent are all messages that entered the link. This leaves out commands that were rejected on"
+    " arrival, but not those that were overtaken or came after the arm had stopped."
 )
 WALL_TIME = "Control step and wake-up lateness are wall time, the others are on the run's clock."
 PERCENTILE_NAMES = {name: name.replace("_", ".") for name in PERCENTILES}
@@ -28,11 +29,15 @@ _TRANSPORT = {
     "delivered": "Delivered",
     "lost": "Lost",
     "loss_burst.mean": "Lost in a row, mean",
-    "loss_burst.longest": "Lost in a row, most",
+    "loss_burst.longest": "Lost in a row, maximum",
     "duplicated": "Duplicated",
     "reordered": "Reordered",
     "delay_ms.mean": "Delay, mean (ms)",
     **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in PERCENTILE_NAMES.items()},
+    **{
+        f"measured_ms.{name}": f"Delay with the bus, {title} (ms)"
+        for name, title in PERCENTILE_NAMES.items()
+    },
 }
 
 
@@ -85,7 +90,7 @@ def health_table(summary: dict[str, Any]) -> Table:
     skipped = summary["recording"]["ticks_skipped"]
     rows: list[Row] = []
     if skipped:
-        rows += [["Ticks", summary["ticks"]], ["Ticks skipped, plant too late", skipped]]
+        rows += [["Ticks", summary["ticks"]], ["Ticks skipped by a late plant", skipped]]
     rows += number_rows([summary])
     lost = summary["recorder"]["lost_by_topic"] or {}
     rows += [[f"Lost of {topic}", count] for topic, count in lost.items()]
@@ -120,7 +125,7 @@ def event_table(run: RunData) -> Table:
     if hidden > 0:
         rows.append(["…", "", "", f"{hidden:,} more"])
     if not rows:
-        rows.append([ABSENT, "", "", "no event was recorded"])
+        rows.append([ABSENT, "", "", "no events were recorded"])
     headings = ("Time (s)", "Source", "Event", "Detail")
     return Table("Events", [Column(heading, is_text=True) for heading in headings], rows)
 
@@ -130,31 +135,26 @@ def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
     found = [each for summary in summaries for each in summary.get(CONFIRMATION) or ()]
     if not found:
         return []
-    columns = [
-        Column("Scenario", brief=None, is_text=True),
-        Column("Law", is_text=True),
-        Column("On", is_text=True),
-        Column("Runs"),
-        Column("Same verdict", brief="Same"),
-        Column("Another verdict", brief="Other"),
-        Column("Too near to call", brief="Near"),
-        Column("Smallest margins differ by at most", "%", "Margin\n±"),
-        Column("True errors differ by at most", "mrad", "Error\n±"),
-    ]
-    rows = [
-        [
-            each["scenario"], each["law"], each["physics"], each["runs"], each["agree"],
-            Cell(each["differ"], "bad" if each["differ"] else ""), each["too_near"],
-            scaled(each["margin_difference"], 100.0), scaled(each["error_difference_rad"], 1e3),
-        ]
-        for each in found
+    columns: list[tuple[Column, Callable[[Mapping[str, Any]], Cell | Value]]] = [
+        (Column("Scenario", brief=None, is_text=True), itemgetter("scenario")),
+        (Column("Law", is_text=True), itemgetter("law")),
+        (Column("On", is_text=True), itemgetter("physics")),
+        (Column("Runs"), itemgetter("runs")),
+        (Column("Same verdict", brief="Same"), itemgetter("agree")),
+        (Column("Different verdict", brief="Other"),
+         lambda each: Cell(each["differ"], "bad" if each["differ"] else "")),
+        (Column("Too close to call", brief="Near"), itemgetter("too_near")),
+        (Column("Smallest margins differ by at most", "%", "Margin\n±"),
+         lambda each: scaled(each["margin_difference"], 100.0)),
+        (Column("True errors differ by at most", "mrad", "Error\n±"),
+         lambda each: scaled(each["error_difference_rad"], 1e3)),
     ]  # fmt: skip
     return [
-        Table(
-            "Confirmation on other physics", columns, rows,
-            "The same runs with the same controller, channel and hardware, on other rigid-body"
-            " physics. A verdict that differs is too near to call where a smallest margin is"
-            f" within {NEAR_ZERO:.0%} of the bound from zero.",
+        table_of(
+            "Confirmation on other physics", columns, found,
+            "The same runs with the same controller, link and actuators, on the other physics"
+            " engine. A different verdict is too close to call if a smallest margin is within"
+            f" {NEAR_ZERO:.0%} of the bound from zero.",
         )
     ]  # fmt: skip
 

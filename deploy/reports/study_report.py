@@ -13,9 +13,9 @@ from deploy.reports.margin_reports import margin_page, robustness_page
 from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import result_tables
-from deploy.reports.study_texts import shown_value
 from deploy.reports.verdict import ReportHead, level_of
 from deploy.study.folder import StudyFolder
+from deploy.study.study import shown_value
 
 Summary = dict[str, Any]
 
@@ -61,7 +61,9 @@ def _with_failures(verdict: ReportHead, summary: dict[str, Any]) -> ReportHead:
     failed = summary["runs_failed"]
     if not failed:
         return verdict
-    said = replace(verdict, faults=[f"{failed} runs, most of them: {summary['commonest_error']}"])
+    said = replace(
+        verdict, faults=[f"{failed} runs, the most frequent error: {summary['commonest_error']}"]
+    )
     if failed < summary["runs"]:
         return said
     return replace(said, level="broken", headline="Every run failed")
@@ -113,7 +115,7 @@ def _curve_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
     for point in summary["points"]:
         others = [axis for axis in order if axis != x]
         lines.setdefault(_given(summary, point, others) or "all runs", []).append(point)
-    caption = "Lines are means over all runs, the shades reach from the best run to the worst."
+    caption = "Lines are means over all runs; shades reach from the best run to the worst."
     if summary["plants"]:
         caption = caption[:-1] + "; for plants kept, shares with Wilson's 95 % intervals."
     if len(lines) > _MOST_CURVES:

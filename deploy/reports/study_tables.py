@@ -9,6 +9,7 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_whole
 from deploy.reports import study_texts as texts
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, quotable, scaled, table_of
+from deploy.study.study import shown_value
 
 _SHOWN_EFFECTS = 6
 Summary = dict[str, Any]
@@ -75,10 +76,11 @@ def margin_table(summary: Summary) -> Table:
              lambda case: ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT),
         ],
         summary["cases"],
-        "A value holds if the bounds are kept from every start with every seed; the margin is the"
-        f" {texts.furthest(summary)} value up to which all that were probed held. Held-arm"
-        " ceiling: until the first command acts the brakes hold the arm, and from the worst start"
-        " its error leaves the funnel after this time; no law can start under a longer delay.",
+        "A value holds if the bounds are kept from every start with every seed; the margin is"
+        f" the {texts.furthest(summary)} value up to which all tested values held. Held-arm"
+        " ceiling: until the first command acts the brakes hold the arm, and from the worst"
+        " start its error leaves the funnel after this time; no law can start under a longer"
+        " delay.",
     )  # fmt: skip
 
 
@@ -88,7 +90,7 @@ def point_table(summary: Summary) -> Table:
     def value_of(place: int, axis: Summary) -> TableColumn:
         keys = ", ".join(axis["keys"])
         brief = keys.replace(", ", "\n").replace(".", ".\n")
-        return Column(keys, brief=brief), lambda point: texts.shown_value(point["values"][place])
+        return Column(keys, brief=brief), lambda point: shown_value(point["values"][place])
 
     def spread(key: str, which: str, factor: float) -> Callable[[Summary], Value]:
         return lambda point: scaled(point[key][which], factor)
@@ -158,9 +160,9 @@ def robustness_table(summary: Summary) -> Table:
             *(kept_at(place, value) for place, value in enumerate(summary["values"])),
         ],
         summary["cases"],
-        f"Plants 1 to {plants} of plant_seed {summary['plant_seed']}, the same in every"
-        " cell. A plant is kept if it is with every seed. The held-arm ceiling is that of the plant"
-        " that has the least: no law can start it under a longer delay.",
+        f"Plants 1 to {plants} of plant_seed {summary['plant_seed']}, the same in every cell. A"
+        " plant counts if it keeps its bounds with every seed. The held-arm ceiling is the"
+        " smallest one of all plants: no law can start that plant with a longer delay.",
     )  # fmt: skip
 
 
@@ -173,30 +175,30 @@ def interval_table(summary: Summary) -> Table:
             (Column(summary["title"], summary["unit"]), lambda at: at["value"]),
             (Column("Kept"), texts.share_text),
             (Column("Wilson's 95 % interval"), texts.interval_text),
-            (Column("Cannot start: beyond their held-arm ceiling"),
+            (Column("Cannot start: above their held-arm ceiling"),
              lambda at: float(at["beyond_held_arm_ceiling"])),
         ],
         [{**value, "case": case} for case in summary["cases"] for value in case["values"]],
-        "The interval says how far the share of all plants that could be drawn may lie from that of"
-        " those that were.",
+        "The interval is for the share of all plants that could be drawn, of which these are a"
+        " sample.",
     )  # fmt: skip
 
 
 def losses_table(summary: Summary) -> Table:
-    """What lost plants have in common, the strongest first."""
+    """Common properties of lost plants, the strongest first."""
     rows: list[list[Value]] = []
     for case in summary["cases"]:
         losses, name = case["losses"], texts.case_title(case)
         counts = f"{losses['lost_plants']} / {losses['kept_plants']}"
         if losses["effects"] is None:
-            rows.append([name, "too few lost or kept to say", None, None, counts])
+            rows.append([name, "too few lost or kept plants", None, None, counts])
             continue
         for one in losses["effects"][:_SHOWN_EFFECTS]:
             effect = f"{one['effect']:+.2f}"
             rows.append([name, one["quantity"], effect, losses["chance_level"], counts])
             name = counts = ""
     return Table(
-        "What lost plants have in common",
+        "Common properties of lost plants",
         [
             Column("Case", is_text=True),
             Column("Drawn quantity", is_text=True),

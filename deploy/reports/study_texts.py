@@ -60,11 +60,6 @@ def share_text(share: Summary) -> str:
     return f"{share['kept']} of {share['total']}" if share["total"] else ABSENT
 
 
-def shown_value(value: Any) -> str:
-    """A swept value; whole numbers without a decimal point."""
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
 def margin_figure(case: Summary) -> str:
     """A margin without its unit; that it is beyond the limit, or that there is none."""
     if not case["completed"]:

@@ -23,8 +23,11 @@ if TYPE_CHECKING:
     from deploy.study.comparison.recorded import Parting, RecordedRuns
 
 Level = Literal["good", "bad", "mixed", "broken"]
-PARTIAL = "The recording is partial: it was not finished properly."
-UNCHECKED = "No checksum covers all of the recording: damage between its messages would not show."
+PARTIAL = "The recording is incomplete: the recorder did not finish it."
+UNCHECKED = (
+    "The recording has no checksum over all its bytes: damage between messages would not"
+    " be detected."
+)
 _MRAD = 1e3
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
@@ -33,9 +36,9 @@ _HEADLINES: Mapping[Verdict, tuple[Level, str]] = {
     Verdict.KEPT: ("good", "Bounds kept"),
     Verdict.LOST: ("bad", "Bounds not kept"),
     Verdict.UNKNOWN: ("broken", "Not known whether bounds were kept"),
-    Verdict.FAULTED: ("broken", "Run faulted"),
+    Verdict.FAULTED: ("broken", "Run ended by a fault"),
     Verdict.INTERRUPTED: ("broken", "Run interrupted"),
-    Verdict.NOTHING: ("broken", "Nothing to judge"),
+    Verdict.NOTHING: ("broken", "Nothing was recorded"),
 }
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
 """Who holds up a loop that lacks a setting."""
@@ -68,7 +71,7 @@ def verdict_on_run(
     reasons = [
         f"The true error was {_bounds_text(run, summary, known)}."
         if is_judged
-        else "No tick was recorded, so there is nothing to judge.",
+        else "No tick was recorded, so there is no verdict on the bounds.",
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
     ]
@@ -78,7 +81,7 @@ def verdict_on_run(
     if level == "broken" and bounds["violation_fraction"]:
         headline += ", bounds not kept"
     elif level == "broken" and is_judged:
-        headline += ", inside its bounds where it is known"
+        headline += ", inside its bounds at all known ticks"
     return ReportHead(level, headline, reasons, summary["faults"])
 
 
@@ -106,7 +109,7 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
         found.append(f"The data end at {summary['duration_s']:.3f} s of {planned_s:g} s planned.")
     if run.lost:
         missed = ", ".join(f"{topic} {count:,}" for topic, count in run.lost.items())
-        found.append(f"The recording lacks {sum(run.lost.values()):,} messages: {missed}.")
+        found.append(f"{sum(run.lost.values()):,} messages are missing in the recording: {missed}.")
     if timing["deadline_misses"] and timing["stolen_ms"]:
         found.append(
             f"A hypervisor took {timing['stolen_ms']:.0f} ms of CPU time away during the run."
@@ -124,8 +127,8 @@ def _sentences_on_a_stall(stall_ms: float | None, conditions: Mapping[str, str])
         cause = f"most likely by {who}, as a loop of this run had no {' and no '.join(lacked)}"
     else:
         cause = "most likely by the host" if is_known else "by the host or by other processes"
-    said = f"A loop was held up for {stall_ms:.0f} ms, {cause}"
-    return [f"{said}: what came of it says little of the law."]
+    said = f"A loop could not run for {stall_ms:.0f} ms, {cause}"
+    return [f"{said}: this run says little about the law."]
 
 
 def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
@@ -134,16 +137,16 @@ def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
     left_out_s = recording["torque_left_out_s"]
     pairs = zip(summary["tracking"]["joint_names"], recording["settling_is_latest"], strict=True)
     names = ", ".join(name for name, is_latest in pairs if is_latest)
-    latest = f"Settled while ticks are missing, at the time given at the latest: {names}."
-    torques = f"Variation and spectrum of the torques leave out the {left_out_s:.3f} s over them."
+    latest = f"Settled at the given time or earlier, because ticks are missing: {names}."
+    torques = f"Variation and spectrum of the torques leave out {left_out_s:.3f} s around the gaps."
     return [*([latest] if names else []), *([torques] if left_out_s else [])]
 
 
 def missing_ticks_sentence(known: KnownTicks) -> str:
     """What to say of ticks that are not in a recording."""
     return (
-        f"The true motion is known at {known.known:,} of {known.ticks:,} ticks: missing are those"
-        f" at {known.gaps_text}."
+        f"The true motion is known at {known.known:,} of {known.ticks:,} ticks; those at"
+        f" {known.gaps_text} are missing."
     )
 
 
@@ -198,7 +201,9 @@ def _head(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> R
     said = [*(f"{run.law}: {bounds_sentence(run)}" for run in runs), *reasons]
     unsound = [run for run in runs if not _is_sound(run)]
     if unsound:
-        unread = " or cannot be read whole" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
+        unread = (
+            " or cannot be read completely" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
+        )
         return ReportHead("broken", f"{headline}, {len(unsound)} did not finish{unread}", said)
     kept = sum(run.kept_bounds for run in runs)
     return ReportHead(level_of(kept, len(runs)), headline, said)
@@ -220,11 +225,13 @@ def bounds_sentence(run: JudgedRun) -> str:
     if faults:
         return "; ".join(faults[:_SHOWN_FAULTS])
     if run.verdict is Verdict.INTERRUPTED:
-        return "did not come to its end"
+        return "did not finish"
     if run.verdict is Verdict.NOTHING:
         return "has no tick"
     if run.verdict is Verdict.LOST and not run.summary["bounds"]["violation_fraction"]:
-        return "left its bounds at ticks that its recording lacks, as the plant counted"
+        return (
+            "left its bounds at ticks that are missing in the recording, by the plant's own count"
+        )
     return _bounds_text(run.data, run.summary, known)
 
 
@@ -245,7 +252,7 @@ def _ranking(comparison: ComparedRuns) -> list[str]:
     sentences = []
     for what, section, key in (
         ("Smallest RMS error", "tracking", "rms_rad"),
-        ("Least total variation of torque", "torque", "total_variation_nm_per_s"),
+        ("Smallest total variation of torque", "torque", "total_variation_nm_per_s"),
     ):
         competing = {run.law: run.summary[section][key] for run in kept}
         competing = {law: values for law, values in competing.items() if values is not None}
@@ -287,13 +294,15 @@ def _same(compared: RecordedRuns, every: str) -> str:
 
 def _parting_text(parting: Parting | None, first: str, every: str) -> str:
     if parting is None:
-        return f"the same as {first} at {every}, to the bit"
+        return f"bit-identical to {first} at {every}"
     if parting.largest_rad is None:
         return f"has no tick at the time of one of {first}"
     if parting.is_end:
-        return f"the same as {first} at {every} before {parting.tick}, where one ends, to the bit"
+        return (
+            f"bit-identical to {first} at {every} before {parting.tick}, where one of the runs ends"
+        )
     apart = number(parting.largest_rad, _MRAD, " mrad")
     return (
-        f"leaves {first} at tick {parting.tick} ({number(parting.time_s)} s); positions are at most"
-        f" {apart} apart"
+        f"differs from {first} from tick {parting.tick} on ({number(parting.time_s)} s); positions"
+        f" differ by at most {apart}"
     )

@@ -62,7 +62,7 @@ def check_confirmable(setup: Setup) -> None:
             raise ScenarioError(f"--confirm: {name} cannot load this arm: {error}") from error
     if not others:
         raise ScenarioError(
-            "--confirm: no other physics is installed: pip install "
+            "--confirm: no other physics engine is installed: pip install "
             + " ".join(engine.distribution for engine in ENGINES.values())
         )
 

@@ -83,7 +83,7 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
             results and `overwrite` is false.
     """
     if overwrite and out is None:
-        raise ScenarioError("--overwrite: must come with --out; another folder is always a new one")
+        raise ScenarioError("--overwrite: needs --out, because the default folder is always new")
     path = resolved_out(out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}"))
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
         if overwrite:
             _remove_files(path)
         elif found is not None:
-            allowed = "must be a folder without, or give --overwrite"
+            allowed = "use another folder, or --overwrite"
             raise ScenarioError(f"--out {path}: holds results ({found}): {allowed}")
     return path
 
@@ -156,15 +156,15 @@ def missing_recording(path: Path, kind: str) -> str:
         kind: kind of the results in that folder, from its summary; empty without one.
     """
     if not path.exists():
-        return f"{path}: holds no run.mcap: no such folder or file{_others(path)}"
+        return f"{path}: has no run.mcap: no such folder or file{_others(path)}"
     if not kind and (path / "study.yaml").is_file():  # it was not finished
         kind = "study"
     if kind in {"", "run"}:
-        return f"{path}: holds no run.mcap"
+        return f"{path}: has no run.mcap"
     recorded = _folders(path, lambda inner: (inner / "run.mcap").is_file())
     runs = f", with runs in {_listed(recorded)}" if recorded else ""
     return (
-        f"{path}: holds no run.mcap, as it is no run but a {_KINDS.get(kind, kind)}{runs};"
+        f"{path}: has no run.mcap, because it is not a run but a {_KINDS.get(kind, kind)}{runs};"
         f" funnel-hil report {path} shows it"
     )
 
@@ -173,7 +173,7 @@ def _others(path: Path) -> str:
     """Suggest runs near a path, as `funnel-hil runs list` shows them."""
     found = _folders(path.parent, holds_results)
     if not found:
-        return "; funnel-hil runs list shows what lies in runs"
+        return "; funnel-hil runs list shows the results in runs"
     meant = did_you_mean(path.name, [each.name for each in found])
     return f"; funnel-hil runs list {path.parent} shows {_listed(found)}{meant}"
 

@@ -92,7 +92,9 @@ def record_failures(path: Path, failures: Sequence[str]) -> None:
                     file, FAILURES_METADATA, {str(i): f for i, f in enumerate(failures)}
                 )
             except OSError as error:
-                logger.warning("%s: what failed is not in it: %s", file, error.strerror)
+                logger.warning(
+                    "%s: messages are missing, because writing failed: %s", file, error.strerror
+                )
 
 
 class LoggedView:

@@ -171,7 +171,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
     damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
         raise RunFolderError(
-            f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
+            f"{file}: is not a recording of funnel-hil (it contains no scenario and arm){damage}"
         )
     with tempfile.TemporaryDirectory() as folder:
         scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
@@ -208,7 +208,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
 def _forgeries(rejected: Mapping[str, int]) -> list[str]:
     """Explain in a sentence why it is uncertain which messages are the plant's."""
     found = ", ".join(f"{name}: {rejected[name]}" for name in DAMAGING if name in rejected)
-    return [f"somebody else sent in the plant's name ({found})"] if found else []
+    return [f"another sender used the plant's name ({found})"] if found else []
 
 
 def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:

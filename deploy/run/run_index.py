@@ -62,7 +62,7 @@ def results_in(folder: Path) -> list[IndexedResults]:
         ScenarioError: there is no such folder.
     """
     if not folder.is_dir():
-        raise ScenarioError(f"{folder}: no such folder; must be one of results")
+        raise ScenarioError(f"{folder}: no such folder")
     found = [_looked_at(path) for path in _result_folders(folder)]
     return sorted(found, key=lambda each: (_seconds(each.started), each.path))
 
@@ -77,7 +77,7 @@ def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
         raise ScenarioError(f"{path}: holds no results")
     for each in add:
         if not _TAG.fullmatch(each):
-            allowed = "must be letters, digits, and _.- behind the first"
+            allowed = "must be letters, digits, and after the first character also _.-"
             raise ScenarioError(f"tag {each[:100]!r}: {allowed}")
     tags = sorted({*tags_of(path), *add} - set(remove))
     write_json(path / _TAGS, {"tags": tags})

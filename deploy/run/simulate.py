@@ -185,10 +185,10 @@ def require_simulable(setup: Setup) -> None:
     with naming(setup.origin):
         for fault in process_faults(setup.scenario.faults):
             if not setup.link_kind.simulates_process_faults:
-                allowed = "must be of another kind for simulate over this link; run has processes"
+                allowed = "is not possible in simulate over this link; use run, which has processes"
                 raise ConfigurationError("faults: kind", fault.kind, allowed)
             if Role(fault.target) is not Role.CONTROLLER:
-                allowed = "must be controller for simulate, which has no other process; run has"
+                allowed = "must be controller in simulate, which has no other process; use run"
                 raise ConfigurationError("faults: target", fault.target, allowed)
 
 

@@ -81,7 +81,7 @@ def _killer(within_s: float) -> int:
 def _end_now() -> NoReturn:
     """End the process at once; files that are written whole stay as they were."""
     with contextlib.suppress(Exception):
-        print("stopped: what was under way did not end by itself", file=sys.stderr, flush=True)
+        print("stopped: the running operation did not end in time", file=sys.stderr, flush=True)
         sys.stdout.flush()
         util._run_finalizers()  # type: ignore[attr-defined]  # temporary folders
     os._exit(INTERRUPTED)

@@ -103,7 +103,7 @@ def _check_gears(
     if (stiffness > most).any():
         allowed = (
             f"must be at most {[float(f'{each:.3g}') for each in most]} with this arm and physics"
-            f" step of {1e3 * grid.substep_s:g} ms; more plant.substeps allow more"
+            f" step of {1e3 * grid.substep_s:g} ms; a larger plant.substeps raises this limit"
         )
         key = "plant.actuator.gear_stiffness_nm_rad"
         raise ConfigurationError(key, stiffness.tolist(), allowed, ["plant.substeps", "robot"])
@@ -138,7 +138,7 @@ def _gear_stiffness(
         ConfigurationError: the largest torques, to which it is proportional, are unknown.
     """
     if not np.isfinite(rated).all():
-        allowed = "must be left out where neither URDF nor saturation_nm has the largest torques"
+        allowed = "must be left out if neither the URDF nor saturation_nm gives the largest torques"
         raise ConfigurationError("plant.actuator.gear_resonance_hz", first_hz, allowed)
     model = ManipulatorModel(robot)
     root = np.sqrt(np.broadcast_to(rated, robot.joints))
@@ -154,7 +154,7 @@ def _check_sides(setup: Setup) -> None:
     if scenario.controller.process is None:
         setup.control_task()
     elif scenario.link.kind != "zenoh":
-        allowed = "must be zenoh, which controller.process speaks"
+        allowed = "must be zenoh, because controller.process communicates over Zenoh"
         raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
     setup.link_kind.check(setup.link_run(lockstep=scenario.clock == "lockstep"))
     if not are_left_out():  # a scenario that is only viewed needs no physics engine
@@ -192,8 +192,8 @@ def _reachable_motion(
     first_s, last_s = reference.known_s
     if first_s > 0.0 or last_s < scenario.duration_s - 0.5 / scenario.rate_hz:
         allowed = (
-            f"must be within the {first_s:g} to {last_s:g} s of reference.file; reference.beyond:"
-            " hold rests before and after"
+            f"must be within the {first_s:g} to {last_s:g} s of reference.file; or set"
+            " reference.beyond: hold to rest before and after"
         )
         raise ConfigurationError("duration_s", scenario.duration_s, allowed, ["reference"])
     samples = min(round(scenario.duration_s * _CHECKED_PER_SECOND), _MOST_CHECKED) + 1

@@ -43,7 +43,7 @@ class RobotConfiguration(StrictModel):
 
 
 class MetricsConfiguration(StrictModel):
-    """Settings of the judge.
+    """Settings of the evaluation.
 
     Attributes:
         from_s: start of the RMS and largest errors; a shorter run uses its second half.
@@ -55,7 +55,7 @@ class MetricsConfiguration(StrictModel):
 class ScenarioConfiguration(StrictModel):
     """A whole experiment.
 
-    Its uncertainty does not affect a run: studies draw plants from it.
+    The section `uncertainty` does not affect a run; studies draw plants from it.
     """
 
     name: Name

@@ -67,7 +67,7 @@ def explain(error: ValidationError, model: type[BaseModel], origin: Origin) -> s
     problems = error.errors(include_url=False)
     lines = [_sentence(problem, model, origin) for problem in problems[:_MOST_PROBLEMS]]
     more = len(problems) - len(lines)
-    return "\n".join([*lines, f"{origin.file}: {more} more problems"] if more else lines)
+    return "\n".join([*lines, f"{origin.file}: and {more} more problems"] if more else lines)
 
 
 def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
@@ -77,7 +77,7 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
     source = origin.of(".".join([*path, str(place[-1])]) if place else "")
     if problem["type"] == "extra_forbidden":
         hint = _did_you_mean(str(place[-1]), sections, model)
-        return f"{source}: {key}: there is no such key{hint}"
+        return f"{source}: {key}: unknown key{hint}"
     if problem["type"] == "missing":
         return f"{source}: {key}: is missing"
     if problem["type"] in ("model_type", "dataclass_type", "dict_type"):

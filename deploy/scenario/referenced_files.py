@@ -118,7 +118,9 @@ def _find_trace(given: TraceConfiguration, key: str, origin: Origin, duration_s:
         allowed = f"must be below the trace's {length_s:g} s"
         raise ConfigurationError(f"{key}.start_s", start_s, allowed, [f"{key}.file"])
     if not given.loop and start_s + duration_s > length_s:
-        allowed = f"must be true: from start_s on, the trace lasts {length_s - start_s:g} s"
+        allowed = (
+            f"must be true, because the trace lasts only {length_s - start_s:g} s after start_s"
+        )
         raise ConfigurationError(f"{key}.loop", given.loop, allowed, ["duration_s"])
     return path
 

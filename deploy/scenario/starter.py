@@ -129,7 +129,7 @@ def drives_of(robot: RobotDescription) -> Drives:
     )
     data = [_source(*each) for each in sources]
     if not np.isfinite(robot.effort_limits_nm).all():
-        data.insert(0, f"largest torques {ESTIMATED} from its weight where its file has none")
+        data.insert(0, f"largest torques {ESTIMATED} from its weight if its file has none")
     return Drives(rated, rotors, friction, ", ".join(data))
 
 

@@ -49,7 +49,7 @@ def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
             if instead is not None:
                 raise ConfigurationError(key, value, f"must be given {instead}")
             if any(_overlap(leaf, idle) for idle in idle_keys) and (leaf, said) not in _AS_IT_IS:
-                allowed = "must be left out: it changes nothing in a study, which simulates"
+                allowed = "must be left out: it has no effect in a study, which only simulates"
                 raise ConfigurationError(key, value, allowed)
 
 
@@ -70,10 +70,10 @@ def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> No
     for key, value in given.items():
         for leaf, said in leaves({key: value}):
             if leaf.startswith("link.can."):
-                allowed = "must be left out, as link.kind is not can: nothing else reads it"
+                allowed = "must be left out: it has an effect only with link.kind: can"
                 raise ConfigurationError(key, value, allowed)
             if (leaf, said) == ("link.kind", "zenoh") and is_simulated and not _changed(runs):
-                allowed = "must be left out: a study simulates, and nothing goes over Zenoh"
+                allowed = "must be left out: a study only simulates and does not use Zenoh"
                 raise ConfigurationError(key, value, allowed)
 
 

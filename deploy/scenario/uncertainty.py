@@ -30,10 +30,10 @@ class Draw(StrictModel):
     """Distribution of one number, or of one for each joint.
 
     Attributes:
-        distribution: ``uniform`` or ``log_uniform`` between `least` and `most`, a ``choice`` of
+        distribution: ``uniform`` or ``log_uniform`` between ``from`` and ``to``, a ``choice`` of
             `values`, equally likely, or a ``sign``, −1 or 1.
-        least: (in YAML ``from``) the smallest value.
-        most: (in YAML ``to``) the largest value.
+        least: the smallest value; ``from`` in YAML.
+        most: the largest value; ``to`` in YAML.
         values: values of a ``choice``.
         per: one number for the whole ``arm``, or one for each ``joint``.
         relative: true: the draw is a factor on the scenario's own value; a dotted key: a factor on
@@ -55,15 +55,15 @@ class Draw(StrictModel):
         has_ends = self.least is not None or self.most is not None
         if "uniform" in self.distribution:
             if not has_range or self.values is not None or not self.least < self.most:  # type: ignore[operator]
-                raise ValueError(f"with from < to, and no values, where it is {self.distribution}")
+                raise ValueError(f"with from < to and without values if it is {self.distribution}")
             if self.distribution == "log_uniform" and not self.least > 0.0:  # type: ignore[operator]
-                raise ValueError("with from > 0 where it is log_uniform")
+                raise ValueError("with from > 0 if it is log_uniform")
         elif has_ends:
-            raise ValueError(f"without from and to where it is {self.distribution}")
+            raise ValueError(f"without from and to if it is {self.distribution}")
         elif (self.distribution == "choice") != bool(self.values):
-            raise ValueError("with values where it is choice, and only there")
+            raise ValueError("with values if it is choice, otherwise without")
         if self.distribution == "sign" and self.random_sign:
-            raise ValueError("without random_sign where it is sign, which is one")
+            raise ValueError("without random_sign if it is sign")
         return self
 
     def sample(self, random: np.random.Generator, joints: int) -> float | Vector:
@@ -134,7 +134,9 @@ def check_uncertainty(uncertainty: Uncertainty, scenario: Mapping[str, Any], joi
     for text in uncertainty:
         for key in split_keys(text):
             if keys.count(key) > 1:
-                raise ConfigurationError(f"uncertainty.{text}", key, "must be drawn once")
+                raise ConfigurationError(
+                    f"uncertainty.{text}", key, "must be in the section only once"
+                )
     draw_plant(uncertainty, scenario, joints, seed=0, number=1)
 
 
@@ -188,7 +190,7 @@ class _Drawing:
         elif draw.relative:
             drawn = drawn * own
         if np.ndim(drawn) and not np.ndim(own):
-            allowed = f"must be one number for the arm, as {key} takes one, not one per joint"
+            allowed = f"must be arm: {key} accepts one number, not one per joint"
             raise ConfigurationError(f"uncertainty.{text}", f"per: {draw.per}", allowed)
         return drawn
 

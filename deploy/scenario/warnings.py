@@ -40,12 +40,14 @@ def scenario_warnings(setup: Setup) -> list[str]:
     actuator = scenario.plant.actuator
     if actuator.gear_stiffness_nm_rad is not None and actuator.encoder_side == "link":
         said.append(
-            "plant.actuator.encoder_side: link measures beyond elastic gears, where no shipped law"
-            " kept its bounds at a first resonance of 15 Hz; motor measures before them"
+            "plant.actuator.encoder_side: link measures on the output side of elastic gears. With"
+            " this, no shipped law kept its bounds at a first resonance of 15 Hz; motor measures"
+            " on the input side"
         )
     if ESTIMATED in (data := scenario.robot.drive_data or ""):
         said.append(
-            f"{data}: replace that in the scenario (funnel-hil robot --scenario writes one)"
+            f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
+            " one)"
         )
     said += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
@@ -67,9 +69,9 @@ def _torque_warning(setup: Setup) -> list[str]:
     more = int((usage.max(axis=0) > 1.0).sum()) - 1
     others = f"; {more} more joint{'s' * (more > 1)} too" if more else ""
     return [
-        f"the reference asks {robot.joint_names[joint]} for {torques[tick, joint]:.3g} N m at"
-        f" {times_s[tick]:.2f} s, {usage[tick, joint]:.2f} times its largest torque"
-        f" {limits[joint]:g} N m{others}: no law can follow it there"
+        f"the reference needs {robot.joint_names[joint]} to deliver {torques[tick, joint]:.3g} N m"
+        f" at {times_s[tick]:.2f} s, {usage[tick, joint]:.2f} times its largest torque"
+        f" {limits[joint]:g} N m{others}: no law can follow it"
     ]
 
 

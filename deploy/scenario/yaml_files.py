@@ -78,7 +78,7 @@ def find_yaml(
     if faults and name_or_path.startswith(f"{FAULTS}/"):
         listed = faults
     is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
-    what = "is no regular file" if is_there else "no such file"
+    what = "is not a regular file" if is_there else "no such file"
     raise ScenarioError(
         f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name}"
         f" {', '.join(listed)}{did_you_mean(name_or_path, [*names, *faults])}"
@@ -95,8 +95,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = read_text(path)
         if text.lstrip().startswith(_XML):
             raise ScenarioError(
-                f"{path}: must be a mapping of keys to values in YAML, and is XML: an arm in URDF"
-                f" or xacro goes under robot.urdf of a scenario; funnel-hil robot {path} shows it"
+                f"{path}: must be a mapping of keys to values in YAML, but is XML. A URDF or xacro"
+                f" file belongs under robot.urdf of a scenario; funnel-hil robot {path} shows it"
             )
         with naming(path):
             values = values_of(text)
@@ -117,7 +117,7 @@ def parse_override(override: str) -> tuple[str, Any]:
     """
     key, separator, text = override.partition("=")
     if not separator or not key:
-        raise ScenarioError(f"--set {shortened(override)}: the form is dotted.key=value")
+        raise ScenarioError(f"--set {shortened(override)}: must have the form dotted.key=value")
     return key, option_value(f"--set {shortened(override)}", text)
 
 
@@ -132,7 +132,7 @@ def option_value(option: str, text: str) -> Any:
     except ConfigurationError as error:
         raise ScenarioError(f"{option}: {shown(error.value)} {error.allowed}") from error
     except (yaml.YAMLError, UnicodeEncodeError) as error:  # input may be no UTF-8
-        raise ScenarioError(f"{option}: {shown(text)} is no YAML value") from error
+        raise ScenarioError(f"{option}: {shown(text)} is not valid YAML") from error
 
 
 def override(key: str, value: Any) -> str:

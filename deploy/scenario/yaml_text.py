@@ -20,7 +20,7 @@ MOST_CHARACTERS = 5_000_000
 _MOST_BITS = 1000
 """Limit on whole numbers: larger ones are of no use in computations."""
 
-_WANTED = {"int": "a whole number", "float": "a number", "timestamp": "a date of the calendar"}
+_WANTED = {"int": "a whole number", "float": "a number", "timestamp": "a valid date"}
 """Required values by their form or by their tag."""
 
 _MERGE = "tag:yaml.org,2002:merge"
@@ -98,7 +98,7 @@ def _check_size(text: str) -> None:
             allowed = f"must not be nested deeper than {DEEPEST} levels"
             raise ConfigurationError(key, _line(text, event), allowed)
         if nodes > MOST_NODES:
-            allowed = f"must have at most {MOST_NODES} values, aliases counted in full"
+            allowed = f"must have at most {MOST_NODES} values, with aliases expanded"
             raise ConfigurationError(key, _line(text, event), allowed)
 
 
@@ -124,7 +124,7 @@ def _check_values(loader: Any, node: yaml.Node, key: str, seen: set[int]) -> Non
             own, again = _dotted(key, name.value), name.start_mark.line + 1
             _check_values(loader, inner, own, seen)
             if name.value in lines:  # the parser would keep the last value
-                allowed = f"must be given once; it is in lines {lines[name.value]} and {again}"
+                allowed = f"must occur only once; it is in lines {lines[name.value]} and {again}"
                 raise ConfigurationError(own, _said(inner), allowed)
             lines[name.value] = again
 

@@ -264,7 +264,7 @@ class StudyOfCases(StudyOfRuns):
             if files.setdefault(name, setting.scenario) != setting.scenario:
                 raise ScenarioError(
                     f"scenarios: {files[name]} and {setting.scenario} are both called {name!r}:"
-                    " must have names of their own"
+                    " must have different names"
                 )
 
     @property

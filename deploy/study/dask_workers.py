@@ -116,11 +116,11 @@ class DaskWorkers:
             run, future = self._finished.get(timeout=timeout_s)
         except queue.Empty:
             if self._client.status not in ("running", "connecting"):
-                raise ClusterLostError("the Dask scheduler has gone away") from None
+                raise ClusterLostError("the connection to the Dask scheduler is lost") from None
             return None
         self._in_flight -= 1
         if future.status == "cancelled":
-            raise ClusterLostError("the Dask scheduler has gone away")
+            raise ClusterLostError("the connection to the Dask scheduler is lost")
         error = future.exception()
         if error is None:
             return run, future.result()
@@ -182,14 +182,14 @@ def _connect(scheduler: str) -> Client:
         asyncio.run(asyncio.wait_for(_identity(scheduler), _ANSWER_S))
         client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False, security=Security())
     except (OSError, ValueError, TypeError, RuntimeError) as error:  # the last two: of TLS
-        reason = str(error) or f"nothing was heard for {_ANSWER_S:g} s"
+        reason = str(error) or f"no answer for {_ANSWER_S:g} s"
         raise ScenarioError(
             f"--scheduler {scheduler}: must be the address of a Dask scheduler that answers, such"
             f" as tcp://127.0.0.1:8786: {reason}"
         ) from error
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
-        client.submit(_check_import, pure=False).result(timeout=_FIRST_TASK_S)
+        client.submit(callable, row_of, pure=False).result(timeout=_FIRST_TASK_S)  # imports it
     except Exception as error:
         client.close()
         raise ScenarioError(
@@ -203,11 +203,6 @@ async def _identity(scheduler: str) -> None:
     arguments = Security().get_connection_args("client")  # certificates as Dask is configured
     async with rpc(scheduler, connection_args=arguments) as peer:
         await peer.identity()
-
-
-def _check_import() -> str:
-    """Check that a worker can import the code; return the module's name."""
-    return row_of.__module__
 
 
 def packed(laws: Iterable[str]) -> Packed:

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -174,8 +176,8 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
     why = hindrances(read_yaml(file), wanted, _digests(study))
     if why:
         raise ScenarioError(
-            f"--out {path}: must be without a study, or hold this one, or one that this one adds"
-            f" to; see {file}: {'; '.join(why[:_SHOWN_HINDRANCES])}"
+            f"--out {path}: has another study, which this one does not extend; see {file}:"
+            f" {'; '.join(why[:_SHOWN_HINDRANCES])}"
         )
     return path
 
@@ -190,6 +192,24 @@ def create_folder(study: StudyOfRuns, out: Path | None, *, overwrite: bool = Fal
     write_json(path / "manifest.json", _manifest(study))
     write_whole(path / STUDY_FILE, to_yaml(identity))
     return path
+
+
+@contextmanager
+def opened(
+    study: StudyOfRuns, path: Path | None, out: Path | None, *, overwrite: bool = False
+) -> Iterator[StudyFolder]:
+    """Lock the folder of a study to carry it out there.
+
+    Args:
+        study: the study.
+        path: its folder by `find_folder`; None creates one.
+        out: as for `create_folder`.
+        overwrite: likewise.
+    """
+    place = path or create_folder(study, out, overwrite=overwrite)
+    with StudyFolder(place, study).lock() as folder:
+        folder.become()
+        yield folder
 
 
 def changes_since(study: StudyOfRuns, path: Path) -> list[str]:

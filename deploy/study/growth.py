@@ -12,7 +12,7 @@ from deploy.study.study import column_type
 _TYPES = {
     "bool": "true or false",
     "double": "numbers",
-    "string": "neither numbers nor truth values",
+    "string": "neither numbers nor true or false",
 }
 """Kind of a grid's values, by the Parquet type of their column."""
 

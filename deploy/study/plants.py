@@ -66,8 +66,8 @@ class Variant:
             return error
         drawn = {key: value for key, value in self.columns.items() if key != "plant"}
         return ScenarioError(
-            f"plant {self.number}: {error}; must be impossible to draw, by narrower ranges under"
-            f" uncertainty. Drawn: {json.dumps(drawn)}"
+            f"plant {self.number}: {error}; narrow the ranges under uncertainty so that this"
+            f" cannot be drawn. Drawn: {json.dumps(drawn)}"
         )
 
 
@@ -106,8 +106,8 @@ def uncertainty_of(wanted: UncertainDefinition, base: Setup) -> Uncertainty:
         return wanted.uncertainty
     if not base.scenario.uncertainty:
         raise ScenarioError(
-            f"uncertainty: must be given where there are plants, by the study (--uncertainty) or by"
-            f" the scenario {base.scenario.name}"
+            "uncertainty: is needed for plants, in the study (--uncertainty) or in the scenario"
+            f" {base.scenario.name}"
         )
     return base.scenario.uncertainty
 

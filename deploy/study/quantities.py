@@ -168,7 +168,9 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
         raise ConfigurationError("quantity", name, allowed + hint)
     for key, given, wanted in (("direction", direction, "both"), ("running", running, False)):
         if given != wanted:
-            raise ConfigurationError(key, given, f"must be left out for {name}: it is of no link")
+            raise ConfigurationError(
+                key, given, f"must be left out for {name}, which is not a quantity of the link"
+            )
     unit = next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
     return Quantity(name, unit, (name,), float(own))
 
@@ -184,11 +186,13 @@ def _link_quantity(name: str, direction: Direction, running: Setup | None) -> Qu
     if running is not None:
         for channel in channels:
             if getattr(running.scenario.link, channel.removeprefix("link.")).schedule:
-                allowed = "must be left out where running is on"
+                allowed = "must be left out if running is on"
                 raise ConfigurationError(f"{channel}.schedule", "given", allowed)
         duration_s, end_s = running.scenario.duration_s, RAMP_FROM_S + RAMP_FOR_S
         if duration_s <= end_s:
-            allowed = f"must be above {end_s:g} s where running is on: until then it grows"
+            allowed = (
+                f"must be above {end_s:g} s if running is on, because the quantity grows until then"
+            )
             raise ConfigurationError("duration_s", duration_s, allowed)
     return replace(quantity, keys=tuple(f"{channel}.{key}" for channel in channels))
 

@@ -63,10 +63,6 @@ class Robustness(cases.StudyOfCases):
         require_effect(self.definition.fixed, dict.fromkeys(keys, "as quantity and values"))
         return plants.draw_plants(self.definition, setting.base, [*keys, LAW, SEED])
 
-    @property
-    def expected(self) -> int:
-        return len(self.definition.values) * sum(case.runs_per_value for case in self.cases)
-
     def first(self) -> Iterable[PlannedRun]:
         for index in range(len(self.cases)):
             for at, value in enumerate(self.definition.values):

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
@@ -227,9 +228,13 @@ class StudyOfRuns(ABC):
         return OF_BOUND
 
     @property
-    @abstractmethod
     def expected(self) -> int:
         """Number of runs, as far as known now."""
+        return self._requested
+
+    @cached_property
+    def _requested(self) -> int:
+        return sum(1 for _ in self.first())
 
     @abstractmethod
     def first(self) -> Iterable[PlannedRun]:
@@ -289,7 +294,7 @@ def _quantity(summary: Mapping[str, Any]) -> str:
     """Describe the varied quantity, with its unit and resolution."""
     if "axes" in summary:
         return "; ".join(
-            f"{', '.join(axis['keys'])} = {', '.join(map(_value_text, axis['values']))}"
+            f"{', '.join(axis['keys'])} = {', '.join(map(shown_value, axis['values']))}"
             for axis in summary["axes"]
         )
     text = f"{summary['title']} ({summary['unit'] or 'no unit'})"
@@ -298,7 +303,8 @@ def _quantity(summary: Mapping[str, Any]) -> str:
     return f"{text} up to {summary['limit']:g}, found to within {summary['resolution']:g}"
 
 
-def _value_text(value: Any) -> str:
+def shown_value(value: Any) -> str:
+    """Return a swept value as text; whole numbers without a decimal point."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

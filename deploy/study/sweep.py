@@ -119,11 +119,6 @@ class Sweep(StudyOfRuns):
             (values for keys, values in self.axes.items() if study_keys.LAW in keys), super().laws
         )
 
-    @property
-    def expected(self) -> int:
-        points = math.prod(map(len, self.axes.values()))
-        return points * len(self.plants) * len(self.definition.seeds)
-
     def points(self) -> Iterable[PlannedRun]:
         """Return one run for each point of the grid and each plant, with the first seed."""
         wanted = self.definition

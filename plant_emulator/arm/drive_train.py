@@ -72,7 +72,7 @@ def drive_trains(
         raise ConfigurationError(f"{_KEY}.rated_speed_rad_s", rated.tolist(), allowed)
     rotor, is_elastic = given.rotor_inertia(joints), given.gear_stiffness_nm_rad is not None
     if is_elastic and not rotor.all():
-        allowed = "must be above 0 for all joints where gear_stiffness_nm_rad is given"
+        allowed = "must be above 0 for all joints if gear_stiffness_nm_rad is given"
         raise ConfigurationError(f"{_KEY}.rotor_inertia_kg_m2", rotor.tolist(), allowed)
     columns = {
         "saturation_nm": column("saturation_nm", robot.effort_limits_nm),
@@ -148,7 +148,7 @@ def friction_table(configuration: FrictionConfiguration, rated_nm: Vector) -> Re
     for share, torque in (("coulomb_share", "coulomb_nm"), ("viscous_share_s", "viscous_nm_s")):
         part = columns.pop(share)
         if (part[np.isinf(rated_nm)] > 0.0).any():
-            allowed = "must be 0 for joints of which neither URDF nor saturation_nm has the torque"
+            allowed = "must be 0 for joints without a largest torque in the URDF or saturation_nm"
             raise ConfigurationError(f"plant.friction.{share}", part.tolist(), allowed)
         columns[torque] = columns[torque] + part * np.where(part > 0.0, rated_nm, 0.0)
     if not configuration.enabled:

@@ -1,1 +1,1 @@
-"""What the emulated link does to messages."""
+"""The emulated link: delays, losses and order of messages."""

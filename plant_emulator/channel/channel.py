@@ -1,4 +1,4 @@
-"""A direction of the link that delays all messages alike."""
+"""One direction of the link with a constant delay."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class TransportStatistics:
     _newest: int = -1
 
     def note_sent(self, *, is_lost: bool) -> None:
-        """Count a message that was handed to the channel."""
+        """Count a message that enters the channel."""
         self.sent += 1
         if not is_lost:
             self._burst = 0
@@ -58,13 +58,13 @@ class TransportStatistics:
         self.longest_loss_burst = max(self.longest_loss_burst, self._burst)
 
     def note_delay(self, sent_ns: int, delay_ns: int) -> None:
-        """Keep the delay of a message, `LOST_NS` for a loss, where it is compared with a trace."""
+        """Store the delay of a message (`LOST_NS` if lost) for the comparison with a trace."""
         if self.trace is not None:
             self._sent_ns.append(sent_ns)
             self._delays_ns.append(delay_ns)
 
     def note_delivered(self, delay_ns: int, number: int, *, is_copy: bool) -> None:
-        """Count a message that came out.
+        """Count a delivered message.
 
         Args:
             delay_ns: time from entering the channel to coming out of it.
@@ -80,7 +80,7 @@ class TransportStatistics:
         self._newest = max(self._newest, number)
 
     def summary(self) -> dict[str, Any]:
-        """The section of ``summary.json`` on this direction; null where there is nothing.
+        """Return the section of ``summary.json`` for this direction; null for missing values.
 
         ``delay_ms`` is the time from entering the channel to coming out of it. A channel with a
         trace also has `curves` of what it did, and of what the trace says.
@@ -118,7 +118,7 @@ NEVER_NS = 1 << 62
 
 
 class Channel(Generic[Item]):
-    """One direction of the link: what goes in at one instant comes out at another.
+    """One direction of the link: it delivers each item some time after it was sent.
 
     This one delays all messages alike and does nothing else.
 
@@ -138,7 +138,7 @@ class Channel(Generic[Item]):
         self.next_due_ns = NEVER_NS
 
     def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:  # noqa: ARG002 (for others)
-        """Put `item` on its way at `now_ns`, which must not be earlier than that of the last one.
+        """Send `item` at `now_ns`, which must not decrease between calls.
 
         Args:
             item: what goes in.
@@ -153,7 +153,7 @@ class Channel(Generic[Item]):
         return True
 
     def receive(self) -> tuple[int, Item]:
-        """The next item to come out and when it does so.
+        """Return the next item to be delivered, and its time.
 
         Raises:
             IndexError: nothing is on its way.
@@ -164,14 +164,14 @@ class Channel(Generic[Item]):
         return arrival
 
     def take_due(self, now_ns: int) -> list[tuple[int, Item]]:
-        """All items that come out until `now_ns`, and when they do so, in that order."""
+        """Return all items to be delivered until `now_ns` and their times, in that order."""
         due: list[tuple[int, Item]] = []
         while self.next_due_ns <= now_ns:
             due.append(self.receive())
         return due
 
     def statistics(self) -> TransportStatistics:
-        """What became of the items."""
+        """Counts of sent, delivered and lost items."""
         return TransportStatistics(
             sent=self._delivered + len(self._in_flight),
             delivered=self._delivered,
@@ -207,7 +207,7 @@ class TracedChannel(Channel[Item]):
         return True
 
     def statistics(self) -> TransportStatistics:
-        """What became of the items; counted now, as it would take time when they are sent."""
+        """Counts of the items, computed here because it would take time on sending."""
         found = TransportStatistics(trace=self._replay)
         left = self._delivered
         for number, sent_ns in enumerate(self._sent_ns):

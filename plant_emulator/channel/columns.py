@@ -1,4 +1,4 @@
-"""Files with named columns of numbers, as CSV or Parquet: what was measured of a network."""
+"""Reads network measurements: CSV or Parquet files with named columns of numbers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Columns:
         return len(next(iter(self.values.values())))
 
     def refusal(self, row: int, column: str, allowed: str) -> ValueError:
-        """What to raise for a cell of a row, counted from 0; it names line and column."""
+        """Return the error for a cell of a row (counted from 0), with line and column."""
         where = f"row {row + 1}"
         if self.content:
             where = f"line {next(islice(_lines(self.content), row + 1, None))[0]}"
@@ -51,7 +51,7 @@ class Columns:
         return ValueError(f"{self.path}, {where}, column {column} = {text}: {allowed}")
 
     def refuse_where(self, is_wrong: NDArray[np.bool_], column: str, allowed: str) -> None:
-        """Raise a `refusal` of the first row that is wrong, if there is one."""
+        """Raise a `refusal` for the first wrong row, if there is one."""
         if is_wrong.any():
             raise self.refusal(int(np.argmax(is_wrong)), column, allowed)
 
@@ -121,14 +121,14 @@ def _vectors(table: Any) -> dict[str, Vector]:
 def _check_names(
     path: Path, where: str, names: Sequence[str], required: Sequence[str], optional: Sequence[str]
 ) -> None:
-    """Refuse columns of other names, too: one may hold what another was meant to."""
+    """Refuse missing and unknown columns: an unknown one may be a misspelt one."""
     known = [*required, *optional]
     allowed = f"the columns are {', '.join(required)}"
     if optional:
         allowed += f", and perhaps {', '.join(optional)}"
     for place, name in enumerate(names, start=1):
         if name not in known or names.count(name) > 1:
-            said = "is there twice" if name in known else "is unknown"
+            said = "occurs twice" if name in known else "is unknown"
             raise ValueError(f"{path}{where}, column {place} {shown(name)} {said}: {allowed}")
     for name in required:
         if name not in names:
@@ -146,12 +146,12 @@ def _refuse_line(path: Path, content: bytes, delimiter: str, names: Sequence[str
             try:
                 float(cell.strip() or "nan")
             except ValueError:
-                what = f"column {name} = {shown(cell.strip())}: is no number"
+                what = f"column {name} = {shown(cell.strip())}: is not a number"
                 raise ValueError(f"{path}, line {number}, {what}") from None
 
 
 def _lines(content: bytes) -> Iterator[tuple[int, str]]:
-    """The header and the lines below it that are not empty, with their numbers from 1."""
+    """Return the header and all non-empty lines after it, with their numbers from 1."""
     lines = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", errors="replace")
     is_header = True
     for number, line in enumerate(lines, start=1):

@@ -1,4 +1,4 @@
-"""What a direction of the link is like at an instant, when it changes over a run."""
+"""Conditions of a direction of the link, which may change during a run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CHAIN = ("p", "r", "loss_in_bad", "loss_in_good")
 
 
 class Conditions(NamedTuple):
-    """The numbers of a channel at an instant.
+    """Parameters of a channel at an instant.
 
     Attributes:
         delay_ns: delay of every message.
@@ -45,13 +45,13 @@ class Conditions(NamedTuple):
 
 
 class ConditionFault(Protocol):
-    """What changes the conditions of a channel for a time."""
+    """A temporary change of a channel's conditions."""
 
     def is_active(self, now_ns: int) -> bool:
-        """Whether it does so now."""
+        """Whether the change is active now."""
 
     def changed(self, conditions: Conditions) -> Conditions:
-        """The conditions while it does so."""
+        """Return the changed conditions."""
 
 
 class _Change(NamedTuple):
@@ -101,7 +101,7 @@ class ConditionsSchedule:
 
 
 def _given(section: ChannelConfiguration | ChangeableConditions) -> dict[str, float]:
-    """What a section gives of the conditions, by their own names and units."""
+    """Return the conditions that a section sets, with their own names and units."""
     given: dict[str, float] = {}
     for key in ChangeableConditions.model_fields:
         value = getattr(section, key)

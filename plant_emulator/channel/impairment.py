@@ -1,4 +1,4 @@
-"""What the emulated transport does to the messages of one direction.
+"""Impairs the messages of one direction: delay, jitter, loss, bandwidth, order.
 
 All is decided when a message is sent: random numbers are drawn per message in the order of sending,
 each feature from a stream of its own, whether it is in use or not. So switching one feature on
@@ -31,7 +31,7 @@ from plant_emulator.command_gate import Command
 
 
 class Loss:
-    """Losses, independent and in bursts; each kind has random numbers of its own.
+    """Losses, independent and in bursts, each with its own random numbers.
 
     Bursts are Gilbert–Elliott's: whether a message is lost depends on the chain's state, and then
     the chain takes a step. It starts in the good state. Mean loss is (p (1-h) + r (1-k)) / (p + r);
@@ -54,7 +54,7 @@ class Loss:
 
 
 class _Transit(NamedTuple):
-    """A message under way: its number in the order of sending, and when that was.
+    """A message in transit: its number in the order of sending, and its send time.
 
     No two are equal, so of messages due at once the one that was sent first comes out first.
     """
@@ -65,7 +65,7 @@ class _Transit(NamedTuple):
 
 
 class ImpairedChannel(Channel[Item]):
-    """A channel with everything that a `ChannelConfiguration` can ask for.
+    """A channel with all features of a `ChannelConfiguration`.
 
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
@@ -141,7 +141,7 @@ class ImpairedChannel(Channel[Item]):
         now_ns: int,
         size_bytes: int,
     ) -> int:
-        """When a message comes out; it passes the limited bandwidth first, then it is delayed."""
+        """Return the delivery time of a message: after the limited bandwidth, then the delay."""
         passed_ns = max(now_ns, self._bandwidth_free_ns)
         passed_ns += round(size_bytes * conditions.ns_per_byte)
         self._bandwidth_free_ns = passed_ns
@@ -156,7 +156,7 @@ class ImpairedChannel(Channel[Item]):
 def open_uplink(
     link: LinkConfiguration, seed: int, faults: Sequence[ConditionFault] = ()
 ) -> Channel[Item]:
-    """The way of states to the controller.
+    """Return the channel of states to the controller.
 
     Args:
         link: section of the scenario.
@@ -172,7 +172,7 @@ def open_uplink(
 def open_downlink(
     link: LinkConfiguration, seed: int, faults: Sequence[ConditionFault] = ()
 ) -> Channel[Command] | PlayoutBuffer:
-    """The way of commands to the joints, with a play-out buffer where one is asked for.
+    """Return the channel of commands to the joints, with a play-out buffer if configured.
 
     Args:
         link: section of the scenario.
@@ -192,7 +192,7 @@ def open_channel(
     stream: int,
     faults: Sequence[ConditionFault] = (),
 ) -> Channel[Item]:
-    """The channel of a direction, no more of it than its configuration asks for.
+    """Return the simplest channel that has all configured features of a direction.
 
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
@@ -215,10 +215,10 @@ def open_channel(
 
 
 def _replay(configuration: ChannelConfiguration, random: np.random.Generator) -> TraceReplay | None:
-    """The trace of a direction, if it has one."""
+    """Return the trace of a direction, if it has one."""
     trace = configuration.trace
     return None if trace is None else TraceReplay(trace, random)
 
 
 UPLINK, DOWNLINK = 100, 101
-"""Keys that keep the random streams of the directions apart from each other and from the arm's."""
+"""Keys that separate the random streams of the two directions and of the arm."""

@@ -1,4 +1,4 @@
-"""What jitter adds to delays: distributions, with correlation from one message to the next.
+"""Distributions of jitter, with correlation between successive messages.
 
 Draws come from a Gaussian copula: a first-order autoregressive sequence of standard normal numbers
 z, each put through the distribution's quantile function at Φ(z). So the distribution is kept
@@ -25,7 +25,7 @@ _HEADER_BYTES = 1000
 
 
 def endless(draw: Callable[[int], Vector]) -> Iterator[float]:
-    """Numbers one by one from a method of a generator that draws as many as it is told to."""
+    """Yields single numbers from a generator's method that draws many at once."""
     while True:
         yield from draw(_BLOCK).tolist()
 
@@ -71,12 +71,12 @@ def read_delays_ms(path: Path) -> Vector:
 
 
 def _named_delays_ms(path: Path) -> Vector:
-    """The column of delays; where messages were lost, there is none."""
+    """Return the column of delays, without lost messages."""
     columns = read_columns(path, ["delay_ms"], ["time_s", "lost", "size"])
     delays_ms = columns.values["delay_ms"]
     columns.refuse_where(
         ~((delays_ms >= 0.0) & (delays_ms < math.inf)), "delay_ms",
-        "a delay is at least 0 and finite; link.uplink.trace also knows lost messages",
+        "a delay is at least 0 and finite; for lost messages use link.uplink.trace",
     )  # fmt: skip
     if not columns.rows:
         raise ValueError(f"{path} holds no delay")
@@ -84,19 +84,20 @@ def _named_delays_ms(path: Path) -> Vector:
 
 
 def _delay(path: Path, number: int, line: str) -> Iterator[float]:
-    """The delay of a line without names; none where it has nothing but a comment."""
+    """Return the delay in a line of a file without column names; None for a comment."""
     cells = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
     numbers = list(map(_number, cells))
     if not cells:
         return
     if numbers[0] is None:
-        allowed = "a file with names has a column delay_ms"
-        raise ValueError(f"{path}, line {number}: {cells[0]!r} is no number; {allowed}")
+        allowed = "a file with column names needs a column delay_ms"
+        raise ValueError(f"{path}, line {number}: {cells[0]!r} is not a number; {allowed}")
     for place, second in enumerate(numbers[1:], start=2):
         if second is not None:
             raise ValueError(
                 f"{path}, line {number}, column {place} = {cells[place - 1]}: a second number, and"
-                " nothing says which is the delay; a first line with delay_ms in it does"
+                " it is unclear which one is the delay; name the columns in the first line, with"
+                " delay_ms"
             )
     if not 0.0 <= numbers[0] < math.inf:
         raise ValueError(f"{path}, line {number}: a delay is at least 0 and finite")
@@ -167,12 +168,12 @@ def copula_correlations(quantile: Quantile) -> tuple[Vector, Vector]:
 
 
 def _mean(values: Vector) -> float:
-    """Over the normal distribution, from values at `_Z`; not by @, whose bits depend on the CPU."""
+    """Expectation under the normal distribution, from values at `_Z`; not by @: its bits vary."""
     return float((_WEIGHTS * values).sum())
 
 
 def _uniform(z: float) -> float:
-    """Between -1 and 1."""
+    """Uniform between -1 and 1."""
     return math.erf(z / math.sqrt(2.0))
 
 
@@ -183,7 +184,7 @@ def _pareto(z: float) -> float:
 
 
 QUANTILES: dict[str, Quantile] = {"uniform": _uniform, "normal": float, "pareto": _pareto}
-"""The distributions that need no file, as ``distribution`` names them."""
+"""The distributions that need no file, by their names in the scenario."""
 
 
 def _empirical(ascending: Vector) -> Quantile:

@@ -9,7 +9,7 @@ from plant_emulator.command_gate import Command
 
 
 class PlayoutBuffer:
-    """A channel of commands with a buffer behind it.
+    """A channel of commands followed by a play-out buffer.
 
     A command that answers the state stamped t comes out at t + play-out, or when it arrives if
     that is later.
@@ -31,12 +31,12 @@ class PlayoutBuffer:
         self.mean_delay_ns = channel.mean_delay_ns
 
     def send(self, command: Command, now_ns: int, size_bytes: int) -> None:
-        """Put `command` on its way, as `Channel.send` does."""
+        """Send `command`, as `Channel.send` does."""
         self._channel.send(command, now_ns, size_bytes)
         self._find_next()
 
     def take_due(self, now_ns: int) -> list[tuple[int, Command]]:
-        """All commands that come out until `now_ns`, and when they do so, in that order."""
+        """Return all commands to be delivered until `now_ns` and their times, in that order."""
         for arrival_ns, command in self._channel.take_due(now_ns):
             out_ns = max(arrival_ns, command.stamp_ns + self._playout_ns)
             entry = (out_ns, command.stamp_ns, self._arrived, command)
@@ -50,7 +50,7 @@ class PlayoutBuffer:
         return due
 
     def statistics(self) -> TransportStatistics:
-        """What became of the commands in the channel; none is lost here."""
+        """Counts of the channel; the buffer loses no command."""
         return self._channel.statistics()
 
     def _find_next(self) -> None:

@@ -1,4 +1,4 @@
-"""Replays a trace in time order, and says what a channel made of it."""
+"""Replays a trace in time order, and compares a channel's delays with it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MOST_SAMPLES = 100_000
 
 
 class TraceReplay:
-    """The delay that a trace has for a message sent at an instant; instants must not decrease.
+    """Returns the trace's delay for a message sent at an instant; instants must not decrease.
 
     Args:
         configuration: section ``trace`` of a direction.
@@ -53,7 +53,7 @@ class TraceReplay:
         self.mean_delay_ns = self._offset_ns + round(self._scale * trace.mean_delay_ns)
 
     def delay_ns(self, now_ns: int) -> int | None:
-        """Delay of a message that is sent now, before it is cut off at zero; None for a loss."""
+        """Return the delay of a message that is sent now, not yet cut off at zero; None if lost."""
         place_ns = now_ns + self._shift_ns
         if place_ns < self._next_ns:
             return self._held if not self._is_linear else self._between(place_ns)
@@ -70,7 +70,7 @@ class TraceReplay:
         return self._held if not self._is_linear else self._between(place_ns)
 
     def _between(self, place_ns: int) -> int | None:
-        """On the line to the next message, if both arrived."""
+        """Interpolate linearly to the next message, if both arrived."""
         index, times, delays = self._index, self._times, self._delays
         if self._held is None or index + 1 >= len(times) or delays[index + 1] < 0:
             return self._held
@@ -79,7 +79,7 @@ class TraceReplay:
         return self._held + round(self._scale * share * rise_ns)
 
     def sampled(self, period_ns: int) -> NDArray[np.int64]:
-        """What the whole trace has for messages with this period, `LOST_NS` for losses."""
+        """Return the delays of the whole trace for messages with this period, `LOST_NS` if lost."""
         update = {"start_s": 0.0, "loop": False}
         replay = TraceReplay(
             self._configuration.model_copy(update=update), np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Traces of measured networks: the delay of each message, or that it was lost, over time."""
+"""Traces of measured networks: delay or loss of each message over time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.channel.columns import Columns, read_columns
+from plant_emulator.channel.columns import read_columns
 
 LOST_NS = -1
 """Stands for a delay where a message was lost."""
@@ -33,12 +33,12 @@ class Trace:
 
     @cached_property
     def gap_ns(self) -> int:
-        """Time between two messages, the median: also from the last one to the first again."""
+        """Median time between messages; also used from the last message to the repeated first."""
         return max(1, int(np.median(np.diff(self.times_ns))))
 
     @property
     def length_ns(self) -> int:
-        """Time that the trace lasts."""
+        """Duration of the trace."""
         return int(self.times_ns[-1]) + self.gap_ns
 
     @cached_property
@@ -49,7 +49,7 @@ class Trace:
 
     @cached_property
     def seam(self) -> tuple[int, int]:
-        """The first and last message of what is repeated, so that a repetition is not seen.
+        """Indices of the first and last repeated message, chosen so that delays match there.
 
         The last messages before the first one and those up to the last one are as alike as any
         two windows near the ends of the trace; messages beyond them play in the first pass alone.
@@ -74,7 +74,7 @@ def read_trace(path: Path) -> Trace:
 
     Args:
         path: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
-            ``lost`` (0 or 1) and ``size`` (bytes).
+            ``lost`` (0 or 1) and ``size``, which is ignored.
 
     Raises:
         ValueError: it cannot be read, or holds something else; the message names line and column.
@@ -91,29 +91,20 @@ def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
     columns = read_columns(path, ["time_s", "delay_ms"], ["lost", "size"])
     times_s, delays_ms = columns.values["time_s"], columns.values["delay_ms"]
     if columns.rows < 2:
-        raise ValueError(f"{path}: a trace has at least two rows")
+        raise ValueError(f"{path}: a trace needs at least two rows")
     is_lost = np.isnan(delays_ms)
     columns.refuse_where(~np.isfinite(times_s), "time_s", "must be a finite number")
     is_earlier = np.concatenate([[False], np.diff(times_s) < 0.0])
     columns.refuse_where(is_earlier, "time_s", "must not be earlier than in the row before")
     columns.refuse_where(
         ~is_lost & ~((delays_ms >= 0.0) & (delays_ms <= LONGEST_MS)),
-        "delay_ms", f"must be 0 to {LONGEST_MS:g} ms, or empty where a message was lost",
+        "delay_ms", f"must be 0 to {LONGEST_MS:g} ms, or empty for a lost message",
     )  # fmt: skip
-    _check_losses(columns, is_lost)
+    if "lost" in columns.values:
+        allowed = "must be 1 if delay_ms is empty, otherwise 0"
+        columns.refuse_where(columns.values["lost"] != is_lost, "lost", allowed)
     if is_lost.all() or times_s[-1] == times_s[0]:
-        raise ValueError(f"{path}: a trace lasts some time, and some messages arrive")
+        raise ValueError(f"{path}: a trace must have a duration, and some messages must arrive")
     delays_ns = np.rint(np.where(is_lost, 0.0, delays_ms) * 1e6).astype(np.int64)
     delays_ns[is_lost] = LOST_NS
     return Trace(np.rint((times_s - times_s[0]) * 1e9).astype(np.int64), delays_ns)
-
-
-def _check_losses(columns: Columns, is_lost: NDArray[np.bool_]) -> None:
-    """Refuse rows that say of a message that it was lost, and how long it took."""
-    if "lost" in columns.values:
-        lost = columns.values["lost"]
-        columns.refuse_where(~((lost == 0.0) | (lost == 1.0)), "lost", "must be 0 or 1")
-        allowed = "must be 1 where delay_ms is empty, and 0 elsewhere"
-        columns.refuse_where((lost == 1.0) != is_lost, "lost", allowed)
-    if "size" in columns.values:
-        columns.refuse_where(~(columns.values["size"] >= 0.0), "size", "must be at least 0")

@@ -1,4 +1,4 @@
-"""All drives of a robot: what stands between its joints and the CAN bus.
+"""The drives of a robot, between its joints and the CAN bus.
 
 For a plant in lockstep the bank counts what the controller does: `samplings` rises when it has
 sampled every axis (a SYNC; or, without one, a request to each axis), `take_targets` is true once it
@@ -55,7 +55,7 @@ class DriveBank:
 
     @property
     def samplings(self) -> int:
-        """How often the controller has sampled every axis that is still on the bus."""
+        """Number of times that the controller has sampled all axes still on the bus."""
         fewest = -1
         for drive in self._drives:  # a loop, as it is asked after every frame
             if not drive.is_silent:
@@ -71,14 +71,14 @@ class DriveBank:
 
     @property
     def statuses(self) -> list[str]:
-        """State of each drive, and what is wrong with it."""
+        """State and fault of each drive."""
         return [
             f"node {node_id}: {drive.status}" + (f", {drive.fault}" if drive.fault else "")
             for node_id, drive in zip(self.node_ids, self._drives, strict=True)
         ]
 
     def take_targets(self) -> bool:
-        """Whether every drive still on the bus got a target since the last time it was so."""
+        """Whether all drives still on the bus got a target since this was last true."""
         for drive in self._drives:  # asked after every frame, too
             if not drive.is_silent and drive.targets <= drive.targets_taken:
                 return False
@@ -88,7 +88,7 @@ class DriveBank:
         return bool(listening)
 
     def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
-        """Show the drives their joints, shape (joints,) each."""
+        """Pass the measured joints to the drives, shape (joints,) each."""
         rows = zip(position_rad.tolist(), velocity_rad_s.tolist(), torque_nm.tolist(), strict=True)
         for drive, (position, velocity, torque) in zip(self._drives, rows, strict=True):
             drive.measure(JointReading(*drive.seen(position, velocity), torque))
@@ -96,13 +96,13 @@ class DriveBank:
 
     @property
     def torque_nm(self) -> Vector:
-        """Torques that the drives give, shape (joints,)."""
+        """Torques of the drives, shape (joints,)."""
         self._refresh()
         return self._torque_nm
 
     @property
     def braked(self) -> NDArray[np.bool_]:
-        """Whose brakes are engaged, shape (joints,)."""
+        """Whether each brake is engaged, shape (joints,)."""
         self._refresh()
         return self._braked
 
@@ -130,7 +130,7 @@ class DriveBank:
             yield number, number + 1
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
-        """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
+        """Pass a frame from the bus to the drives that use it, and count refused frames."""
         if frame.is_error:
             self._take_controller_error(frame, now_ns)
             return
@@ -141,23 +141,23 @@ class DriveBank:
             self._is_stale = True
 
     def advance(self, now_ns: int) -> None:
-        """Let the drives do what is due at `now_ns`."""
+        """Advance the drives to `now_ns`."""
         for drive in self._drives:
             drive.advance(now_ns)
         self._is_stale = True
 
     def inject(self, joint: int, fault: DriveFault, now_ns: int) -> None:
-        """Let something go wrong with the drive of a joint (counted from 0)."""
+        """Inject a fault into the drive of a joint (counted from 0)."""
         self._drives[joint].inject(fault, now_ns)
         self._is_stale = True
 
     def clear(self, joint: int, fault: DriveFault, now_ns: int) -> None:
-        """Take the cause of a fault away."""
+        """Remove the cause of a fault."""
         self._drives[joint].clear(fault, now_ns)
         self._is_stale = True
 
     def describe(self, frame: CanFrame) -> str:
-        """A frame in words."""
+        """Describe a frame in words."""
         if frame.is_fd and not self._reads_fd:
             return "a CAN FD frame, which these drives do not read"
         for drive in self._drives:
@@ -169,7 +169,7 @@ class DriveBank:
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
         is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
         if is_strange or len(frame.data) > _MOST_BYTES:
-            raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
+            raise InvalidMessageError("no_classical_frame", f"drives do not use {frame}")
         concerned = self._routes.get(frame.identifier)
         if concerned is None:
             concerned = [each for each in self._drives if frame.identifier in each.heard]
@@ -179,7 +179,7 @@ class DriveBank:
             if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
-            raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+            raise InvalidMessageError("unknown_identifier", f"no drive receives {frame}")
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for drive in self._drives:
@@ -190,7 +190,7 @@ class DriveBank:
         self._is_stale = True
 
     def _refresh(self) -> None:
-        """Ask the drives what they do to their joints, if anything happened since the last time."""
+        """Update the drives' demands if anything has changed."""
         if not self._is_stale:
             return
         self._is_stale = False  # first: what a thread brings in meanwhile is for the next time

@@ -85,7 +85,7 @@ class CanPlantLink(PlantLink):
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        """Let the drives be enabled, until the first tick is asked for."""
+        """Wait until the master has enabled the drives and requests the first tick."""
         last_frame_s, heard_ns = time.monotonic(), time.monotonic_ns()
         while not is_stop_requested():
             self._drives.advance(self._clock.now_ns())
@@ -109,7 +109,7 @@ class CanPlantLink(PlantLink):
         self._controller_was_seen = self._telemetry.sees(Role.CONTROLLER)
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        """Have the drives measure their joints, and do what is due."""
+        """Pass the measured joints to the drives, and advance them."""
         now_ns = self._clock.now_ns()
         self._layout.decode(state, self._measured)
         fields = self._measured.fields
@@ -123,7 +123,7 @@ class CanPlantLink(PlantLink):
         self.publish(topics.PLANT_STATUS, status)
 
     def wait_until(self, clock: Clock, instant_ns: int) -> int:
-        """Serve the drives' frames until the instant comes, in real time.
+        """Process the drives' frames until an instant, in real time.
 
         Before the joints were first measured, drives have nothing to answer with.
         """
@@ -137,7 +137,7 @@ class CanPlantLink(PlantLink):
                 # Nobody has waited for frames, or for too long none was read.
                 self._catch_up(clock)
         except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
-            self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
+            self._failure = f"frames are no longer processed: {type(error).__name__}: {error}"
             return clock.wait_until(instant_ns)
         self._lateness.note(late_ns, instant_ns + late_ns)
         return late_ns
@@ -162,7 +162,7 @@ class CanPlantLink(PlantLink):
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
 
     def fault(self) -> str | None:
-        """What is wrong with the drives, or what ended the serving of frames, if anything did."""
+        """Describe faults of the drives and errors in frame processing; empty if there are none."""
         reason = "; ".join(self._drives.bank.faults) or self._failure
         if reason is None:
             return None
@@ -181,18 +181,18 @@ class CanPlantLink(PlantLink):
         self._telemetry.require_same_scenario(role, wait_s)
 
     def await_recorded(self) -> None:
-        """Stay until the master has stopped the drives, and the recorder has everything."""
+        """Wait until the master has stopped the drives and the recorder has all messages."""
         if self._failure is None:
             self._await_standstill()
         self._telemetry.await_recorded()
 
     def close(self) -> None:
-        """Leave the buses."""
+        """Close the buses."""
         self._drives.close()
         self._telemetry.close()
 
     def _await_standstill(self) -> None:
-        """Serve the master until it has brought the drives to rest; in lockstep it makes time."""
+        """Process frames until the master has stopped the drives. In lockstep, it advances time."""
         bank, fields = self._drives.bank, self._measured.fields
         bank.measure(fields["position"], 0.0 * fields["velocity"], 0.0 * fields["effort"])
         now_ns, give_up_s = self._clock.now_ns(), time.monotonic() + _FAREWELL_S
@@ -208,7 +208,7 @@ class CanPlantLink(PlantLink):
             self._drives.advance(now_ns)
 
     def _serve(self, clock: Clock, until_ns: int) -> None:
-        """Handle frames as they come, until an instant."""
+        """Process frames as they arrive, until an instant."""
         while (left_ns := until_ns - clock.now_ns()) > 0:
             frame = self._next_frame(left_ns * 1e-9)
             if frame is not None:
@@ -216,14 +216,14 @@ class CanPlantLink(PlantLink):
             self._heard_ns = clock.now_ns()
 
     def _catch_up(self, clock: Clock) -> None:
-        """Handle the frames that wait, for no longer than a period: of a flood there is no end."""
+        """Process waiting frames for at most one period, because a flood may not end."""
         give_up_ns = clock.now_ns() + self._run.grid.period_ns
         while clock.now_ns() < give_up_ns and (frame := self._next_frame(0.0)) is not None:
             self._take(frame)
         self._heard_ns = clock.now_ns()
 
     def _heard_until_ns(self, now_ns: int) -> int:
-        """Until when the drives can miss frames: in real time, not those that nobody has read yet.
+        """Time until which drives may miss frames. In real time, unread frames are not missed.
 
         Where the loop that reads them is held up, the drives would find their master silent.
         """
@@ -237,7 +237,7 @@ class CanPlantLink(PlantLink):
         return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
 
     def _take(self, frame: CanFrame) -> None:
-        """Hand a frame to the drives, and publish what it led to."""
+        """Pass a frame to the drives, and publish the result."""
         now_ns = self._clock.now_ns()
         if self._drives.delay_ns and self._is_sampled and not self._codec.is_sampling(frame):
             self._drives.handle_later(frame, now_ns)
@@ -259,7 +259,7 @@ class CanPlantLink(PlantLink):
             self._drives.medium.catch_up()  # now that until the next tick nobody waits
 
     def _is_commanded(self, joint: int | None) -> bool:
-        """Whether all drives have a torque, or will have one, now that one was sent to a joint."""
+        """Whether all drives have or will have a torque, after one was sent to a joint."""
         if not self._drives.delay_ns:
             return self._drives.bank.take_targets()
         if joint is not None:
@@ -270,13 +270,13 @@ class CanPlantLink(PlantLink):
         return is_complete
 
     def _publish_state(self) -> None:
-        """All drives have sent their states: what the controller receives."""
+        """Publish what the controller receives, after all drives have sent their states."""
         self._sampled.stamp_ns = self._measured.stamp_ns
         self._sampled.fields["effort"][:] = self._torque
         self.publish(topics.JOINT_STATES, self._sampled.payload())
 
     def _publish_command(self) -> None:
-        """All drives have received their torques: a command that answers the last sampling."""
+        """Publish the command that all drives have received, which answers the last sampling."""
         self._command.stamp_ns = self._sampled.stamp_ns
         self._command.fields["effort"][:] = self._torque
         payload = self._command.payload()

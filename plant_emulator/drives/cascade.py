@@ -1,4 +1,4 @@
-"""The loops that servo drives close in position mode: position around velocity around torque.
+"""The loops of servo drives in position mode: position, velocity and torque.
 
     velocity wanted = v* + K_x (q* − q), at most the speed limit
     torque wanted   = τ* + K_v (velocity wanted − q̇) + integral, at most the torque limit
@@ -16,7 +16,7 @@ _DECAY = 0.99
 
 
 class CascadeGains(NamedTuple):
-    """What a drive is tuned to, at the joint.
+    """Gains of a drive's loops, at the joint.
 
     Attributes:
         position_1_s: K_x, speed per rad off the target.
@@ -35,7 +35,7 @@ UNTUNED = CascadeGains(20.0, 20.0)
 
 @dataclass
 class Integral:
-    """What a velocity loop has gathered: it outlives the targets."""
+    """Integral of a velocity loop, which is kept when targets change."""
 
     torque_nm: float = 0.0
 
@@ -65,11 +65,11 @@ class CascadeLoop(NamedTuple):
 
     @property
     def is_closed(self) -> bool:
-        """Whether the joint's motion changes the torque."""
+        """Whether the torque depends on the joint's motion."""
         return True
 
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:
-        """Torque of the motor, which the loop gives for `step_s` from now on."""
+        """Torque of the loop for the next `step_s`."""
         gains = self.gains
         seen_rad = round(position_rad / self.step_rad) * self.step_rad
         wanted_rad_s = self.velocity_rad_s + gains.position_1_s * (self.target_rad - seen_rad)

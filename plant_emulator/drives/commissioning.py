@@ -1,4 +1,4 @@
-"""Which drives a robot has: its scenario's, commissioned for its joints."""
+"""Builds the drives of a scenario, commissioned for the robot's joints."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def commission(
     plant: PlantConfiguration,
     tuned: DriveGains | None = None,
 ) -> tuple[DriveSettings, ...]:
-    """Settings of the drive of each joint; the arguments are those of `build_bank`.
+    """Return the settings of each joint's drive; arguments as for `build_bank`.
 
     Raises:
         ConfigurationError: a value does not fit the robot.

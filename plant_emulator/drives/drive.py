@@ -1,4 +1,4 @@
-"""What a protocol and a joint exchange: the interface of an emulated drive.
+"""The interface of an emulated drive, between its protocol and its joint.
 
 Drives are passive: they live in the time they are given, have no thread and look at no clock, so
 that the same frames at the same instants always give the same answers, whatever carries them.
@@ -16,11 +16,11 @@ from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cascade import UNTUNED, CascadeGains
 
 Send = Callable[[CanFrame], None]
-"""Takes the frames that a drive sends."""
+"""Receives the frames that a drive sends."""
 
 
 class JointReading(NamedTuple):
-    """What a drive's sensors show of its joint."""
+    """Sensor values of a drive."""
 
     position_rad: float = 0.0
     velocity_rad_s: float = 0.0
@@ -28,14 +28,14 @@ class JointReading(NamedTuple):
 
 
 class Loop(Protocol):
-    """A loop that a drive closes around its joint between the frames it gets."""
+    """A loop that a drive closes around its joint between frames."""
 
     @property
     def is_closed(self) -> bool:
         """Whether the joint's motion changes the torque."""
 
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:
-        """Torque of the motor where the joint is and as it moves.
+        """Torque of the motor at the joint's position and velocity.
 
         Args:
             position_rad: what the encoder has of the joint, exactly; what the drive sees of it is
@@ -72,7 +72,7 @@ class JointLoop(NamedTuple):
         return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
 
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:  # noqa: ARG002
-        """Torque of the motor where the joint is and as it moves."""
+        """Torque of the motor at the joint's position and velocity."""
         seen_rad = round(position_rad / self.step_rad) * self.step_rad
         wanted = (
             self.feedforward_nm
@@ -83,7 +83,7 @@ class JointLoop(NamedTuple):
 
 
 class JointDemand(NamedTuple):
-    """What a drive does to its joint.
+    """Torque and brake of a drive.
 
     Attributes:
         torque_nm: torque of the motor, at the joint; 0 while the brake is engaged.
@@ -107,13 +107,13 @@ AT_REST = JointDemand(0.0, is_released=False)
 
 
 class DriveFault(StrEnum):
-    """What can be made to go wrong with a drive."""
+    """Faults that can be injected into a drive."""
 
     DRIVE = "drive"
-    """Short circuit in the power stage: over as soon as the power stage is off."""
+    """Short circuit in the power stage; it ends when the power stage is off."""
 
     SILENT = "silent"
-    """Its bus connection is cut: it neither receives nor sends."""
+    """The bus connection is cut: the drive neither receives nor sends."""
 
     ENCODER_FROZEN = "encoder-frozen"
     """Position stays at its last value and velocity at zero; the drive does not notice."""
@@ -124,7 +124,7 @@ class DriveFault(StrEnum):
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """How a drive is commissioned for its joint; all at the joint, there is no gear.
+    """Settings of a drive for its joint; all values at the joint, without a gear.
 
     Attributes:
         node_id: address on the bus.
@@ -160,7 +160,7 @@ class DriveSettings:
 
 
 class Cycle:
-    """Something that happens again and again, or never if its period is 0.
+    """A periodic event; never due if its period is 0.
 
     Args:
         period_ns: time between two of them.
@@ -171,7 +171,7 @@ class Cycle:
         self._period_ns, self._next_ns = period_ns, first_ns
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether it is time; if so, until the next time not again."""
+        """Return whether the event is due, and schedule the next one."""
         if now_ns < self._next_ns or not self._period_ns:
             return False
         self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
@@ -210,30 +210,30 @@ class Drive(ABC):
     @property
     @abstractmethod
     def targets(self) -> int:
-        """Targets (torques) accepted so far."""
+        """Number of targets (torques) accepted so far."""
 
     @property
     @abstractmethod
     def samplings(self) -> int:
-        """Times the values were sampled for the controller: on SYNC, or on its request."""
+        """Number of samplings for the controller, on SYNC or on its request."""
 
     @property
     @abstractmethod
     def status(self) -> str:
-        """The drive's state in the protocol's own word."""
+        """The drive's state, in the protocol's terms."""
 
     @property
     def fault(self) -> str | None:
-        """What is wrong, None if nothing is."""
+        """The drive's fault; None without one."""
         return None
 
     def measure(self, reading: JointReading) -> None:
-        """Take in what the sensors show from now on."""
+        """Set the sensor values that hold from now on."""
         self._reading = reading
 
     @abstractmethod
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
-        """Take a data or remote frame with an identifier that it hears; whether it was for it.
+        """Receive a data or remote frame; return whether it was for this drive.
 
         Raises:
             InvalidMessageError: it was, and makes no sense. Nothing has changed.
@@ -241,20 +241,20 @@ class Drive(ABC):
 
     @abstractmethod
     def advance(self, now_ns: int) -> None:
-        """Do what is due: boot, cyclic frames, timeouts, the end of a slow-down."""
+        """Process due events: boot, cyclic frames, timeouts, the end of a slow-down."""
 
     @abstractmethod
     def demand(self) -> JointDemand:
-        """What the drive does to its joint as things are."""
+        """Return the present torque and brake."""
 
     def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
-        """What its encoder shows of a motion."""
+        """Return what the encoder measures of a motion."""
         if self._is_frozen:
             return self._reading.position_rad, 0.0
         return position_rad, velocity_rad_s
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:
-        """Let something go wrong."""
+        """Inject a fault."""
         self._set(fault, is_there=True)
         if fault in (DriveFault.DRIVE, DriveFault.OVER_TEMPERATURE):
             self._fail(fault, now_ns)
@@ -284,7 +284,7 @@ class Drive(ABC):
         self._is_off_bus = False
 
     def describe(self, frame: CanFrame) -> str | None:  # noqa: ARG002 (a protocol may have none)
-        """A frame in words, None if it is not between a master and this drive."""
+        """Describe a frame in words; None if it is not between a master and this drive."""
         return None
 
     def _transmit(self, frame: CanFrame) -> None:

@@ -1,4 +1,4 @@
-"""Drives and physics alone, in real time, for driver code from elsewhere."""
+"""Drives and physics in real time, for external driver code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
 
 @dataclass
 class RigCounts:
-    """What a rig did.
+    """Counts of a rig.
 
     Attributes:
         received: frames that came.
@@ -86,7 +86,7 @@ class DriveRig:
         self._arm.end()
 
     def _receive_until(self, instant_ns: int) -> None:
-        """Hand frames to the drives until it is time for the physics, however many they are."""
+        """Pass frames to the drives until the physics is due."""
         while (remaining_ns := instant_ns - self._clock.now_ns()) > 0:
             frame = self._bus.receive(remaining_ns * 1e-9)
             if frame is not None:
@@ -95,7 +95,7 @@ class DriveRig:
                 self._bank.receive(frame, self._clock.now_ns())
 
     def _catch_up(self, tick: int) -> None:
-        """Let the physics catch up with the clock."""
+        """Advance the physics to the clock."""
         arm, bank = self._arm, self._bank
         arm.hold(bank.braked)
         self.counts.skipped += tick - self.counts.ticks - 1

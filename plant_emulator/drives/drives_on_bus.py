@@ -1,4 +1,4 @@
-"""Emulated drives with the bus they are on: its medium's time, its log, its loss."""
+"""Emulated drives and their bus, with frame times, log and bus-off."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class DrivesOnBus:
         self._faults = schedule_faults(faults, self.bank)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """The next frame that another node sent; None if none came within `timeout_s`."""
+        """Return the next frame of another node; None if none arrives within `timeout_s`."""
         return self._bus.receive(timeout_s)
 
     def dropped(self) -> int | None:
-        """Frames that came faster than they were received; None where nobody counts them."""
+        """Number of frames that the socket dropped; None if it does not count them."""
         return self._bus.dropped()
 
     def begin_run(self, now_ns: int) -> None:
@@ -67,22 +67,22 @@ class DrivesOnBus:
         self.medium.start_counting()
 
     def handle_later(self, frame: CanFrame, now_ns: int) -> None:
-        """Let the drives take a frame that their master sends now from far away."""
+        """Send a frame from a remote master to the drives, with the link's delay."""
         self._under_way.append((now_ns + self.delay_ns, frame))
 
     def handle_due(self, now_ns: int) -> None:
-        """Let the drives take the frames from far away that have come by now."""
+        """Pass the remote frames to the drives that have arrived by now."""
         while self._under_way and self._under_way[0][0] <= now_ns:
             due_ns, frame = self._under_way.popleft()
             self.handle(frame, due_ns)
 
     def end_run(self, now_ns: int) -> None:
-        """From now on the master is as near as it was before the run."""
+        """End the link's delay."""
         self.handle_due(now_ns + self.delay_ns)
         self.delay_ns = 0
 
     def handle(self, frame: CanFrame, now_ns: int) -> None:
-        """Let the drives take a frame; once the bus is off, it reaches nobody."""
+        """Pass a frame to the drives, unless the bus is off."""
         self.answers.clear()
         if self.is_off:
             return
@@ -93,7 +93,7 @@ class DrivesOnBus:
         self.medium.carry(self.answers, now_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Let happen to the drives what is planned, and let them do what is due."""
+        """Apply planned faults, and advance the drives."""
         self.answers.clear()
         if self._is_running:
             self._faults.run_due(self._began_ns + now_ns)
@@ -102,12 +102,12 @@ class DrivesOnBus:
         self.medium.carry(self.answers, now_ns)
 
     def lose_bus(self, now_ns: int) -> None:
-        """The drives' side goes bus-off."""
+        """Put the drives' side into bus-off."""
         self.bank.receive(CanFrame(BUS_OFF, is_error=True), self._began_ns + now_ns)
         self.is_off = True
 
     def close(self) -> None:
-        """Leave the bus and finish its log."""
+        """Close the bus and finish its log."""
         self._bus.close()
         self.medium.close()
 

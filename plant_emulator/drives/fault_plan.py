@@ -1,4 +1,4 @@
-"""Faults that are to happen to drives at given times, as the command line words them."""
+"""Faults of drives at given times, in the format of the command line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NS = {"ms": 1_000_000, "s": 1_000_000_000}
 
 
 class PlannedFault(NamedTuple):
-    """Something that goes wrong with a drive.
+    """One planned fault of a drive.
 
     Attributes:
         joint: whose drive, counted from 0.
@@ -56,7 +56,7 @@ def parse_fault(text: str, node_ids: Sequence[int]) -> PlannedFault:
 
 
 def schedule_faults(faults: Sequence[PlannedFault], bank: DriveBank) -> FaultScheduler:
-    """Have faults happen to drives at their times."""
+    """Applies planned faults to drives at their times."""
     begins, ends = [], []
     for fault, joint, start_ns, end_ns in sorted(faults, key=lambda each: each[:2]):
         node = bank.node_ids[joint]

@@ -1,4 +1,4 @@
-"""Who else is on the bus, as the drives' side sees it."""
+"""Detects other masters and drives on the bus, from the drives' side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MORE = 2
 
 
 class Strangers:
-    """Counts what one master and these drives cannot have sent.
+    """Counts frames that neither the one master nor these drives can have sent.
 
     Args:
         codec: the cyclic frames.
@@ -29,7 +29,7 @@ class Strangers:
         self._ticks = 0
 
     def hear(self, frame: CanFrame, commanded: int | None, now_ns: int) -> None:
-        """Take note of a frame that came from the bus at this time of the run.
+        """Note a frame that arrived from the bus at this time of the run.
 
         Args:
             frame: the frame.
@@ -43,14 +43,14 @@ class Strangers:
             self._states[joint] += 1
 
     def in_words(self) -> str:
-        """What was sent by others; empty if nothing was."""
+        """Describe what others sent; empty if nothing."""
         sentences = []
         for node_id, states, torques in zip(
             self._node_ids, self._states, self._torques, strict=True
         ):
             if states:
                 sentences.append(
-                    f"another drive on this bus has address {node_id}: it sent {states} states"
+                    f"another drive on this bus has address {node_id} and sent {states} states"
                 )
             if torques > self._ticks + _MORE:
                 sentences.append(

@@ -1,4 +1,4 @@
-"""The plant's clock follows the master's cycle in real time, as a drive's clock follows SYNC."""
+"""Adjusts the plant's clock to the master's cycle in real time, as a drive adjusts to SYNC."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ little that no run of samplings read late, and no second master, turns it far.""
 
 
 class SyncPhase:
-    """Finds how far the clock is off from samplings and when they were read.
+    """Estimates the clock's phase error from the times at which samplings were read.
 
     A sampling is only ever read late. So of the first ones, one that seems to come early shows that
     the clock was set too late: the sampling it was set by was held up. Later on, the middle one of
@@ -32,7 +32,7 @@ class SyncPhase:
         self._late_ns: list[int] = []
 
     def correction_ns(self, now_ns: int) -> int:
-        """What the clock is to be put forward by, as a sampling is read at this time of it."""
+        """Return the clock correction after a sampling that was read at this clock time."""
         period_ns = self._period_ns
         late_ns = now_ns - self._lead_ns - self._count * period_ns
         if self._count < _COUNTED:

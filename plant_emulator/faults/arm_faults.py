@@ -65,7 +65,7 @@ class ActuatorFault(JointFault):
 
 
 class EncoderStuck(EncoderFault):
-    """Keeps the first position, and shows no velocity."""
+    """The encoder keeps reporting the position at the start of the fault, and zero velocity."""
 
     kind: Literal["encoder_stuck"]
 
@@ -157,7 +157,7 @@ class PayloadDropped(PayloadFault):
     def check(self, key: str, context: FaultContext) -> None:
         super().check(key, context)
         if context.payload_kg == 0.0:
-            allowed = "there is nothing to drop: plant.payload_kg must be above 0"
+            allowed = "needs a payload to drop: plant.payload_kg must be above 0"
             raise ConfigurationError(f"{key}.kind", self.kind, allowed)
 
 

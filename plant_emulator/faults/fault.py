@@ -38,12 +38,12 @@ class FaultContext(NamedTuple):
 
 
 class Fault(StrictModel):
-    """Base of all faults.
+    """Keys that all faults have.
 
     Attributes:
         kind: which fault.
         at_s: start, on the run's clock.
-        for_s: duration; to the end of the run if left out.
+        for_s: duration; if optional and left out, the fault lasts to the end of the run.
     """
 
     kind: str

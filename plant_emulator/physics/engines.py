@@ -123,8 +123,12 @@ def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
         )
         raise ConfigurationError("plant.physics.integrator", integrator, allowed, [_KEY])
     if plant.actuator.has_rotors and not engine.has_rotors:
-        allowed = "must be mujoco, or left out, where plant.actuator has rotors, gears or cogging"
+        allowed = (
+            "must be mujoco, or left out, if plant.actuator has rotors, elastic gears or cogging"
+        )
         raise ConfigurationError(_KEY, name, allowed, ["plant.actuator"])
     if plant.gui and not engine.has_window:
-        raise ConfigurationError("plant.gui", True, f"{engine.title} has no window here", [_KEY])
+        raise ConfigurationError(
+            "plant.gui", True, f"{engine.title} has no window in funnel-hil", [_KEY]
+        )
     return engine

@@ -115,7 +115,7 @@ def test_tip_is_the_end_of_the_longest_chain(load):
     assert load(two_links(*chain, more=aside)).tip_link == "b"
 
 
-def test_missing_file_and_folder_are_told_by_name(tmp_path):
+def test_missing_file_and_folder_are_named(tmp_path):
     with pytest.raises(RobotDescriptionError, match=r"nowhere\.urdf does not exist"):
         load_robot(tmp_path / "nowhere.urdf")
     with pytest.raises(RobotDescriptionError, match="cannot be read as URDF"):

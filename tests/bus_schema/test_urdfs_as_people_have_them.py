@@ -19,7 +19,7 @@ FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "
     [
         ("no XML at all", ("cannot be read as URDF",)),
         ("<sdf/>", ("root element is <sdf>",)),
-        (FIXED, ("no revolute or continuous joint",)),
+        (FIXED, ("no revolute, continuous or prismatic joint",)),
         (two_links().replace('effort="5"', 'effort="strong"'), ("effort='strong' of joint first",)),
         (two_links().replace('lower="-1"', 'lower=""'), ("lower='' of joint first",)),
         (two_links().replace('upper="2"', 'upper="nan"'), ("upper='nan' of joint first",)),
@@ -87,7 +87,9 @@ def test_the_length_of_an_axis_changes_no_torque(engine, load):
 
 @pytest.mark.parametrize("engine", INSTALLED)
 @pytest.mark.parametrize(("izz", "repair"), [("0.055", False), ("0.2", True)])
-def test_odd_inertias_are_mended_for_every_engine_and_said(engine, load, izz, repair):
+def test_impossible_inertias_are_repaired_for_every_engine_with_a_warning(
+    engine, load, izz, repair
+):
     robot = load(two_links(b=inertial(izz=izz)), repair=repair)
     assert "link b breaks the triangle rule" in robot.warnings[0]
     with closing(FreeArm(robot, engine)) as arm:
@@ -99,7 +101,7 @@ def test_odd_inertias_are_mended_for_every_engine_and_said(engine, load, izz, re
     assert inertia[0, 0] == pytest.approx(mended, abs=1e-8)
 
 
-def test_inertia_without_mass_is_called_odd(load):
+def test_inertia_without_mass_causes_a_warning(load):
     """As two links of pybullet_data's panda have it."""
     empty = inertial().replace('<mass value="2"/>', '<mass value="0"/>')
     third = joint("mount", "b", "c", "fixed")

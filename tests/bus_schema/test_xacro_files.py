@@ -76,7 +76,7 @@ def expand(tmp_path, monkeypatch):
         (MACRO.format("", "<xacro:a/>", ""), "nested too deep, or without an end"),
         ('<xacro:include filename="arm.xacro"/>', "nested too deep, or without an end"),
         (f'<xacro:macro name="m0"><b/></xacro:macro>{TWICE}<xacro:m39/>', TOO_MUCH),
-        (value("load_yaml('pipe')"), "no regular file"),
+        (value("load_yaml('pipe')"), "not a regular file"),
     ],
 )
 def test_refused_in_a_sentence_with_the_file(expand, text, said):

@@ -111,11 +111,11 @@ def test_order_of_columns_spaces_empty_lines_and_other_columns_do_not_matter(tmp
             "line 3, column time_s = '1e-09'",
         ),
         (POSITIONS + "\n0,0,0,0\n1,0,0,0,,\n2,0,0,0,5\n", "line 4 has 5 values, the first line 4"),
-        (POSITIONS + "\n", "must have a row below its first line"),
+        (POSITIONS + "\n", "must have a row after its first line"),
         ("", "line 1: column 'time_s' is missing"),
         ("time_s,base_yaw.position_rad\n0,0\n", "column 'shoulder.position_rad' is missing"),
         (POSITIONS + ",elbow.speed\n0,0,0,0,0\n", "column 'elbow.speed': the columns of a joint"),
-        (POSITIONS + ",time_s\n0,0,0,0,0\n", "column 'time_s': must be there once"),
+        (POSITIONS + ",time_s\n0,0,0,0,0\n", "column 'time_s': must occur only once"),
         (
             POSITIONS + ",elbow.acceleration_rad_s2\n0,0,0,0,0\n",
             "column 'elbow.velocity_rad_s' is missing",
@@ -141,6 +141,6 @@ def test_jumps_that_no_joint_can_follow_are_a_warning(tmp_path):
     assert math.isfinite(limit)
     text = f"{POSITIONS}\n0,0,0,0\n1,0,{0.9 * limit},0\n2,0,{-0.2 * limit},0\n"
     (said,) = build(tmp_path / "jump.csv", text).warnings
-    assert "jump.csv, line 4: shoulder gets there at" in said
+    assert "jump.csv, line 4: shoulder needs" in said
     assert len(build(tmp_path / "jump.csv", text, speed=1.2).warnings) == 1
     assert build(tmp_path / "jump.csv", text, speed=0.5).warnings == ()

@@ -1,10 +1,12 @@
 """What the control loop sends: torques within limits, targets, and how the law came to them."""
 
 import numpy as np
+import pytest
 from loop_bench import MS, OFFSET, SWING, Bench, Spectator, predicting, state, status
 
 from bus_schema.messages import topics
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE
+from controller.errors import LawError
 
 
 def test_control_status_tells_what_the_law_thought():
@@ -78,6 +80,20 @@ def test_commands_without_targets_have_none():
     payload = next(payload for topic, payload in bench.heard if topic is topics.JOINT_COMMANDS)
     message = TYPESTORE.deserialize_cdr(payload, JOINT_STATE)
     assert (message.position.size, message.velocity.size, message.effort.size) == (0, 0, 3)
+
+
+@pytest.mark.parametrize(
+    ("target", "complaint"),
+    [
+        (np.zeros(3), r"targets have shape \(3,\): must be \(2, 3\)"),
+        (np.full((2, 3), np.nan), "finite"),
+    ],
+)
+def test_targets_of_a_law_are_checked_before_the_run(target, complaint):
+    law = Spectator()
+    law.target = lambda _tracking: target
+    with pytest.raises(LawError, match=f"failed before the first tick: ValueError: .*{complaint}"):
+        Bench(own_law=law, sends_targets=True).loop.warm_up()
 
 
 def test_a_controller_that_stops_sends_no_target():

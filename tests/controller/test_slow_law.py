@@ -71,6 +71,28 @@ def test_targets_stay_or_go_on_at_their_velocity():
     np.testing.assert_allclose(moved, [[0.0, 2.0], [0.002, 2.0], [0.004, 2.0]])
 
 
+@pytest.mark.parametrize(
+    ("torques", "targets", "complaint"),
+    [
+        (
+            np.zeros(2),
+            np.zeros((2, 1)),
+            r"torques have shape \(2,\): must be \(1,\), or",
+        ),
+        (np.zeros((0, 1)), np.zeros((2, 1)), r"torques have shape \(0, 1\)"),
+        ([[1.0], [np.nan]], np.zeros((2, 1)), r"torques \[\[1.0\], \[nan\]\]: must be finite"),
+        (np.zeros(1), np.zeros(1), r"targets have shape \(1,\): must be \(2, 1\)"),
+        (np.zeros(1), np.zeros((5, 1, 1)), r"targets have shape \(5, 1, 1\)"),
+        (np.zeros(1), [[np.inf], [0.0]], r"targets \[\[\[inf\], \[0.0\]\]\]: must be finite"),
+    ],
+)
+def test_answers_of_a_wrong_shape_or_without_a_number_are_refused(torques, targets, complaint):
+    law = Counting()
+    law.torque, law.target = (lambda _tracking: torques), (lambda _tracking: targets)
+    with pytest.raises(ValueError, match=complaint):
+        answers(law, 1, every=2)
+
+
 def test_inference_times_repeat_after_a_reset():
     law = Counting()
     timing = AnswerTiming(2, 0.003, 0.002, "hold", PERIOD_S, seed=1)

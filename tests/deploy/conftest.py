@@ -1,34 +1,19 @@
 from __future__ import annotations
 
-import io
-import os
 import sys
-from contextlib import redirect_stderr, redirect_stdout
-from unittest import mock
+from functools import partial
 
 import pytest
 
-from deploy import cli
-from deploy.cli import one_run
+from deploy.cli import run_and_simulate
 from deploy.run.processes import roles
+from tests.warm_process import here
 
 
 @pytest.fixture(scope="session")
 def funnel_hil():
-    def run(*words):
-        """Exit code and output of a command."""
-        out, err = io.StringIO(), io.StringIO()
-        with (
-            mock.patch.object(sys, "argv", ["funnel-hil", *map(str, words)]),
-            mock.patch.dict(os.environ, COLUMNS="200"),
-            redirect_stdout(out),
-            redirect_stderr(err),
-            pytest.raises(SystemExit) as ended,
-        ):
-            cli.main()
-        return ended.value.code or 0, out.getvalue() + err.getvalue()
-
-    return run
+    """Exit code and output of a command."""
+    return partial(here, COLUMNS="200")
 
 
 @pytest.fixture
@@ -49,6 +34,6 @@ def nothing_starts(monkeypatch):
     def start(*_):
         pytest.fail("something was started")
 
-    monkeypatch.setattr(one_run, "execute", start)
+    monkeypatch.setattr(run_and_simulate, "execute", start)
     for name in ("ControlLoop", "PlantLoop", "run_recorder"):
         monkeypatch.setattr(roles, name, start)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn
-from unittest import mock
+from typing import Any
 
 import numpy as np
 import yaml
@@ -25,11 +22,18 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.runtime.modes import Mode
 from bus_schema.zenoh.session import Delivery, ZenohSession
-from deploy import cli
 from deploy.judge.run_data import RunData
 from deploy.run.network.links import free_ports
 from deploy.run.run_folder import load_run
-from tests.warm_process import FUNNEL_HIL, HANG_S, ROOT, WITHOUT_REPORT, WarmProcess, no_report
+from tests.warm_process import (
+    FUNNEL_HIL,
+    HANG_S,
+    ROOT,
+    WITHOUT_REPORT,
+    WarmProcess,
+    here,
+    no_report,
+)  # fmt: skip
 
 PERIOD_S = 0.001
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -96,43 +100,10 @@ def funnel_hil(*words: str, out: Path | None, with_report: bool = False) -> Fini
 
 
 def funnel_hil_here(*words: str, out: Path | None, with_report: bool = False) -> Finished:
-    """Run a command to its end in this process, which has its libraries already.
-
-    Plant, controller and recorder of a run are processes of their own all the same.
-    """
-
-    def hangs(*_: object) -> NoReturn:
-        raise TimeoutError(f"{words} takes longer than {HANG_S} s")
-
-    said = io.StringIO()
-    with (
-        mock.patch.object(sys, "argv", ["funnel-hil", *_command(*words, out=out)]),
-        mock.patch.dict(os.environ, _ENVIRONMENT),
-        _signal_handlers_restored(),
-        redirect_stdout(said),
-        redirect_stderr(said),
-        nullcontext() if with_report else no_report(),
-    ):
-        signal.signal(signal.SIGALRM, hangs)
-        signal.alarm(round(HANG_S))
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-    return Finished(out or Path(), code, said.getvalue())
-
-
-@contextmanager
-def _signal_handlers_restored() -> Iterator[None]:
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
-    handlers = {number: signal.getsignal(number) for number in numbers}
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    """Run a command to its end in this process."""
+    with nullcontext() if with_report else no_report():
+        code, output = here(*_command(*words, out=out), **_ENVIRONMENT)
+    return Finished(out or Path(), code, output)
 
 
 class Running:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from running import Watcher, funnel_hil_here, processes_of, settings, started
 
-from bus_schema.messages.topics import PLANT_TRUTH
+from bus_schema.messages.topics import CONTROL_STATUS, PLANT_TRUTH
+from deploy.judge.link_delays import measured_link
 from deploy.judge.run_data import RunData
 
 ROUND_TRIP_MS = 4
@@ -32,6 +33,11 @@ def test_no_command_comes_back_sooner_than_the_relay_lets_it(tmp_path: Path) -> 
     assert manifest["real_delay"]["chunks"] > 0
     assert manifest["real_delay"]["lateness_us"]["max"] >= 0
     assert run.data.setup.scenario.link.deadline_ms == 1 + ROUND_TRIP_MS
+    delays_ms = {way: found.delays_ms for way, found in measured_link(run.data).items()}
+    assert delays_ms["uplink"].min() >= ROUND_TRIP_MS / 2
+    assert len(delays_ms["uplink"]) == run.data.tables[CONTROL_STATUS.name].size
+    assert delays_ms["downlink"].size
+    assert "uplink: 1,000 messages in 1.0 s, lost 0" in run.output
 
 
 def test_run_ends_with_its_relay_and_names_it(tmp_path: Path) -> None:

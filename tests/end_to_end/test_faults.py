@@ -143,7 +143,7 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path) -> None:
         words = command, str(disrupted.run.folder)
         looked_at = funnel_hil_here(*words, out=None, with_report=True)
         assert looked_at.code == 0, looked_at.output
-        assert "The recording is partial" in looked_at.output
+        assert "The recording is incomplete" in looked_at.output
 
 
 def test_full_disk_ends_the_recording_and_not_the_run(small_disk: Path) -> None:

@@ -63,7 +63,7 @@ def test_in_lockstep_it_gives_the_same_bits_again_under_delay_too(tmp_path: Path
             [*CLIENT, "fail", "100"],
             "failed with exit code 1: RuntimeError: the encoder of my own is gone",
         ),
-        ([*CLIENT, "leave", "100"], "ended by itself with exit code 0: it left no message"),
+        ([*CLIENT, "leave", "100"], "ended by itself with exit code 0: it printed no message"),
         (["sh", "-c", "echo no such gain >&2; exit 3"], "failed with exit code 3: no such gain"),
         ([os.devnull], None),
     ],
@@ -75,7 +75,7 @@ def test_how_it_failed_is_the_first_cause(
     ended = run(tmp_path / "run", **LOCKSTEP, controller__process=process)
     if first is None:
         assert ended.code == 2
-        assert "controller.process = ['/dev/null']: must begin with a program" in ended.output
+        assert "['/dev/null']: must begin with an executable program" in ended.output
         assert not ended.folder.exists()
         return
     assert ended.code == 1

@@ -129,7 +129,7 @@ def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
     reason = "second_plant" if ids == "own" else "altered_bundle"
     assert recording["rejected"][reason] >= 1
     assert recording["rejected"]["wrong_role"] >= 1  # the plant's end from a controller
-    assert "in the plant's name" in recording["damage"][0]
+    assert "the plant's name" in recording["damage"][0]
     assert f"{reason}: " in ended.output
     assert ended.summary["verdict"] == "unknown"
     assert not ended.summary["bounds"]["kept"]
@@ -187,7 +187,7 @@ def test_stale_command_right_behind_the_reply_does_not_hide_it() -> None:
 def test_one_forged_number_bars_no_genuine_command_and_is_a_fault() -> None:
     outcome, bus = haunted({3}, (2**62, COMMANDER))
     (fault,) = outcome.faults
-    assert "two sources send as the one commander" in fault
+    assert "two senders use the commander's id" in fault
     assert not outcome.completed
     assert outcome.ticks == 100  # it goes on
     events = [

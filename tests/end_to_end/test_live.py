@@ -99,4 +99,4 @@ def test_a_run_under_way_is_seen_from_outside_and_goes_on_when_the_viewer_is_gon
 def test_where_nobody_records_the_viewer_says_so() -> None:
     viewer = WarmProcess("view", "tcp/127.0.0.1:9")
     assert viewer.wait() == 1
-    assert "nobody on this machine records a run at tcp/127.0.0.1:9" in viewer.said()
+    assert "no recorder on this machine records a run at tcp/127.0.0.1:9" in viewer.said()

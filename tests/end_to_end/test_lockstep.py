@@ -155,7 +155,8 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
                if isinstance(value, dict))  # fmt: skip
     assert set(summary["transport"]) == {"uplink", "downlink"}
     assert set(summary["transport"]["uplink"]) == {
-        "sent", "delivered", "lost", "duplicated", "reordered", "rejected", "delay_ms", "loss_burst"
+        "sent", "delivered", "lost", "duplicated", "reordered", "rejected", "delay_ms",
+        "loss_burst", "measured_ms",
     }  # fmt: skip
     assert set(summary["transport"]["uplink"]["delay_ms"]) == percentiles | {"mean"}
     assert set(summary["transport"]["uplink"]["loss_burst"]) == {"mean", "longest"}

@@ -82,8 +82,8 @@ class DamiaoMaster(MitMaster):
             if abs(found - expected) > 1e-3 * expected:
                 raise DriveError(
                     f"drive {self._node_ids[joint]}: {register.name} is {found:g}, and with"
-                    f" link.can.damiao.motor it is {expected:g}: the numbers in its frames would be"
-                    " wrong"
+                    f" link.can.damiao.motor it is {expected:g}: values in its frames would be"
+                    " misread"
                 )
 
     def _tell(self, joint: int, kind: Special) -> None:
@@ -98,7 +98,8 @@ class DamiaoMaster(MitMaster):
         written = self._ask_register(joint, Request.WRITE, register, value)
         if written != value:
             raise DriveError(
-                f"drive {self._node_ids[joint]} takes {written:g} for {value} in {register.name}"
+                f"drive {self._node_ids[joint]} has {written:g} instead of {value} in"
+                f" {register.name}"
             )
 
     def _ask_register(
@@ -173,8 +174,8 @@ class DamiaoProtocol(MitProtocol):
         if twice := sorted({*taken, REGISTER_IDENTIFIER} & {*feedback_ids}):
             raise ConfigurationError(
                 "link.can.damiao.feedback_ids", list(feedback_ids),
-                "must be none of the identifiers to which commands go: the addresses, those plus"
-                f" 0x100, 0x200 and 0x300, and 0x7FF; {twice} are", ["link.can.node_ids"],
+                "must differ from the identifiers of commands (the addresses, those plus"
+                f" 0x100, 0x200 and 0x300, and 0x7FF); {twice} do not", ["link.can.node_ids"],
             )  # fmt: skip
         return node_ids
 

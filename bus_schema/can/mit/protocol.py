@@ -178,7 +178,7 @@ class MitProtocol(DriveProtocol):
         if can.mit.reply_identifier in node_ids:
             raise ConfigurationError(
                 "link.can.mit.reply_identifier", can.mit.reply_identifier,
-                "must be none of the drives' addresses, to which commands go",
+                "must differ from the drives' addresses",
             )  # fmt: skip
         return node_ids
 
@@ -202,8 +202,8 @@ class MitProtocol(DriveProtocol):
             return []
         key = self.range_key.format(name="torque_nm")
         return [
-            f"frames of {self.title} drives cannot say all torques of {', '.join(cut_off)}: set"
-            f" {key} to the range that the drives are set to, or limits.torque_nm to what there is"
+            f"frames of {self.title} drives cannot represent all torques of {', '.join(cut_off)}:"
+            f" set {key} to the range of the drives, or limits.torque_nm to the available torque"
         ]
 
     def _check_gains(self, gains: DriveGains | None, ranges: tuple[MitRanges, ...]) -> None:
@@ -214,5 +214,5 @@ class MitProtocol(DriveProtocol):
                 key = self.range_key.format(name=name)
                 raise ConfigurationError(
                     f"plant.drive_feedback.{name}", wanted.tolist(),
-                    f"must be within what a frame can say, {key} = {most}",
+                    f"must be within the range of a frame, {key} = {most}",
                 )  # fmt: skip

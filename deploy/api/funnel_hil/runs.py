@@ -21,7 +21,6 @@ from deploy.scenario.study_keys import laws_beside
 from deploy.study.comparison.comparison import ComparedRuns, judged_again
 from deploy.study.comparison.comparison import Comparison as OfLaws
 from deploy.study.comparison.recorded import KIND, recorded_runs
-from deploy.study.study import StudyOfRuns
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
 from funnel_hil.studies import carried_out
@@ -88,15 +87,11 @@ def compare(
     if out is None:
         return Comparison(ComparedRuns([_judged(each) for each in tried]))
     makers = {name: make for each in tried for name, make in each.makers.items()}
-
-    def build(file: Path) -> StudyOfRuns:
-        laws = [each.law for each in tried]
-        return OfLaws({"scenario": str(file), "laws": laws}, Path("compare"))
-
-    with (
-        laws_given(makers),
-        carried_out(base, build, Path(out), overwrite=overwrite) as (study, folder),
-    ):
+    values = {"laws": [each.law for each in tried]}
+    with laws_given(makers), carried_out(
+        base, lambda file: OfLaws({"scenario": str(file), **values}, Path("compare")), Path(out),
+        overwrite=overwrite,
+    ) as (study, folder):  # fmt: skip
         return Comparison(write_comparison_results(folder, judge_rows(study, folder)))
 
 

@@ -15,7 +15,7 @@ from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study_results
 from deploy.run.new_folder import new_folder
-from deploy.study.folder import StudyFolder, create_folder, find_folder
+from deploy.study.folder import StudyFolder, find_folder, opened
 from deploy.study.robustness import margin_study
 from deploy.study.runner import Workers, carry_out
 from deploy.study.study import PlannedRun, StudyOfRuns, row_of
@@ -60,13 +60,12 @@ def sweep(
         InputError: something about it is wrong.
     """
     given = Scenario(scenario, changes, law)
-    definition = {"name": "sweep", "grid": dict(grid or {}), "seeds": _seeds(seeds), **more}
-
-    def build(file: Path) -> StudyOfRuns:
-        return Sweep({**definition, "scenario": str(file)}, Path("sweep"))
-
+    values = {"name": "sweep", "grid": dict(grid or {}), "seeds": _seeds(seeds), **more}
     with given.laws():
-        return _conducted(given, build, workers, scheduler, out, progress)
+        return _conducted(
+            given, lambda file: Sweep({**values, "scenario": str(file)}, Path("sweep")),
+            workers, scheduler, out, progress,
+        )  # fmt: skip
 
 
 def margin(
@@ -100,18 +99,17 @@ def margin(
         InputError: something about it is wrong.
     """
     given = Scenario(scenario, changes)
-    definition: dict[str, Any] = {"seeds": _seeds(seeds), **more}
+    values: dict[str, Any] = {"seeds": _seeds(seeds), **more}
     makers: dict[str, Maker] = {}
     if laws is not None:
         named = [named_law(law) for law in laws]
-        definition["laws"] = [name for name, _ in named]
+        values["laws"] = [name for name, _ in named]
         makers = {name: make for _, own in named for name, make in own.items()}
-
-    def build(file: Path) -> StudyOfRuns:
-        return margin_study({**definition, "scenarios": [str(file)]}, Path("margin"))
-
     with given.laws(), laws_given(makers):
-        return _conducted(given, build, workers, scheduler, out, progress)
+        return _conducted(
+            given, lambda file: margin_study({**values, "scenarios": [str(file)]}, Path("margin")),
+            workers, scheduler, out, progress,
+        )  # fmt: skip
 
 
 def _seeds(seeds: int | Sequence[int]) -> int | list[int]:
@@ -170,10 +168,17 @@ def carried_out(
         if told is not None:
             told(next(done), expected)
 
+    place = out.resolve()
+    if overwrite:
+        new_folder(given.name, place, overwrite=True)
+    place.mkdir(parents=True, exist_ok=True)
+    file, text = place / "base" / f"{given.name}.yaml", given.to_yaml()
+    if not file.is_file() or file.read_text(encoding="utf-8") != text:
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    study = build(file)
     with ExitStack() as stack:
-        study, path = _begun(given, build, out.resolve(), overwrite=overwrite)
-        folder = stack.enter_context(StudyFolder(path, study).lock())
-        folder.become()
+        folder = stack.enter_context(opened(study, find_folder(study, place), place))
         team: Workers = _Here()
         if workers != 0 or scheduler is not None:
             from deploy.study.dask_workers import DaskWorkers  # heavy
@@ -181,19 +186,3 @@ def carried_out(
             team = stack.enter_context(DaskWorkers(workers or None, scheduler, study.laws))
         carry_out(study, team, folder, threading.Event(), progress)
         yield study, folder
-
-
-def _begun(
-    given: Scenario, build: Callable[[Path], StudyOfRuns], place: Path, *, overwrite: bool
-) -> tuple[StudyOfRuns, Path]:
-    """The study, and the folder in which it begins or goes on."""
-    if overwrite:
-        new_folder(given.name, place, overwrite=True)
-    place.mkdir(parents=True, exist_ok=True)
-    file = place / "base" / f"{given.name}.yaml"
-    text = given.to_yaml()
-    if not file.is_file() or file.read_text(encoding="utf-8") != text:
-        file.parent.mkdir(exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-    study = build(file)
-    return study, find_folder(study, place) or create_folder(study, place)

@@ -1,1 +1,1 @@
-"""Commands that make many runs, set runs side by side, or look again at recorded ones."""
+"""Commands for many runs, comparisons of runs, and recorded runs."""

@@ -1,4 +1,4 @@
-"""The options of studies on the command line, and what they say beside a study's file."""
+"""Command-line options of studies, and how they combine with a study's file."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from deploy.study.comparison.settling import OFFSETS_RAD
 
 @dataclass(kw_only=True)
 class WorkerOptions(GateOptions):
-    """The options of every command that does many runs."""
+    """The options of every command with many runs."""
 
     overrides: Overrides = None
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes to run on; one per core by default.")
+        int | None, typer.Option(min=1, help="Number of processes; one per core by default.")
     ] = None
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786.")
@@ -37,7 +37,7 @@ class WorkerOptions(GateOptions):
     confirm: Confirm = False
 
     def fixed(self) -> dict[str, Any]:
-        """What ``--set`` gives, by dotted key."""
+        """Return the values of ``--set`` by dotted key."""
         return dict(map(parse_override, self.overrides or []))
 
 
@@ -56,7 +56,7 @@ class CompareOptions(WorkerOptions):
     require_bounds: RequireBounds = False
 
     def definition(self) -> dict[str, Any]:
-        """The comparison that is asked for."""
+        """Return the comparison that the options describe."""
         return {
             "scenario": self.scenario, "laws": parse_laws(self.laws), "set": self.fixed(),
             "settling_rad": list(OFFSETS_RAD) if self.settling else [],
@@ -69,11 +69,11 @@ class StudyOptions(WorkerOptions):
     """The options that `sweep` and `margin` have in common."""
 
     plants: Annotated[
-        int | None, typer.Option(metavar="N", help="Try N plants, drawn from what is uncertain.")
+        int | None, typer.Option(metavar="N", help="Number of uncertain plants to draw.")
     ] = None
-    plant_seed: Annotated[
-        int | None, typer.Option(help="Another one draws other plants; default 1.")
-    ] = None
+    plant_seed: Annotated[int | None, typer.Option(help="Seed of the drawn plants; default 1.")] = (
+        None
+    )
     uncertainty: Annotated[
         str | None, typer.Option(help="A file of ranges to draw from; shipped are full, half.")
     ] = None
@@ -102,45 +102,55 @@ class MarginOptions(StudyOptions):
 
     scenario: Annotated[
         list[str] | None,
-        typer.Argument(help="Scenario files or names of shipped ones; default paper_arm."),
+        typer.Argument(help="Scenario files or shipped scenarios; default paper_arm."),
     ] = None
-    laws: Annotated[str | None, typer.Option(metavar="A,B,…", help="Laws; all by default.")] = None
+    laws: Annotated[
+        str | None, typer.Option(metavar="A,B,…", help="Laws to test; all by default.")
+    ] = None
     compensation: Annotated[
-        str | None, typer.Option(metavar="off,on", help="Delay compensation off, on, both.")
+        str | None, typer.Option(metavar="off,on", help="Delay compensation: off, on, or both.")
     ] = None
     drive_feedback: Annotated[
-        str | None, typer.Option(metavar="off,on", help="Feedback at the drives likewise.")
+        str | None,
+        typer.Option(metavar="off,on", help="A loop closed at the drives: off, on, or both."),
     ] = None
     running: Annotated[
-        str | None, typer.Option(metavar="off,on", help="From the start; ramped up, 1 s to 3 s.")
+        str | None,
+        typer.Option(
+            metavar="off,on", help="off: full size from the start; on: ramp from 1 s to 3 s."
+        ),
     ] = None
     quantity: Annotated[
         str | None, typer.Option(help="delay (round trip), jitter, loss, or a scenario's key.")
     ] = None
     direction: Annotated[
-        str | None, typer.Option(help="Of the link: both, uplink or downlink.")
+        str | None, typer.Option(help="Direction of the delay: both, uplink or downlink.")
     ] = None
     seeds: Annotated[
-        str | None, typer.Option("--seeds", metavar="N", help="How many, or a list [3, 5].")
+        str | None,
+        typer.Option("--seeds", metavar="N", help="Number of seeds, or a list such as [3, 5]."),
     ] = None
     offsets: Annotated[
         str | None, typer.Option(metavar="A,B,…", help="Factors on the initial offset.")
     ] = None
     duration: Annotated[
-        float | None, typer.Option(help="Length of each run, s; the scenario's own.")
+        float | None, typer.Option(help="Length of each run in s; the scenario's by default.")
     ] = None
-    resolution: Annotated[float | None, typer.Option(help="To which the margin is found.")] = None
+    resolution: Annotated[float | None, typer.Option(help="Resolution of the margin.")] = None
     limit: Annotated[
-        float | None, typer.Option(help="The last value tried, in the quantity's unit.")
+        float | None, typer.Option(help="Largest value to try, in the quantity's unit.")
     ] = None
     values: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Values to try on all plants.")
+        str | None, typer.Option(metavar="A,B,…", help="Values to try on every plant.")
     ] = None
     kept_share: Annotated[
-        float | None, typer.Option("--kept-share", help="Plants to be kept; default 0.95.")
+        float | None,
+        typer.Option(
+            "--kept-share", help="Share of plants that must keep their bounds; default 0.95."
+        ),
     ] = None
     study: Annotated[
-        str | None, typer.Option(help="A file with all of this, or the name of a shipped one.")
+        str | None, typer.Option(help="A study file, or the name of a shipped study.")
     ] = None
 
     def definition(self) -> dict[str, Any]:
@@ -159,11 +169,11 @@ class MarginOptions(StudyOptions):
 
 _LISTED = ("compensation", "drive_feedback", "running", "offsets", "values")
 _AS_GIVEN = ("quantity", "direction", "resolution", "limit", "kept_share")
-"""Options that are called as a study's file has them: lists of values, and others."""
+"""Options with the same name as in a study's file: lists of values, and single values."""
 
 
 def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:
-    """A study's definition with the options that are given beside it, which take precedence.
+    """Return a study's definition, in which the given options take precedence.
 
     Raises:
         ScenarioError: options contradict each other.
@@ -182,6 +192,6 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
 
 
 def _listed(name: str, text: str | None) -> list[Any] | None:
-    """Values from ``a,b,…``, typed as YAML has them."""
+    """Return the values in ``a,b,…``, with the types of YAML."""
     option = f"--{name.replace('_', '-')}"
     return None if text is None else [option_value(option, part) for part in text.split(",")]

@@ -1,4 +1,4 @@
-"""Commands that look again at recorded runs: `report`, `diff` and `replay`."""
+"""Commands for recorded runs: `report`, `diff` and `replay`."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def diff(
     overwrite: Overwrite = False,
     no_report: NoReport = False,
 ) -> None:
-    """Set recorded runs side by side: real time and lockstep, two laws, two versions.
+    """Compare recorded runs: real time and lockstep, two laws, two versions.
 
-    The first is what the others are held against. They may differ in everything but their joints.
+    All runs are compared with the first. They may differ in everything but their joints.
     """
     compared = recorded_runs(runs)
     with ResultFolder(new_folder(DIFF, out, overwrite=overwrite)).lock() as folder:
@@ -65,13 +65,12 @@ def diff(
 
 def report(
     run_dir: Annotated[
-        Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
+        Path, typer.Argument(help="Folder of a run, a comparison, a sweep or a margin study.")
     ],
 ) -> None:
-    """Judge what was recorded again: summary.json and report.html of what a folder holds.
+    """Evaluate recorded results again, and write summary.json and report.html.
 
-    A damaged recording is judged as far as it can be read, and
-    ends with exit code 1.
+    A damaged recording is evaluated as far as it can be read, with exit code 1.
     """
     console = Console()
     if read_summary(run_dir).get("kind") == KIND:  # its recordings are all that it needs
@@ -98,7 +97,7 @@ def report(
 def _show_diff(
     compared: RecordedRuns, folder: ResultFolder, console: Console, *, draws_report: bool = True
 ) -> None:
-    """Write summary and report, and show what came of it."""
+    """Write summary and report, and show the result."""
     write_diff_results(compared, folder, draws_report=draws_report)
     tables = [*recorded_joint_tables(compared), recorded_timing_table(compared)]
     tables += [recorded_table(compared)]
@@ -116,12 +115,10 @@ def replay(
     run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")],
     allow_custom_law: Annotated[
         bool,
-        typer.Option(
-            "--allow-custom-law", help="Run the law of one's own that the recording names."
-        ),
+        typer.Option("--allow-custom-law", help="Run the custom law that the recording names."),
     ] = False,
 ) -> None:
-    """Feed a recorded run to the law again and compare the torques bit for bit."""
+    """Feed a recorded run to its law again, and compare the torques bit for bit."""
     data, contents = load_run(run_dir)
     _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
     stop_at_once(WITHIN_S, may_hold_lock=is_custom(data.setup.scenario.controller.law))
@@ -135,14 +132,16 @@ def replay(
 
 
 def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
-    """Check that its law is there to be fed again, and may be."""
+    """Check that the law of a recording exists and may run."""
     law = data.setup.scenario.controller.law
     if data.setup.scenario.controller.process is not None:
-        raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
+        raise ScenarioError(
+            f"{run_dir}: {data.controller}: is not a law that funnel-hil can replay"
+        )
     if is_custom(law) and not allow_custom_law:
         raise ScenarioError(
-            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
-            " which is code from wherever its module or program is found"
+            f"{run_dir}: controller.law = {law!r}: is not a shipped law; --allow-custom-law runs"
+            " the module or program of that name, which is code of the user"
         )
 
 
@@ -155,7 +154,7 @@ def _show_replay(result: Replay, data: RunData, difference: str) -> None:
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
     if result.failure:
-        console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
+        console.print(f"the replay stopped early: {result.failure}", markup=False, highlight=False)
     if not result.is_identical:
         console.print(f"[bold red]different[/] from command {result.first_difference} on")
         if difference:

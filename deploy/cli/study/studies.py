@@ -1,4 +1,4 @@
-"""The commands that do many runs: comparisons, sweeps and margins."""
+"""The commands `compare`, `sweep` and `margin`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from deploy.cli.common import judging, leave, say_oddities, show_places
-from deploy.cli.gating import CommandGate
+from deploy.cli.common import CommandGate, judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
     CompareOptions,
@@ -48,14 +47,14 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.comparison.comparison import KIND, ComparedRuns, Comparison
 from deploy.study.comparison.settling import SettlingTest
-from deploy.study.folder import StudyFolder, changes_since, create_folder, find_folder, read_study
+from deploy.study.folder import StudyFolder, changes_since, find_folder, opened, read_study
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out, retrace
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
-_GOES_ON = "{}: the same command goes on from here."
+_GOES_ON = "{}: repeat the same command to continue."
 _AUTHENTICATED = ("tls://", "wss://")
 _OPEN_SCHEDULER = (
     "warning: --scheduler {}: anybody who reaches this scheduler can run code on it, on its workers"
@@ -69,19 +68,19 @@ _OPEN_SCHEDULER = (
 def sweep(options: SweepOptions) -> None:
     """Run every point of a grid with every seed, on all cores or a Dask cluster.
 
-    With --plants every point with each of so many uncertain plants. Interrupted or killed, the same
-    command goes on where it stopped.
+    With --plants, each point runs with that many uncertain plants. After an interruption or a kill,
+    the same command continues.
     """
     _conduct(load_sweep(options.sweep, options.definition(), options.fixed()), options)
 
 
 @taking(MarginOptions)
 def margin(options: MarginOptions) -> None:
-    """Find the largest delay, or anything else, at which each law keeps its bounds.
+    """Find the largest delay, or other quantity, at which each law keeps its bounds.
 
-    Bracketing and bisection, from several starts with several seeds; with --plants the share of
-    uncertain plants that keep them, at each of --values. Interrupted or killed, the same command
-    goes on where it stopped.
+    The command brackets and bisects, with several starts and seeds. With --plants it finds the
+    share of uncertain plants that keep their bounds at each of --values. After an interruption or a
+    kill, the same command continues.
     """
     path, values = Path("margin"), dict[str, Any]()
     if options.study is not None:
@@ -92,9 +91,9 @@ def margin(options: MarginOptions) -> None:
 
 @taking(CompareOptions)
 def compare(options: CompareOptions) -> None:
-    """Run a scenario under several laws in virtual time, and set their results side by side.
+    """Run a scenario under several laws in virtual time, and compare the results.
 
-    Interrupted or killed, the same command goes on where it stopped; with more laws it adds them.
+    After an interruption or a kill, the same command continues. With more laws, it adds them.
     """
     study = Comparison(options.definition(), Path("compare"))
     console, gate = Console(), CommandGate(options, study.definition.name, study.unit)
@@ -111,7 +110,7 @@ def compare(options: CompareOptions) -> None:
 
 
 class RunCounter:
-    """Counts the runs of a study on a progress."""
+    """Counts the finished runs of a study on a progress line."""
 
     def __init__(self, progress: CommandProgress) -> None:
         self._progress = progress
@@ -131,7 +130,7 @@ class RunCounter:
 
 @dataclass
 class _CarriedOut:
-    """What came of carrying a study out.
+    """How the execution of a study ended.
 
     Attributes:
         folder: where its rows are.
@@ -145,7 +144,7 @@ class _CarriedOut:
 
 
 def report_study(path: Path, console: Console) -> None:
-    """Judge the rows of a study again, and write its summary and report."""
+    """Evaluate the rows of a study again, and write its summary and report."""
     study = read_study(path)
     with StudyFolder(path.resolve(), study).lock() as folder:
         changed = changes_since(study, folder.path)
@@ -168,7 +167,7 @@ def report_study(path: Path, console: Console) -> None:
 
 
 def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
-    """Carry a study out, or on, and show what came of it."""
+    """Run or continue a study, and show its results."""
     console, gate = Console(), CommandGate(options, study.definition.name, study.unit)
     with _carried_out(study, options, console) as done:
         completed = _conclude(study, done.folder, console)
@@ -184,7 +183,7 @@ def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
 def _carried_out(
     study: StudyOfRuns, options: WorkerOptions, console: Console
 ) -> Iterator[_CarriedOut]:
-    """Do the runs of a study that its folder lacks; the folder is locked meanwhile."""
+    """Do the runs that a study's folder lacks, and lock the folder meanwhile."""
     scheduler, out, overwrite = options.scheduler, options.out, options.overwrite
     if options.workers is not None and scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
@@ -202,9 +201,7 @@ def _carried_out(
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
             warning = _OPEN_SCHEDULER.format(scheduler)
             Console(stderr=True).print(warning, markup=False, soft_wrap=True)
-        path = path or create_folder(study, out, overwrite=overwrite)
-        with StudyFolder(path, study).lock() as folder:
-            folder.become()
+        with opened(study, path, out, overwrite=overwrite) as folder:
             on_stop(stop.set)
             done = _CarriedOut(folder)
             with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:
@@ -219,7 +216,7 @@ def _carried_out(
 def conclude_comparison(
     folder: ResultFolder, summary: Mapping[str, Any], console: Console
 ) -> ComparedRuns:
-    """Write rows, summary and report of a comparison, and show what came of it; its runs."""
+    """Write rows, summary and report of a comparison, show them, and return its runs."""
     with judging(console, folder):
         compared = write_comparison_results(folder, summary)
     if not compared.runs:
@@ -239,7 +236,7 @@ def conclude_comparison(
 
 
 def _conclude(study: StudyOfRuns, folder: StudyFolder, console: Console) -> bool:
-    """Write table, summary and report; whether the study is complete."""
+    """Write table, summary and report. Returns whether the study is complete."""
     with judging(console, folder):
         summary = write_study_results(study, folder)
     _show(summary, folder, console)
@@ -247,7 +244,7 @@ def _conclude(study: StudyOfRuns, folder: StudyFolder, console: Console) -> bool
 
 
 def _show(summary: dict[str, Any], folder: StudyFolder, console: Console) -> None:
-    """Show what came of a study, and write its table for documents."""
+    """Show the results of a study, and write its table for documents."""
     show_study(console, summary)
     if summary["kind"] != "sweep":
         write_study_table(summary, folder.path / "table.md")
@@ -256,7 +253,7 @@ def _show(summary: dict[str, Any], folder: StudyFolder, console: Console) -> Non
 
 
 def show_study(console: Console, summary: dict[str, Any]) -> None:
-    """The result as a table."""
+    """Print the result as a table."""
     if summary["kind"] == "margin":
         print_table(console, margin_table(summary))
     elif summary["kind"] == "robustness":
@@ -283,7 +280,7 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
 
 
 def settling_sentence(test: SettlingTest) -> str:
-    """How a law settled from near and far."""
+    """Say in one sentence how a law settled from near and far."""
     times = [start.settling_time_s for start in test.starts]
     known = [time for time in times if time is not None]
     farthest = number(max((start.distance_rad for start in test.starts), default=None))

@@ -1,1 +1,1 @@
-"""What commands write to a terminal: results, progress, and a reader that left."""
+"""Terminal output of commands: results and progress."""

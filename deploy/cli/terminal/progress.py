@@ -1,4 +1,4 @@
-"""How far a command is: a live line on a terminal, a plain line now and then elsewhere."""
+"""Progress of a command: a live line on a terminal, a plain line every 3 s elsewhere."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CommandProgress:
             self._print_plainly()
 
     def update(self, done: float, *, total: float | None = None, note: str | None = None) -> None:
-        """So much is done now.
+        """Show how much is done.
 
         Args:
             done: how much in all.
@@ -76,13 +76,13 @@ class CommandProgress:
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:
-        """So much of all was done before; what has a speed begins now, if it has not yet."""
+        """Leave earlier work out of the speed, and start to measure it now."""
         if self._done <= self._done_before:
             self._started_s = time.monotonic()
         self._done_before = done
 
     def follow(self, position: Callable[[], float], name: str) -> None:
-        """Ask again and again how much is done, until the end or until this is called again."""
+        """Poll the position until the end, or until the next call of this method."""
         is_first, self._position = self._position is None, position
         self._bar.update(self._task, description=name)
         if is_first:
@@ -123,7 +123,8 @@ class CommandProgress:
         speed = (self._done - self._done_before) / elapsed_s
         line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
         if speed > 0.0:
-            line += f", {speed:.3g} {self._unit}/s"
+            is_time = self._unit == "s"  # simulated seconds per second: the real-time factor
+            line += f", speed {speed:.3g}" if is_time else f", {speed:.3g} {self._unit}/s"
             if time_left and self._done < self._total:
                 line += f", {(self._total - self._done) / speed:.0f} s left"
         return f"{line}, {self._note}" if self._note else line

@@ -1,4 +1,4 @@
-"""What people see of a run in the terminal: what its processes say, and the result."""
+"""Terminal output of a run: messages of its processes, and the result."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.markup import escape
 from bus_schema.runtime.compiled import say_that_it_compiles
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.conditions import Conditions
+from deploy.judge.link_delays import link_sentence
 from deploy.judge.run_data import RunData
 from deploy.reports.run_tables import confirmation_tables, joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
@@ -26,7 +27,7 @@ _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
 def status_handler(
     progress: CommandProgress, joint_names: Sequence[str] = ()
 ) -> Callable[[StatusMessage], None]:
-    """A function that shows on `progress` what the processes of a run report, joints by name."""
+    """Return a function that shows on `progress` what the processes of a run report."""
     names = short_names(joint_names)
     state: dict[str, Any] = {}
     settings: list[dict[str, Any]] = []
@@ -56,7 +57,7 @@ def status_handler(
 def show_summary(
     console: Console, run: RunData, summary: dict[str, Any], conditions: Conditions
 ) -> None:
-    """The result of a run as two small tables, a verdict, and what it is to be quoted with."""
+    """Print the result of a run: two small tables, the verdict, and the conditions."""
     verdict = verdict_on_run(run, summary, conditions)
     console.print(
         f"{summary['scenario']} · {summary['law']} · {summary['clock']}", markup=False, style="bold"
@@ -64,6 +65,7 @@ def show_summary(
     if summary["ticks"]:
         print_table(console, joint_table(summary, run.setup.scenario.metrics.from_s))
         print_table(console, timing_table(summary))
+        _show_link(console, summary)
     if verdict.faults:
         first, *others = verdict.faults
         console.print(f"[bold red]fault[/]  {escape(first)}", soft_wrap=True)
@@ -83,19 +85,33 @@ def show_summary(
     if skipped := summary["recording"]["ticks_skipped"]:
         sent = number(summary["transport"]["uplink"]["sent"])
         console.print(
-            f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped, as the plant came too late"
-            f" to measure; states sent: {sent}"
+            f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped because the plant was"
+            f" late; states sent: {sent}"
         )
     for table in confirmation_tables([summary]):
         print_table(console, table)
     print_conditions(console, conditions)
 
 
+def _show_link(console: Console, summary: dict[str, Any]) -> None:
+    """What the link did in either direction, unless it did nothing; in the words of `link`."""
+    for way in ("downlink", "uplink"):
+        channel = summary["transport"][way]
+        measured, emulated = channel["measured_ms"], channel["delay_ms"]
+        delays_ms = emulated if measured["max"] is None else measured
+        if channel["sent"] and (channel["lost"] or delays_ms["max"]):
+            said = link_sentence(
+                channel["sent"], summary["duration_s"], channel["lost"], delays_ms,
+                channel["reordered"],
+            )  # fmt: skip
+            console.print(f"{way}: {said}", highlight=False, soft_wrap=True)
+
+
 def show_relay(console: Console, held_back: dict[str, Any]) -> None:
-    """What the relay of a real delay did, as the manifest has it."""
+    """Print the lateness of the real delay's relay, from the manifest."""
     late = held_back.get("lateness_us")
     if late is None:
-        return  # it did not live to tell
+        return  # the relay ended before it could report
     shown = ", ".join(f"{name} {number(late[name])}" for name in ("p50", "p99", "max"))
     console.print(
         f"real delay {held_back['round_trip_ms']:g} ms: {held_back['chunks']} chunks of bytes left"
@@ -105,7 +121,7 @@ def show_relay(console: Console, held_back: dict[str, Any]) -> None:
 
 
 def _note(state: dict[str, Any], names: Sequence[str]) -> str:
-    """The joint that is nearest to its bound, and deadlines missed, in few letters."""
+    """Return a short note: the joint nearest to its bound, and deadlines missed."""
     parts = []
     if "error_mrad" in state:
         number = state["joint"]

@@ -16,10 +16,10 @@ from deploy.reports.study_texts import (
     margin_figure,
     probe_at,
     setting_text,
-    shown_value,
     value_title,
 )
 from deploy.reports.tables import scaled
+from deploy.study.study import shown_value
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
 _LETTER_PX, _NARROW_NAME = 7.5, 10

@@ -205,13 +205,13 @@ def _listening(name: str) -> tuple[socket.socket, Path]:
             _require_private(folder)
             _clear(folder)
             return _listening_in(folder, name)
-    raise FileNotFoundError(f"{folder}: is being removed again and again")
+    raise FileNotFoundError(f"{folder}: another program keeps removing it")
 
 
 def _require_private(folder: Path) -> None:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise PermissionError(f"{folder}: is not a folder that only this user can enter")
+        raise PermissionError(f"{folder}: is not a folder that only this user can access")
 
 
 def _listening_in(folder: Path, name: str) -> tuple[socket.socket, Path]:

@@ -136,7 +136,7 @@ def read_certificate(path: Path, remedy: str) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(_read(path, remedy))
     except ValueError as error:
-        raise ScenarioError(f"{path}: is no certificate in PEM: {remedy}") from error
+        raise ScenarioError(f"{path}: is not a PEM certificate: {remedy}") from error
 
 
 def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> None:
@@ -176,9 +176,9 @@ def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
     try:
         key = serialization.load_pem_private_key(pem, password=None)
     except (ValueError, TypeError) as error:
-        raise ScenarioError(f"{path}: is no private key in PEM: {remedy}") from error
+        raise ScenarioError(f"{path}: is not a PEM private key: {remedy}") from error
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise ScenarioError(f"{path}: is no key on an elliptic curve: {remedy}")
+        raise ScenarioError(f"{path}: is not an elliptic-curve key: {remedy}")
     return key
 
 

@@ -74,11 +74,14 @@ def check_awaiting(setup: Setup) -> None:
     controller = setup.scenario.controller
     with naming(setup.origin):
         if controller.process is not None:
-            allowed = "must be null with --await-controller, which starts no controller"
+            allowed = "must be null with --await-controller, because you start the controller"
             raise ConfigurationError("controller.process", list(controller.process), allowed)
         for fault in process_faults(setup.scenario.faults):
             if Role(fault.target) is Role.CONTROLLER:
-                allowed = "must be another one with --await-controller, which has no such process"
+                allowed = (
+                    "must be another process with --await-controller, because funnel-hil"
+                    " does not start the controller"
+                )
                 raise ConfigurationError("faults: target", fault.target, allowed)
     with _refusing(setup, "plant_endpoint"), _listening(setup.scenario.link.plant_endpoint):
         pass

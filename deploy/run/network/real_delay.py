@@ -98,11 +98,11 @@ def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
     needs = (
         ("link.kind", link.kind, link.kind == "zenoh", "zenoh"),
         ("clock", scenario.clock, scenario.clock == "realtime",
-         "realtime: virtual time waits for every message, however long it takes"),
+         "realtime, because virtual time waits for every message"),
         ("link.plant_endpoint", link.plant_endpoint, protocol in _PROTOCOLS,
-         "tcp/ or tls/, which the relay can pass on"),
+         "tcp/ or tls/, the protocols of the relay"),
         ("link.router_endpoint", link.router_endpoint, link.router_endpoint is None,
-         "left out, or messages could go round the relay"),
+         "left out, because messages could bypass the relay"),
     )  # fmt: skip
     for key, value, is_met, allowed in needs:
         if not is_met:

@@ -22,7 +22,7 @@ from deploy.run.exit_codes import BAD_INPUT, INTERRUPTED
 from deploy.run.processes.role_process import Options, start_role
 from deploy.run.processes.status import StatusMessage, StatusReporter
 
-SILENT = "it left no message"
+SILENT = "it printed no message"
 _LAST_BYTES = 65_536
 _LONGEST_LINE = 2000
 _MESSAGES_TIMEOUT_S = 1.0
@@ -245,5 +245,5 @@ class LiveViewer(Child):
         self.kill()
         failure = None if was_running else self.failure()
         if failure is not None:
-            text = f"{failure.text}; the run went on without it"
+            text = f"{failure.text}; the run continued without it"
             self._inbox.put(StatusMessage(VIEWER, "fault", {"text": text}))

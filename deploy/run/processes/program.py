@@ -33,8 +33,8 @@ def require_program(setup: Setup) -> None:
         with naming(setup.origin):
             raise ConfigurationError(
                 "controller.process", list(command),
-                f"must begin with a program that can be run; {command[0]!r} is none, from"
-                f" {Path.cwd()} or on the PATH",
+                f"must begin with an executable program; {command[0]!r} is none in {Path.cwd()}"
+                " or on the PATH",
             )  # fmt: skip
 
 
@@ -132,4 +132,4 @@ class ControllerProcess(ChildProcess):
         if said == SILENT:
             return None
         how = "had to be stopped" if self._was_asked_to_stop else "ended after the plant"
-        return Failure(f"{who} {how}; its last words: {said}", is_cause=False)
+        return Failure(f"{who} {how}; end of its standard error: {said}", is_cause=False)

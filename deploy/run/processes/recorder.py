@@ -150,13 +150,14 @@ class Recorder:
         self._compare_with_the_plant()
         if self.rejected:
             logger.warning(
-                "somebody else on the bus sends in the name of a process of this run (%s);"
-                " link.security keeps strangers out",
+                "another sender on the bus uses the name of a process of this run (%s);"
+                " link.security prevents this",
                 ", ".join(f"{reason}: {count}" for reason, count in self.rejected.items()),
             )  # fmt: skip
         if self._mailbox.dropped:
             logger.warning(
-                "more came than could be written: %d deliveries were dropped", self._mailbox.dropped
+                "messages arrived faster than they could be written: %d deliveries were"
+                " dropped", self._mailbox.dropped
             )  # fmt: skip
         close_log(self._log, self._gaps.missed, self.rejected)
         self._node.close()
@@ -222,9 +223,9 @@ class Recorder:
         missing = self._gaps.expect(name, self._commands_received, came)
         if missing:
             logger.warning(
-                "the plant received %d commands that never came here: a controller that connects"
-                " to the plant alone has to listen at link.controller_endpoint (%s), where"
-                " recorders connect to, or be a Zenoh client of the plant",
+                "the plant received %d commands that the recorder did not: a controller must"
+                " listen at link.controller_endpoint (%s), where recorders connect, or be a"
+                " Zenoh client of the plant",
                 missing, self._setup.scenario.link.controller_endpoint,
             )  # fmt: skip
 

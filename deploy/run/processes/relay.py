@@ -41,7 +41,7 @@ def relay(options: RelayOptions, reporter: StatusReporter) -> int:
     with listener:
         relaying = LinkRelay(listener, (str(far[0]), int(far[1])), options.link, options.seed)
         protocol = "UDP" if options.is_udp else "TCP"
-        reporter.report("note", text=f"relays {protocol} at {options.listen}")
+        reporter.report("note", text=f"relaying {protocol} at {options.listen}")
         relaying.run(lambda: stop.is_set or time.monotonic() >= end_s)
     ignore_stops()
     reporter.report("result", **relaying.counts())

@@ -174,7 +174,9 @@ def _fork(
     try:
         process.start()
     except EOFError as error:
-        raise ChildProcessError("what this run's processes are forked from was killed") from error
+        raise ChildProcessError(
+            "the process from which this run forks its processes was killed"
+        ) from error
     return process
 
 

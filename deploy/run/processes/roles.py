@@ -237,7 +237,7 @@ def _live_feed(setup: Setup, recording: Path) -> LiveFeed | None:
     try:
         return LiveFeed(setup.scenario.link.plant_endpoint, scenario, setup.robot.joint_names)
     except OSError as error:
-        logger.warning("there will be no live view: %s", error)
+        logger.warning("no live view: %s", error)
         return None
 
 

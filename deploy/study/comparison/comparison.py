@@ -93,10 +93,6 @@ class Comparison(StudyOfRuns):
     def variants(self) -> list[Setup]:
         return list(self.setups.values())
 
-    @property
-    def expected(self) -> int:
-        return sum(1 for _ in self.first())
-
     def first(self) -> Iterable[PlannedRun]:
         wanted = self.definition
         for index, ((law, setup), overrides) in enumerate(

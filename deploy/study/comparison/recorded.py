@@ -99,10 +99,10 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     """
     places = [path.resolve() for path in paths]
     if len(places) < 2:
-        raise ScenarioError("diff: must be given two recorded runs or more")
+        raise ScenarioError("diff: needs two recorded runs or more")
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
-            raise ScenarioError(f"{path}: is given twice; must be runs that can differ")
+            raise ScenarioError(f"{path}: is given twice; must be different runs")
         if read_summary(path).get("kind") == OF_LAWS:
             raise RunFolderError(
                 f"{path}: is a comparison; must be a run, such as one of the folders inside"

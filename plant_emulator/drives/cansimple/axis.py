@@ -1,4 +1,4 @@
-"""What an ODrive axis does: states, errors, watchdog, reports (firmware 0.6)."""
+"""An ODrive axis: states, errors, watchdog, reports (firmware 0.6)."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Axis(Drive):
         return self.controller.demand(self._reading) if self._is_armed() else AT_REST
 
     def request(self, state: int) -> None:
-        """Change the state, if the axis has it and nothing is wrong."""
+        """Change the state, if the axis has it and has no error."""
         if state == AxisState.IDLE:
             self.state = AxisState.IDLE
             self._result = ProcedureResult.SUCCESS
@@ -148,16 +148,16 @@ class Axis(Drive):
             self._disarm(AxisError.BAD_CONFIG)
 
     def set_absolute_position(self, turns: float) -> None:
-        """Where the joint is now has this position from now on."""
+        """Define the joint's present position as this value."""
         self.controller.set_absolute_position(turns, self._reading)
 
     def clear_errors(self) -> None:
-        """Forget errors whose causes are gone."""
+        """Clear errors whose causes are gone."""
         self._errors = AxisError.MOTOR_OVER_TEMP if self._is_hot else AxisError.NONE
         self._disarm_reason = self._errors
 
     def reboot(self, action: int) -> None:
-        """Start anew; there is no configuration to save or erase."""
+        """Reboot; there is no configuration to save or erase."""
         if action != _REBOOT:
             raise InvalidMessageError("out_of_range", f"this axis cannot do action {action}")
         self._start()
@@ -167,7 +167,7 @@ class Axis(Drive):
         self._disarm(AxisError.MOTOR_OVER_TEMP if is_hot else AxisError.DRV_FAULT)
 
     def advance(self, now_ns: int) -> None:
-        """Disarm if nothing has come for too long."""
+        """Disarm if the watchdog has expired."""
         timeout_ns = self._settings.watchdog_ms * _MS
         if timeout_ns and self._is_armed() and now_ns - self._watchdog_fed_ns > timeout_ns:
             self._disarm(AxisError.WATCHDOG_TIMER_EXPIRED)

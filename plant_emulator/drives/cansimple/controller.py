@@ -1,4 +1,4 @@
-"""An axis's controller: what it makes of its inputs (firmware 0.6, inputs passed through).
+"""An axis's controller (firmware 0.6, passthrough input modes).
 
 Each input message sets what it has, whatever is controlled: with a position there comes a velocity
 and a torque, with a velocity a torque. What the control mode has no use for, has no effect. The
@@ -32,7 +32,7 @@ class Controller:
         self.start()
 
     def start(self) -> None:
-        """As after power-on."""
+        """Reset to the state after power-on."""
         self._control, self._inputs = POSITION_CONTROL, PASSTHROUGH
         self._gains = self._settings.gains
         self._zero_rad = 0.0
@@ -82,19 +82,19 @@ class Controller:
         self.velocity_limit, self._current_limit = velocity_turns_s, current_a
 
     def set_absolute_position(self, turns: float, reading: JointReading) -> None:
-        """Where the joint is now has this position; the joint stays there."""
+        """Define the joint's present position as this value, and hold it."""
         moved = turns - self.turns(reading)
         self._zero_rad -= moved * TURN_RAD
         self._position += moved
 
     def turns(self, reading: JointReading) -> float:
-        """Where the joint is, in whole increments of the encoder."""
+        """Position of the joint, in whole increments of the encoder."""
         counts_per_turn = self._settings.counts_per_turn
         counts = round((reading.position_rad - self._zero_rad) / TURN_RAD * counts_per_turn)
         return counts / counts_per_turn
 
     def demand(self, reading: JointReading) -> JointDemand:
-        """What the axis does to its joint while it is armed."""
+        """Return torque and loop of the armed axis."""
         current_nm = self._current_limit * TORQUE_CONSTANT_NM_A
         most_nm = min(current_nm, self._settings.max_torque_nm)
         if self._control == TORQUE_CONTROL:

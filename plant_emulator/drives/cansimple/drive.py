@@ -1,4 +1,4 @@
-"""An ODrive axis speaking CANSimple, as ODrive's public protocol description has it.
+"""An ODrive axis with the CANSimple protocol, from ODrive's public description.
 
 CANSimple has no SYNC: estimates go out every 10 ms as a factory-fresh axis sends them, and at
 once whenever they are asked for by a remote frame, which is how a controller samples an axis.

@@ -1,4 +1,4 @@
-"""CANopen frames in words, with the dictionary's names and the mapping in force."""
+"""Describes CANopen frames in words, with the dictionary's names and the active mapping."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ANSWERS = {_DONE: "download done", _UPLOAD: "upload response", _ABORT: "abort"}
 
 
 def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str | None:
-    """A frame in words; None if it does not concern the node."""
+    """Describe a frame in words; None if it does not concern the node."""
     identifier, data = frame.identifier, frame.data
     if identifier == 0:
         return _network(data)

@@ -147,7 +147,7 @@ class Cia402Drive(Drive):
         return describe(frame, self._node, self._process_data)
 
     def _set_up(self) -> None:
-        """Note who takes the data of which identifier, as the dictionary has it now."""
+        """Look up in the dictionary which part of the drive receives which identifier."""
         self._node.is_set_up_anew = False
         self._process_data.note_set_up()
         self._network.note_set_up()
@@ -211,7 +211,7 @@ class Cia402Drive(Drive):
             self._process_data.rest()
 
     def _restart(self) -> None:
-        """As if the power had been off; the drive boots at its next turn."""
+        """Reset as after power-off; the drive boots at its next `advance`."""
         self._motor.automaton.power_off()
         self._errors.forget()
         self._reset(_LAST_OBJECT)
@@ -232,7 +232,7 @@ class Cia402Drive(Drive):
         return self._network.state is NmtState.OPERATIONAL
 
     def _leave_operational(self) -> None:
-        """What object 0x1029 wants after an error of communication."""
+        """Do what object 0x1029 demands after a communication error."""
         state = _AFTER_COMMUNICATION_ERROR.get(self._node.values[0x1029_01])
         if state is not None and self._is_operational():
             self._network.state = state

@@ -43,7 +43,7 @@ SENTENCES = {
 
 
 class ErrorLog:
-    """Which errors there are, and which were reported.
+    """The present errors, and those already reported.
 
     Args:
         node: whose errors they are.
@@ -78,7 +78,7 @@ class ErrorLog:
         return bits
 
     def note(self, code: ErrorCode, *, lasting: bool = False) -> None:
-        """An error has come up. `lasting`: its cause remains until `cause_gone`."""
+        """Add an error. `lasting`: its cause remains until `cause_gone`."""
         if code in self._lasting:
             self._lasting[code] = lasting
             return
@@ -87,17 +87,17 @@ class ErrorLog:
         self._emit(code)
 
     def cause_gone(self, code: ErrorCode) -> None:
-        """The cause of an error is gone: it can be reset."""
+        """Note that the cause of an error is gone, so that it can be reset."""
         if code in self._lasting:
             self._lasting[code] = False
 
     def clear(self, code: ErrorCode) -> None:
-        """An error is over by itself."""
+        """Remove an error that ended by itself."""
         if self._lasting.pop(code, None) is not None:
             self._emit(ErrorCode.NONE)
 
     def reset(self) -> bool:
-        """Reset all errors; false, and nothing happens, while the cause of one is there."""
+        """Reset all errors. Returns false, without effect, while a cause remains."""
         if any(self._lasting.values()):
             return False
         if self._lasting:
@@ -107,7 +107,7 @@ class ErrorLog:
         return True
 
     def forget(self) -> None:
-        """Power-on: no error, no history."""
+        """Clear errors and history, as at power-on."""
         self._lasting.clear()
         self._history = []
         self.fault = ErrorCode.NONE

@@ -24,7 +24,7 @@ _ABORT_FAULT, _ABORT_DISABLE, _ABORT_QUICK_STOP = 1, 2, 3
 
 
 def clamp(value: int, limits: tuple[int, int]) -> int:
-    """The value, or the limit it is beyond."""
+    """The value, clipped to its limits."""
     lowest, highest = limits
     return lowest if value < lowest else min(value, highest)
 
@@ -59,24 +59,24 @@ class Motor:
         self._serve()
 
     def measure(self, reading: JointReading) -> None:
-        """Take in what the sensors show."""
+        """Set the sensor values."""
         self._reading = reading
         self._position = self._position_mode.measure(reading)
         self._velocity = clamp(round(reading.velocity_rad_s * self._counts_per_rad), INT32)
 
     def restore(self) -> None:
-        """The dictionary has its defaults again."""
+        """Restore the dictionary's defaults."""
         self._mode = self._node.values[0x6060_00]
         self._position_mode.restore()
 
     def fail(self, code: ErrorCode, *, power_off: bool = False) -> None:
-        """Let an error stop the drive; the automaton's faults have the first error's code."""
+        """Stop the drive for an error; the first error's code becomes the fault's."""
         if self.automaton.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             self._errors.fault = code
         self.automaton.fault(power_off=power_off)
 
     def abort_connection(self, code: ErrorCode) -> None:
-        """The connection to the master is gone: do what object 0x6007 says."""
+        """Do what object 0x6007 demands when the master is lost."""
         option = self._node.values[0x6007_00]
         if option == _ABORT_FAULT:
             self.fail(code)
@@ -86,7 +86,7 @@ class Motor:
             self.automaton.command(ControlCommand.QUICK_STOP)
 
     def demand(self) -> JointDemand:
-        """What the motor does to the joint."""
+        """Return torque and brake of the motor."""
         if self.automaton.brings_to_rest:
             most_nm = self._nm(clamp(self._hard_limit, INT16))
             damping_nm = -self._settings.stop_damping_nm_s * self._reading.velocity_rad_s
@@ -98,7 +98,7 @@ class Motor:
         return JointDemand(self._nm(self._limited()[0]), is_released=True)
 
     def advance(self) -> None:
-        """Do what is due: the end of a slow-down, the window of a following error."""
+        """Process due events: the end of a slow-down, the window of a following error."""
         self.automaton.advance()
         if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
             if self._position_mode.has_followed:
@@ -136,13 +136,13 @@ class Motor:
         return self._position_mode.loop(self._nm(self._node.values[_OFFSET]), self._nm(most))
 
     def _is_loop_limited(self) -> bool:
-        """Whether a limit has a say in the torque, while the motor closes its loop."""
+        """Whether a limit clips the torque, while the motor closes its loop."""
         loop = self._loop()
         is_torque_limited = abs(loop.torque_nm(*self._reading[:2])) >= loop.most_nm
         return self._position_mode.is_target_limited or is_torque_limited
 
     def _limited(self) -> tuple[int, bool]:
-        """The torque to give, per mille, and whether a limit has had a say."""
+        """Return the torque in per mille, and whether a limit clips it."""
         values, position, most = self._node.values, self._position, self._hard_limit
         if values[_MAX_TORQUE] < most:
             most = values[_MAX_TORQUE]

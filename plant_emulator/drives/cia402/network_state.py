@@ -1,4 +1,4 @@
-"""What the network does to a node: NMT states, boot-up, heartbeats (CiA 301, 7.2.8)."""
+"""NMT state of a node, its boot-up and heartbeats (CiA 301, 7.2.8)."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class NetworkState:
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
     def boot(self) -> None:
-        """Say that the node is there; from now on it is pre-operational."""
+        """Send the boot-up message; from now on the node is pre-operational."""
         self._report()
         self.state = NmtState.PRE_OPERATIONAL
         self._heard_ns.clear()
@@ -78,23 +78,23 @@ class NetworkState:
         self._on_period(0, self._node.values[0x1017_00])
 
     def note_set_up(self) -> None:
-        """Object 0x1016 may have been written."""
+        """Read object 0x1016 again, which may have changed."""
         entries = [self._node.values[0x1016_00 + subindex] for subindex in _CONSUMED]
         self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
 
     def obey(self, command: NmtCommand) -> None:
-        """Change the state; resets are for the drive as a whole to do."""
+        """Change the state; the drive itself does resets."""
         self.state = _STATE_AFTER[command]
 
     def note_heartbeat(self, node_id: int) -> bool:
-        """A heartbeat of a watched node has come; whether it was the last one missed."""
+        """Note a heartbeat of a watched node. Returns whether it was the last one missing."""
         self._heard_ns[node_id] = self._node.now_ns
         was_lost = node_id in self._lost
         self._lost.discard(node_id)
         return was_lost and not self._lost
 
     def advance(self) -> bool:
-        """Send a heartbeat if one is due; whether one that is awaited has failed to come."""
+        """Send a heartbeat if one is due. Returns whether an expected one has just failed."""
         now_ns = self._node.now_ns
         if self._heartbeats.is_due(now_ns):
             self._report()
@@ -113,7 +113,7 @@ class NetworkState:
         self._heartbeats = Cycle(value * _MS, self._node.now_ns + value * _MS)
 
     def _check_consumed(self, subindex: int, value: int) -> None:
-        """Two entries may not watch the same node (CiA 301, 7.5.2.18)."""
+        """Refuse two entries for the same node (CiA 301, 7.5.2.18)."""
         others = [self._node.values[0x1016_00 + other] for other in _CONSUMED if other != subindex]
         nodes = [_consumer(other)[0] for other in others if _is_used(other)]
         if _is_used(value) and _consumer(value)[0] in nodes:

@@ -55,7 +55,7 @@ class Abort(IntEnum):
 
 
 class StrictSdoServer(SdoServer):
-    """canopen's SDO server, kept to CiA 301 where it is lenient or would stumble."""
+    """canopen's SDO server, made as strict as CiA 301 and robust against invalid requests."""
 
     def __init__(self, node: canopen.LocalNode, node_id: int) -> None:
         super().__init__(0x600 + node_id, 0x580 + node_id, node)
@@ -83,7 +83,7 @@ class StrictSdoServer(SdoServer):
             self._pending = _UPLOAD_SEGMENT
 
     def init_download(self, request: bytes) -> None:
-        """Begin a download, of what exists and can be written only."""
+        """Begin a download of an object that exists and is writable."""
         entry = self._node.find(self._index, self._subindex)
         if not entry.writable:
             raise SdoAbortedError(Abort.READ_ONLY)
@@ -103,7 +103,7 @@ class StrictSdoServer(SdoServer):
             self._pending = None
 
     def segmented_download(self, command: int, request: bytes) -> None:
-        """Take one segment."""
+        """Receive one segment."""
         if len(self._buffer or b"") > _LONGEST_DOWNLOAD:
             raise SdoAbortedError(Abort.OUT_OF_MEMORY)
         if command & _LAST_SEGMENT:
@@ -149,11 +149,11 @@ class DriveNode(canopen.LocalNode):
         self.values = self._defaults.copy()
 
     def fit(self, place: int, value: int) -> None:
-        """Give an object of this drive another default than the EDS has."""
+        """Replace the EDS default of an object for this drive."""
         self._defaults[place] = self.values[place] = value
 
     def restore_defaults(self, first: int, last: int) -> None:
-        """Forget what was written to the objects from `first` to `last`."""
+        """Discard the values written to the objects from `first` to `last`."""
         for index in [index for index in self.data_store if first <= index <= last]:
             del self.data_store[index]
         self.values.update(

@@ -1,4 +1,4 @@
-"""Process data objects, mapped as the master likes (CiA 301, 7.2.2 and 7.5.2.34 to 38).
+"""Process data objects with configurable mapping (CiA 301, 7.2.2 and 7.5.2.34 to 38).
 
 Values are packed and unpacked by a table made once per mapping. What canopen's node does for an
 object at every access (find it, ask who serves it, find its type) is done when the table is made.
@@ -77,7 +77,7 @@ class Pdo:
         self.note_set_up()
 
     def note_set_up(self) -> None:
-        """Its parameters may have been written."""
+        """Read the parameters again, which may have changed."""
         cob_id, self.period, inhibit, event = (
             self._parameter(each) for each in (_COB_ID, _TYPE, _INHIBIT, _EVENT)
         )
@@ -90,7 +90,7 @@ class Pdo:
             self._map(entries)
 
     def rest(self) -> None:
-        """Nothing is pending, awaited or sent."""
+        """Reset all pending, awaited and sent data."""
         self.heard_ns: int | None = None
         self.data: bytes | None = None
         self.sent_ns = self.syncs = 0
@@ -137,7 +137,7 @@ class Pdo:
         return [self._entry(self._node.values[(self._mapping << 8) + i + 1]) for i in range(count)]
 
     def _entry(self, value: int) -> Entry:
-        """A mapping parameter, if that can be mapped here."""
+        """Return the mapping of a parameter, if it can be mapped here."""
         entry = Entry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
         try:
             variable = self._node.find(entry.object_index, entry.subindex)
@@ -150,7 +150,7 @@ class Pdo:
 
 
 def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
-    """A function that gives the present values."""
+    """Return a function that returns the present values."""
     pack = _layout(node, entries).pack
     stored = node.values.__getitem__
     reads: list[Callable[[], int]] = []
@@ -162,7 +162,7 @@ def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
 
 
 def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], None]:
-    """A function that writes values of the right length.
+    """Return a function that writes values of the right length.
 
     It raises `SdoAbortedError` if an object does not take its value; those before it were written.
     """

@@ -28,7 +28,7 @@ _MILLI = 1e-3
 
 
 class PositionMode:
-    """What there is of the mode beside the automaton.
+    """State of the mode, without the automaton.
 
     Until a target is written the one is where the joint was when the drive was told to follow.
 
@@ -52,12 +52,12 @@ class PositionMode:
         node.writers[0x607D] = self._check_limit
 
     def restore(self) -> None:
-        """No target was written yet."""
+        """Reset to the state before the first target."""
         self._target: int | None = None
         self.rest()
 
     def rest(self) -> None:
-        """The drive does not follow."""
+        """Note that the drive does not follow its target."""
         self._held: int | None = None
         self._integral = Integral()
         self._outside_since_ns: int | None = None
@@ -93,7 +93,7 @@ class PositionMode:
         return self._target is not None and self.demanded != self._target
 
     def follow(self) -> None:
-        """The drive has its turn while it follows: watch the window."""
+        """Check the following-error window while the drive follows."""
         if self._held is None:
             self._held = self._actual
         window = self._node.values[_WINDOW]
@@ -107,11 +107,11 @@ class PositionMode:
 
     @property
     def error_is_fault(self) -> bool:
-        """Whether a following error is one that the drive faults for (object 0x2001)."""
+        """Whether a following error is a fault (object 0x2001)."""
         return self.has_following_error and self._node.values[_FAULTS] == 1
 
     def loop(self, offset_nm: float, most_nm: float) -> CascadeLoop:
-        """The loop that the drive closes now.
+        """Return the drive's present loop.
 
         Args:
             offset_nm: the torque offset.

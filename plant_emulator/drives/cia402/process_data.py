@@ -1,4 +1,4 @@
-"""When process data goes and comes: SYNC, events, timers (CiA 301, 7.2.2 and 7.5.2.34 to 38)."""
+"""Timing of process data: SYNC, events, timers (CiA 301, 7.2.2 and 7.5.2.34 to 38)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ProcessData:
         self.note_set_up()
 
     def rest(self) -> None:
-        """The node is not operational: nothing is pending or awaited."""
+        """Reset all pending and awaited data, because the node is not operational."""
         for pdo in (*self._received, *self._sent):
             pdo.rest()
 
@@ -48,7 +48,7 @@ class ProcessData:
         return {pdo.identifier: pdo for pdo in reversed(self._received) if pdo.is_valid}
 
     def note_set_up(self) -> None:
-        """Objects of SYNC or PDOs may have been written."""
+        """Read the objects of SYNC and PDOs again, which may have changed."""
         self.sync_identifier = self._node.values[0x1005_00] & 0x7FF
         for pdo in (*self._received, *self._sent):
             pdo.note_set_up()
@@ -66,7 +66,7 @@ class ProcessData:
         return None
 
     def sync(self, data: bytes) -> bool:
-        """SYNC: what is pending comes into force, what is due is sampled and sent.
+        """Process SYNC: apply pending data, then sample and send due data.
 
         Returns:
             Whether that may have changed what event-driven TPDOs tell.
@@ -87,7 +87,7 @@ class ProcessData:
         return has_changed
 
     def receive(self, pdo: Pdo, data: bytes) -> None:
-        """Data for an RPDO has come."""
+        """Receive data for an RPDO."""
         self._check_length(pdo, data)
         pdo.heard_ns = self._node.now_ns
         if pdo.is_synchronous:

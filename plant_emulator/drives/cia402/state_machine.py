@@ -46,7 +46,7 @@ class State(IntEnum):
 
 
 class ControlCommand(IntEnum):
-    """What a controlword asks for."""
+    """Commands of the controlword."""
 
     SHUTDOWN = auto()
     SWITCH_ON = auto()
@@ -97,7 +97,7 @@ TRANSITIONS: dict[tuple[State, ControlCommand], State] = {
     (_S.FAULT, _C.FAULT_RESET): _S.SWITCH_ON_DISABLED,  # 15
     (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16
 }
-"""What a command does in a state; whatever is not here, does nothing."""
+"""Transitions by state and command; all other commands have no effect."""
 
 
 def decode_command(controlword: int, previous: int) -> ControlCommand | None:
@@ -138,7 +138,7 @@ _POWER_OFF = 0
 
 
 class _SlowDown(NamedTuple):
-    """The motor brings the joint to a halt.
+    """The motor slows the joint down to a halt.
 
     Attributes:
         then: state that follows.
@@ -189,11 +189,11 @@ class Automaton:
         self._enter(State.SWITCH_ON_DISABLED)
 
     def power_off(self) -> None:
-        """As before power-on."""
+        """Reset to the state before power-on."""
         self._enter(State.NOT_READY_TO_SWITCH_ON)
 
     def obey(self, controlword: int) -> None:
-        """Take a controlword."""
+        """Process a controlword."""
         command = decode_command(controlword, self._controlword)
         self._controlword = controlword
         self.halted = bool(controlword & Controlword.HALT)
@@ -201,7 +201,7 @@ class Automaton:
             self.command(command)
 
     def command(self, command: ControlCommand) -> None:
-        """Make the transition that a command asks for, if the standard has one."""
+        """Make the transition for a command, if the standard has one."""
         if self.state is State.OPERATION_ENABLED and command is ControlCommand.ENABLE_OPERATION:
             self._slow_down = None  # a slow-down to another state is called off
             return

@@ -109,7 +109,7 @@ class DamiaoDrive(LoopDrive):
         return Mode(int(self._registers[Register.CTRL_MODE]))
 
     def _note_registers(self) -> None:
-        """Keep what every frame needs of the registers."""
+        """Cache the register values that every frame needs."""
         values = self._registers
         limits = values[Register.PMAX], values[Register.VMAX], values[Register.TMAX]
         self._ranges = MitRanges(*limits, *self._gain_ranges)
@@ -122,7 +122,7 @@ class DamiaoDrive(LoopDrive):
         return len(data) == COMMAND_BYTES and data[0] | data[1] << 8 == self._node_id
 
     def _obey(self, mode: Mode, data: bytes) -> None:
-        """Take a special frame, in every mode, or a command of the mode that is set."""
+        """Receive a special frame, or a command of the active mode."""
         if len(data) == COMMAND_BYTES and ending_of(data) is not None:
             self._change(special_of(data), data)
             return

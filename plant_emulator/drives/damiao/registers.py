@@ -1,4 +1,4 @@
-"""What an emulated Damiao motor has in its registers, and what it lets be written.
+"""Registers of an emulated Damiao motor, with their permitted values.
 
 Access and ranges are those of REGISTER_TABLE in `damiao-motor` 1.0.6, after the vendor's manuals.
 Registers that nothing here acts on can be written and read back. Their defaults are ESTIMATED.
@@ -68,7 +68,7 @@ class Registers:
         return self._values[register]
 
     def show(self, position_rad: float) -> None:
-        """Note where the shaft is, for the registers that say so."""
+        """Update the registers that hold the shaft's position."""
         self._values[Register.XOUT] = position_rad
         self._values[Register.P_M] = position_rad * self._values[Register.GR]
 

@@ -51,32 +51,32 @@ class LoopDrive(Drive):
 
     @property
     def position_rad(self) -> float:
-        """What its encoder shows, from its own zero."""
+        """Encoder values, relative to the drive's zero."""
         seen_rad = round(self._reading.position_rad / self._step_rad) * self._step_rad
         return seen_rad - self._zero_rad
 
     @property
     def temperature_c(self) -> int:
-        """Of power stage and motor."""
+        """State of power stage and motor."""
         return _HOT_C if self._is_hot else _USUAL_C
 
     def demand(self) -> JointDemand:
         return AT_REST if self._loop is None else following(self._loop, self._reading)
 
     def _make_zero(self) -> None:
-        """The position is zero here; a command in force means positions from the new zero."""
+        """Define the present position as zero; a command in force refers to the new zero."""
         moved_rad = self.position_rad
         self._zero_rad += moved_rad
         if self._loop is not None:
             self._loop = self._loop._replace(target_rad=self._loop.target_rad + moved_rad)
 
     def _mit_loop(self, command: MitCommand, most_nm: float) -> JointLoop:
-        """The loop that a command wants, at the joint, with the most torque there is."""
+        """Return the loop of a command, at the joint, with the largest available torque."""
         target_rad = command.position_rad + self._zero_rad
         return JointLoop(target_rad, *command[1:], step_rad=self._step_rad, most_nm=most_nm)
 
     def _state(self, error: int) -> MitReply:
-        """What it reports."""
+        """Return the reported values."""
         return MitReply(
             self._settings.node_id, self.position_rad, self._reading.velocity_rad_s,
             self._reading.torque_nm, self.temperature_c, error,

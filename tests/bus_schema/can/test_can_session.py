@@ -59,7 +59,7 @@ def test_frames_reach_the_others_in_order_and_never_their_sender() -> None:
         assert ours.receive(0.01) is None
 
 
-def test_frames_that_nobody_was_in_time_for_are_counted() -> None:
+def test_frames_dropped_by_the_socket_are_counted() -> None:
     with two_on(multicast()) as (sender, slow):
         assert slow.dropped() == 0
         sent = 2000  # more than a queue of the usual 200 KiB holds

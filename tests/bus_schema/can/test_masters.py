@@ -134,7 +134,7 @@ def test_answers_are_awaited_of_all_but_those_given_up() -> None:
         (
             cia402,
             [CanFrame(0x181, bytes(8)), CanFrame(0x181, bytes(8))],
-            "drive 1 sent 2 states and was asked for 1: another one has its address",
+            "drive 1 sent 2 states for 1 requests: another drive has its address",
         ),
         (cia402, [CanFrame(0x181, bytes(8)), CanFrame(0x204, b"")], ""),  # node 4: not of ours
         (cansimple, [CanFrame(0x049, bytes(8)), CanFrame(0x123)], ""),

@@ -140,4 +140,4 @@ def test_a_sparse_file_is_no_recording_and_is_not_read_to_its_end(tmp_path):
     with path.open("wb") as file:
         file.write(b"\x89MCAP0\r\n")
         file.truncate(3 << 30)
-    assert read_log(path).damage[0] == f"nothing from byte 8 of {3 << 30} on can be read"
+    assert read_log(path).damage[0] == f"it cannot be read from byte 8 of {3 << 30} on"

@@ -191,7 +191,7 @@ def test_messages_in_the_form_of_another_version_are_left_out(tmp_path, monkeypa
     assert not contents.payloads
     assert not contents.complete
     assert contents.damage == [
-        "its messages of funnel_hil_msgs/msg/ControlStatus are those of another version of"
-        " funnel-hil, which can read them",
+        "its messages of funnel_hil_msgs/msg/ControlStatus are from another version of"
+        " funnel-hil; that version can read them",
         "0 of 1 messages could be read",
     ]

@@ -65,7 +65,7 @@ def test_kernels_are_kept_in_a_temporary_folder_and_one_process_says_so(
     }[case]()
     assert output == "True\nTrue\n"
     assert len(errors) == 1
-    assert errors[0].startswith("no compiled kernels can be kept in the usual folder (")
+    assert errors[0].startswith("compiled kernels cannot be stored in the usual folder (")
     assert kept(tmp_path) == 1
 
 
@@ -76,7 +76,7 @@ def test_a_temporary_folder_that_others_can_write_to_is_not_used(tmp_path: Path)
     output, errors = ran(tmp_path, HOME="/proc/nowhere")
     assert output == "True\nTrue\n"
     assert len(errors) == 1
-    assert "every process compiles them anew" in errors[0]
+    assert "every process compiles them again" in errors[0]
     assert kept(tmp_path) == 0
 
 
@@ -84,4 +84,4 @@ def test_a_kernel_that_cannot_be_written_is_used_all_the_same(tmp_path: Path) ->
     cache = tmp_path / "cache"
     output, errors = ran(tmp_path, LARGEST_FILE, XDG_CACHE_HOME=str(cache))
     assert output == "True\nTrue\n"
-    assert [line.partition(" (")[0] for line in errors] == ["a compiled kernel cannot be kept"]
+    assert [line.partition(" (")[0] for line in errors] == ["a compiled kernel cannot be stored"]

@@ -42,5 +42,5 @@ def test_event_of_a_mode_can_be_read_back(mode):
     assert mode_in(mode_event(mode, "why: for a reason")) is mode
 
 
-def test_event_of_no_mode_is_told_apart():
+def test_event_without_a_mode_is_distinguished():
     assert mode_in("sleeping: at night") is None

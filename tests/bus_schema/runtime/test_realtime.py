@@ -100,7 +100,7 @@ def test_who_forgoes_preemption_does_so_in_all_threads_to_come() -> None:
 
 
 @pytest.mark.parametrize("memlock_bytes", [64 << 10, 1 << 30])
-def test_an_unprivileged_process_is_told_what_was_refused_and_why(memlock_bytes: int) -> None:
+def test_refused_permissions_are_reported_with_the_reason(memlock_bytes: int) -> None:
     result = in_child(f"""
         become_nobody({memlock_bytes})
         report(realtime.go_realtime(), allocated=len(mmap.mmap(-1, 2 << 30)))

@@ -41,7 +41,7 @@ OURS, OTHER_AUTHORITY, OTHER_HOST, PLAINTEXT = 0, 1, 2, None
 
 
 @pytest.mark.parametrize("keys", [PLAINTEXT, OURS], ids=["plaintext", "tls"])
-def test_nobody_there(folders: tuple[Path, Path, Path], keys: int | None) -> None:
+def test_missing_peer_is_reported(folders: tuple[Path, Path, Path], keys: int | None) -> None:
     link = make_link(free_ports(1)[0], None if keys is None else folders[keys])
     said = explain_silence(link, Role.CONTROLLER, Role.PLANT)
     assert "no plant yet after 2 s" in said
@@ -89,7 +89,7 @@ def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
 
 
 @pytest.mark.parametrize("secured", [False, True])
-def test_listener_is_told_what_keeps_visitors_away(
+def test_listener_reports_why_connections_fail(
     folders: tuple[Path, Path, Path], secured: bool
 ) -> None:
     link = make_link(7451, folders[0] if secured else None)

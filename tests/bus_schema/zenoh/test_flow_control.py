@@ -24,7 +24,7 @@ def must_wait(flow: FlowControl) -> bool:
     return flow._recorders != before
 
 
-def test_nobody_is_waited_for_where_nobody_records() -> None:
+def test_without_a_recorder_no_process_waits_for_one() -> None:
     flow = FlowControl(NEVER_S)
     for mark in range(1, 4):
         flow.send(TOO_MUCH, mark)
@@ -81,7 +81,7 @@ def test_the_slowest_of_several_counts_while_it_is_there() -> None:
     assert not must_wait(flow)
 
 
-def test_a_recorder_that_never_answers_is_given_up_and_told_of(
+def test_recorder_that_never_answers_is_abandoned_and_reported(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     flow = FlowControl(patience_s=0.01)

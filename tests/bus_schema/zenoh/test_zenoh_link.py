@@ -164,7 +164,7 @@ def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it
         plant.await_controller(HANG_S, lambda: True)  # a stop request ends the wait
 
 
-def test_error_of_the_handler_ends_the_service_and_reaches_whoever_spins() -> None:
+def test_error_of_the_handler_ends_the_service_and_reaches_the_caller() -> None:
     def fail(_payload: bytes, _status: bytes | None) -> None:
         raise ZeroDivisionError
 

@@ -123,7 +123,7 @@ def test_reset_is_asked_once_there_is_something_to_forget(tmp_path):
     ("body", "reason"),
     [
         ("print('no licence', file=sys.stderr); sys.exit(3)",
-         "ended with exit code 3; its last words: no licence"),
+         "ended with exit code 3; end of its standard error: no licence"),
         ("read(8)\nsys.exit(0)", "ended with exit code 0"),
         (ECHO + "asked(); say(0.0, 1.0)\nsys.exit(4)", "ended with exit code 4"),
         (ECHO + "asked(); say(7.0, 0.0, 0.0, 0.0)\nread()", "reports failure 7 at 0.250 s"),

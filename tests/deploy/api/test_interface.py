@@ -149,7 +149,9 @@ def test_sweep_is_that_of_single_runs_and_goes_on_in_its_folder(tmp_path):
     assert isinstance(swept.figure("curve-violation_fraction"), go.Figure)
     again = funnel_hil.sweep("iiwa", grid, changes, out=tmp_path / "s")
     assert again.rows == swept.rows
-    with pytest.raises(funnel_hil.InputError, match="must be without a study, or hold this one"):
+    with pytest.raises(
+        funnel_hil.InputError, match="has another study, which this one does not extend"
+    ):
         funnel_hil.sweep("iiwa", {key: [0.9]}, changes, out=tmp_path / "s")
 
 
@@ -190,11 +192,11 @@ def test_series_are_columns_and_data_frames(run):
         (lambda: funnel_hil.compare(laws=["pid", "pid"]), "laws: must have different names"),
         (lambda: funnel_hil.sweep(grid={"seed": [1]}), "must be given under seeds"),
         (lambda: funnel_hil.margin(quantity="haste"), "quantity = 'haste'"),
-        (lambda: funnel_hil.load_run("nowhere"), "nowhere: holds no run.mcap"),
+        (lambda: funnel_hil.load_run("nowhere"), "nowhere: has no run.mcap"),
         (lambda: funnel_hil.diff(3, 4), "diff: 3: must be a folder, an MCAP file, or a run"),
     ],
 )  # fmt: skip
-def test_bad_input_is_told_with_key_and_value(ask, told):
+def test_bad_input_is_refused_with_key_and_value(ask, told):
     with pytest.raises(funnel_hil.InputError, match=told):
         ask()
 

@@ -61,7 +61,7 @@ def test_a_candidate_may_have_several_costs():
     }
 
 
-def test_a_spread_is_told_by_median_and_extremes():
+def test_spread_is_reported_as_median_and_extremes():
     spread = Spread((5.0, 1.0, 2.0, 10.0))
     assert spread.as_dict() == {"median": 3.5, "lowest": 1.0, "highest": 10.0}
 

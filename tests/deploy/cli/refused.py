@@ -51,8 +51,8 @@ REFUSED = [
     ("simulate nowhere", "nowhere: ", "paper_arm_mit, ur5e_motors, faults/*"),
     ("simulate faults/nothing_like_it", "faults/nothing_like_it: ",
      "faults/actuator_dead, faults/actuator_weak"),
-    ("simulate /dev/null", "/dev/null: is no regular file, nor one of the shipped"),
-    ("simulate .", ".: is no regular file, nor one of the shipped"),
+    ("simulate /dev/null", "/dev/null: is not a regular file, nor one of the shipped"),
+    ("simulate .", ".: is not a regular file, nor one of the shipped"),
     (f"simulate {LONG}", "", "no such file"),
     (f"sweep {LONG}", "", "no such file"),
     (f"margin --study {LONG}", "", "no such file"),
@@ -66,21 +66,21 @@ REFUSED = [
     ("run nowhere.yaml", "nowhere.yaml: extends = ", "no such file"),
     ("run long.yaml", "long.yaml: extends = ", "no such file"),
     ("run of_a_fault.yaml", "of_a_fault.yaml: ", "must be a scenario that extends no other"),
-    ("run twice.yaml", "twice.yaml: duration_s = ", "must be given once; ", "lines 2 and 4"),
-    ("run inner.yaml", "inner.yaml: plant.payload_kg = ", "must be given once; "),
+    ("run twice.yaml", "twice.yaml: duration_s = ", "must occur only once; ", "lines 2 and 4"),
+    ("run inner.yaml", "inner.yaml: plant.payload_kg = ", "must occur only once; "),
     ("sweep big.yaml", "big.yaml: ", "are 100000000 runs; at most 100000 are allowed"),
     ("sweep sweep.yaml", "sweep.yaml: grid plant.payload_kg=-1: "),
     ("sweep set.yaml", "set.yaml: set plant.paylod_kg=1: ", "mean payload_kg"),
     ("sweep typo.yaml", "typo.yaml: scenari", "did you mean scenario"),
     ("replay nothing", "nothing: "),
     ("report nothing", "nothing: "),
-    ("replay damaged", "damaged", "no recording of funnel-hil"),
-    ("report damaged", "damaged", "no recording of funnel-hil"),
-    ("runs list nowhere", "nowhere: no such folder; must be one of results"),
+    ("replay damaged", "damaged", "is not a recording of funnel-hil"),
+    ("report damaged", "damaged", "is not a recording of funnel-hil"),
+    ("runs list nowhere", "nowhere: no such folder"),
     ("runs tag nowhere a", "nowhere: holds no results"),
-    ("view nowhere", "nowhere: holds no run.mcap"),
-    ("view tcp/nowhere", "tcp/nowhere: holds no run.mcap"),
-    ("runs prune .", "", "must be given --older-than, --incomplete, or both"),
+    ("view nowhere", "nowhere: has no run.mcap"),
+    ("view tcp/nowhere", "tcp/nowhere: has no run.mcap"),
+    ("runs prune .", "", "give --older-than, --incomplete, or both"),
     ("robot nowhere.urdf", "", "nowhere.urdf"),
     ("reference paper_arm", "", "one of --csv and --parquet"),
     ("ros2-control paper_arm --out file", "", "cannot be written"),
@@ -114,7 +114,7 @@ REFUSED = [
     # options
     ("compare --laws pid,smcc", "--laws 'smcc': must be one of fixed_time_neural"),
     ("margin --laws pid,smcc", "--laws 'smcc': must be one of fixed_time_neural"),
-    *[(f"margin {option} {given}", f"{option}: {shown}' is no YAML value")
+    *[(f"margin {option} {given}", f"{option}: {shown}' is not valid YAML")
       for option in ("--seeds", "--values", "--offsets", "--running")
       for given, shown in (("[", "'["), ("\udcff", r"'\udcff"))],  # the latter is no UTF-8
     ("margin --seeds 0", "", "seeds", "0", "from 1"),
@@ -124,7 +124,7 @@ REFUSED = [
     ("margin --duration -1", "", "duration_s", "-1", "greater than 0"),
     ("margin --compensation maybe", "", "compensation", "'maybe'"),
     ("margin --drive-feedback maybe", "", "drive_feedback", "'maybe'"),
-    ("margin --set link.nonsense=1", "", "link.nonsense", "no such key"),
+    ("margin --set link.nonsense=1", "", "link.nonsense", "unknown key"),
     ("margin --study none", "", "none", "shipped studies", "delay_margin"),
     ("margin --workers 1 --scheduler tcp://127.0.0.1:1", "", "--workers", "--scheduler"),
     ("margin --plants 2 --uncertainty half", "", "values: is missing"),
@@ -140,7 +140,7 @@ REFUSED = [
           ("fire:2@1s", "drive, silent, encoder-frozen, over-temperature"))],
     ("drives paper_arm --set link.can.eds=/etc/hostname", "", "that is an EDS of a CiA 402 drive"),
     ("drives paper_arm --set link.can.protocol=mit --set link.can.fd_process_data=true", "", "MIT"),
-    ("drives paper_arm --set link.can.interface=nope", "", "must be one that python-can knows"),
+    ("drives paper_arm --set link.can.interface=nope", "", "must be an interface of python-can"),
     # what is set
     *[(f"run --set {text}", f"--set {text}:") for text in ("duration_s", "=2", "duration_s=[")],
     *[(f"{command} paper_arm --set link.uplink.delay_ms=-1", "", "link.uplink.delay_ms = -1")
@@ -165,7 +165,7 @@ OUT_OF_RANGE = [
 DEEPER = "must not be nested deeper than 50 levels"
 NO_YAML = [
     # what is written under seed, what is said of it
-    ("2024-13-45", "seed = '2024-13-45': must be a date of the calendar"),
+    ("2024-13-45", "seed = '2024-13-45': must be a valid date"),
     ("!!int z", "seed = 'z': must be a whole number"),
     ("!!float z", "seed = 'z': must be a number"),
     ("[!!bool z]", "seed.0 = 'z': must be a valid bool"),

@@ -42,7 +42,7 @@ def test_run_and_its_processes_load_nothing_that_only_others_need():
     program = "import deploy.run.processes.role_process"  # `run` starts it before the libraries
     assert imported(program, "numpy", "numba") == []
     others = ("plotly", "jinja2", "distributed", "pyarrow", "deploy.study.folder", "pybullet")
-    assert imported("import deploy.cli.one_run", *others) == []
+    assert imported("import deploy.cli.run_and_simulate", *others) == []
 
 
 def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil):

@@ -73,7 +73,7 @@ def test_the_table_keeps_every_word_on_80_columns(findings: list[Finding]) -> No
 
 
 @pytest.mark.usefixtures("bare_machine")
-def test_a_bare_machine_is_told_the_cost_of_everything() -> None:
+def test_doctor_lists_the_cost_of_every_missing_item() -> None:
     findings = {finding.name: finding for finding in examine()}
     missing = {"Bullet", "MuJoCo", "pinocchio", "Zenoh", "loopback TCP", "SocketCAN", "display"}
     limited = {"numba cache", "working folder", "CPU cores", realtime.SCHEDULER}

@@ -71,7 +71,7 @@ def test_a_client_in_another_process_hears_and_drives_them():
         "node 2 SDO upload request 0x6502:00 Supported drive modes",
         "node 2 RPDO Controlword 0x000F, Target torque 0",
         "node 2: OPERATION_ENABLED",
-        "frames heard",
+        "frames received",
     ):
         assert words in said, words
 

@@ -30,7 +30,7 @@ COMMANDS = (("view",), ("replay",), ("export", "--csv"))
 def test_folder_that_is_not_there(funnel_hil, runs, command):
     code, said = funnel_hil(*command, "runs/papr_arm-1")
     assert code == 2
-    assert "error: runs/papr_arm-1: holds no run.mcap: no such folder or file; " in said
+    assert "error: runs/papr_arm-1: has no run.mcap: no such folder or file; " in said
     assert "funnel-hil runs list runs shows runs/both, runs/margin-a, runs/paper_arm-1, " in said
     assert said.endswith("; did you mean paper_arm-1?\n")
 
@@ -47,10 +47,10 @@ def test_folder_that_is_not_there(funnel_hil, runs, command):
 def test_results_of_another_kind(funnel_hil, runs, name, what):
     code, said = funnel_hil("view", f"runs/{name}")
     assert code == 2
-    told = f"holds no run.mcap, as it is no run but {what}; funnel-hil report runs/{name} shows it"
-    assert said == f"error: runs/{name}: {told}\n"
+    told = f"has no run.mcap, because it is not a run but {what}"
+    assert said == f"error: runs/{name}: {told}; funnel-hil report runs/{name} shows it\n"
 
 
 def test_folder_of_a_run_without_its_recording(funnel_hil, runs):
     said = funnel_hil("view", "runs/paper_arm-1")[1]
-    assert said == "error: runs/paper_arm-1: holds no run.mcap\n"
+    assert said == "error: runs/paper_arm-1: has no run.mcap\n"

@@ -72,5 +72,5 @@ def test_processes_that_get_our_path_find_our_packages_before_those_files(folder
 
 
 def test_law_in_a_file_called_like_a_package_of_ours_is_told_to_be_renamed(folder):
-    with pytest.raises(ConfigurationError, match="funnel-hil's own module of that name: rename"):
+    with pytest.raises(ConfigurationError, match="funnel-hil has a module of that name: rename"):
         find_law("controller:Law")

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from bus_schema.runtime.compiled import COMPILES, HAS_SAID
-from deploy.cli import one_run
+from deploy.cli import run_and_simulate
 from deploy.cli.commands import LogLines
 from deploy.cli.study.studies import RunCounter
 from deploy.cli.terminal import progress as progress_module
@@ -91,9 +91,9 @@ def last_live_line(monkeypatch, width, name, joints, worst_mrad, misses):
 
 def test_at_80_columns_time_speed_error_and_misses_are_seen(monkeypatch):
     line = last_live_line(monkeypatch, 80, "paper_arm", NAMED, -12.345, 3)
-    assert line == "15.25 of 20 s, 0.998 s/s, base_yaw -12.345 of 10.0 mrad, deadline misses 3"
+    assert line == "15.25 of 20 s, speed 0.998, base_yaw -12.345 of 10.0 mrad, deadline misses 3"
     line = last_live_line(monkeypatch, 80, "iiwa", NUMBERED, 0.123, 12345)
-    assert line == "15.25 of 20 s, 0.998 s/s, …joint_1 +0.123 of 10.0 mrad, deadline misses 12345"
+    assert line == "15.25 of 20 s, speed 0.998, …joint_1 +0.123 of 10.0 mrad, deadline misses 12345"
 
 
 def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypatch):
@@ -103,7 +103,7 @@ def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypa
         handle = status_handler(progress)
         for now_s[0], time_s in ((100.0, 0.0), (102.0, 2.0)):
             handle(StatusMessage("plant", "progress", {"time_s": time_s}))
-    assert lines(console)[-1] == "2 of 8 s, 1 s/s, 6 s left"
+    assert lines(console)[-1] == "2 of 8 s, speed 1, 6 s left"
 
 
 def test_what_is_logged_beside_a_live_line_has_a_line_of_its_own(monkeypatch):
@@ -127,8 +127,8 @@ def test_compilation_by_several_processes_is_reported_once(console, monkeypatch)
 
 def test_report_is_loaded_once_the_plant_has_ended(monkeypatch):
     loaded, shown = threading.Semaphore(0), []
-    monkeypatch.setattr(one_run, "load_report", loaded.release)
-    handle = one_run.loading_report(shown.append)
+    monkeypatch.setattr(run_and_simulate, "load_report", loaded.release)
+    handle = run_and_simulate.loading_report(shown.append)
     early = [
         StatusMessage("plant", "note", {}),
         StatusMessage("plant", "progress", {"time_s": 0.2}),

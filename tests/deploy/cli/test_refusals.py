@@ -101,12 +101,12 @@ def test_value_that_yaml_cannot_hold(refuse, tmp_path: Path, value: str, said: s
 def test_unknown_key(refuse, tmp_path: Path, key: str, known: str, meant: str | None) -> None:
     hint = f"; did you mean {meant}?" if meant else ""
     message = refuse("run", "paper_arm", "--set", f"{key}=1")
-    assert message == f"--set {key}=1: {known}: there is no such key{hint}"
+    assert message == f"--set {key}=1: {known}: unknown key{hint}"
     file = tmp_path / "mine.yaml"
     values: dict[str, Any] = {"extends": "paper_arm"}
     set_value(values, key, 1)
     file.write_text(yaml.safe_dump(values))
-    assert refuse("run", str(file)) == f"{file}: {known}: there is no such key{hint}"
+    assert refuse("run", str(file)) == f"{file}: {known}: unknown key{hint}"
 
 
 @pytest.mark.parametrize(("line", "meant"), MISSPELT)
@@ -146,7 +146,7 @@ def test_last_of_a_key_that_is_set_twice_holds(funnel_hil, tmp_path: Path) -> No
     twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
     code, said = funnel_hil("simulate", *twice, "--no-report", "--out", tmp_path / "out")
     assert code == 0
-    assert "--set duration_s=2: a later --set takes its place" in said
+    assert "--set duration_s=2: replaced by a later --set" in said
     assert "set: duration_s=0.1;" in " ".join(said.split())
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100
 

@@ -60,13 +60,13 @@ def test_a_xacro_file_is_an_arm_like_any_other(folder):
 
 
 @pytest.mark.parametrize("before", ["", '<?xml version="1.0"?>\n', "\n<!-- an arm: of mine -->\n"])
-def test_an_arm_where_yaml_is_expected_is_told_where_it_goes(folder, funnel_hil, before):
+def test_urdf_instead_of_a_study_is_refused_with_a_hint(folder, funnel_hil, before):
     arm = folder / "arm.urdf"
     arm.write_text(before + XACRO)
     code, said = funnel_hil("sweep", arm)
     assert code == 2
-    assert f"{arm}: must be a mapping of keys to values in YAML, and is XML: " in said
-    assert "goes under robot.urdf of a scenario; " in said
+    assert f"{arm}: must be a mapping of keys to values in YAML, but is XML. " in said
+    assert "belongs under robot.urdf of a scenario; " in said
     assert said.endswith(f"funnel-hil robot {arm} shows it\n")
 
 

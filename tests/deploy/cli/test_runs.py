@@ -101,7 +101,7 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
     (shelf / "broken" / "notes.txt").write_text("mine")
     code, said = funnel_hil("runs", "prune", shelf, "--older-than", "30")
     assert code == 0
-    assert "1 to be removed: nothing is, without --yes" in said
+    assert "1 would be removed; --yes removes them" in said
     assert names_in(shelf) == ["broken", "new", "old", "somebody_elses"]
     funnel_hil("runs", "tag", shelf / "old", "paper")
     assert "0 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
@@ -112,7 +112,7 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
     assert names_in(shelf / "broken") == ["notes.txt"]
 
 
-def test_runs_with_a_fault_are_told_from_those_that_came_to_no_end(funnel_hil, shelf):
+def test_list_distinguishes_faulted_and_unfinished_runs(funnel_hil, shelf):
     summary = json.loads((shelf / "new" / "summary.json").read_text())
     faulted, half = {"verdict": "faulted"}, {"verdict": "interrupted"}
     for name, changes in (

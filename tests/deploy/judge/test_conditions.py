@@ -38,7 +38,7 @@ def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_h
     assert (conditions["law"], conditions["duration"], conditions["seeds"]) == (
         "fixed_time_neural", "0.05 s", "7",
     )  # fmt: skip
-    assert conditions["starts"].startswith("joints off by")
+    assert conditions["starts"].startswith("initial offset")
     assert all(f"{name}: {text}" in said for name, text in conditions.items())
 
 
@@ -85,6 +85,6 @@ def test_where_nobody_told_what_loops_in_real_time_were_granted_it_is_not_known(
         conditions_of_recording(run, {**manifest, **more})["granted"]
         for run, more in ((simulated, {}), (in_real_time, {}), (in_real_time, told))
     ]
-    assert granted[0] == "nothing asked for, as no loop ran in real time"
+    assert granted[0] == "no real-time permissions, because no loop ran in real time"
     assert granted[1].startswith("not known")
     assert granted[2] == "plant CPU 1"

@@ -15,23 +15,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import (
     CONTROL_STATUS,
     JOINT_COMMANDS,
     PLANT_TRUTH,
     RUN_EVENTS,
-    Topic,
-    layout,
 )
 from deploy.judge.metrics import settling_times_s, summarise
 from deploy.judge.run_data import RunData, build_run_data, digest
 from deploy.reports.verdict import verdict_on_run
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from tests.deploy.judge.made_up_messages import JOINTS, rows
 
-JOINTS = ("base_yaw", "shoulder", "elbow")
 UPPER_RAD, LOWER_RAD, FINAL_RAD = 0.17, 0.07, 0.01
 
 
@@ -49,23 +46,8 @@ def setup() -> Setup:
     )
 
 
-def rows(topic: Topic, *columns: dict[str, Any]) -> list[bytes]:
-    """Messages of a topic, one per column, a millisecond apart unless they say otherwise."""
-    messages = []
-    for index, values in enumerate(columns):
-        record = Record(layout(topic, JOINTS))
-        record.stamp_ns = values.pop("stamp_ns", index * 1_000_000)
-        for name, value in values.items():
-            record.fields[name][:] = value
-        messages.append(record.payload())
-    return messages
-
-
-def judged(
-    setup: Setup, truth: Sequence[dict[str, Any]] = (), commands: Sequence[dict[str, Any]] = (),
-    **others: list[bytes],
-) -> dict[str, Any]:  # fmt: skip
-    return summarise(run_of(setup, truth, commands, **others))
+def judged(setup: Setup, *messages: Sequence[dict[str, Any]], **others: list[bytes]) -> Any:
+    return summarise(run_of(setup, *messages, **others))
 
 
 def run_of(
@@ -127,7 +109,7 @@ def test_violations_are_ticks_at_which_any_joint_is_outside(setup: Setup) -> Non
     truth[12] = at(0.0, 0.02, 0.0)
     truth[15] = at(0.02, 0.02, -0.02)
     truth[16] = at(0.0, 0.0, -0.011)
-    bounds = judged(setup, [dict(row) for row in truth])["bounds"]
+    bounds = judged(setup, truth)["bounds"]
     assert bounds["violation_fraction"] == pytest.approx(3 / 20)
     assert bounds["first_violation_s"] == pytest.approx(0.012)
     assert bounds["margin_min"] == pytest.approx(-1.0, abs=1e-3)  # twice the width
@@ -141,8 +123,8 @@ def test_where_the_arm_stood_before_any_tick_is_not_judged(setup: Setup) -> None
         assert summary["bounds"]["kept"] is False
         assert summary["bounds"]["violation_fraction"] is None
         verdict = verdict_on_run(run, summary)
-        assert verdict.headline == "Run faulted"
-        assert verdict.reasons[0] == "No tick was recorded, so there is nothing to judge."
+        assert verdict.headline == "Run ended by a fault"
+        assert verdict.reasons[0] == "No tick was recorded, so there is no verdict on the bounds."
 
 
 def test_tracking_counts_from_the_time_the_scenario_says(setup: Setup) -> None:
@@ -235,7 +217,8 @@ def test_events_tell_how_it_ended(setup: Setup) -> None:
     assert summary["real_time_factor"] == pytest.approx(2.0)
     assert summary["timing"]["success_rate"] == pytest.approx(0.75)  # 1 miss in 4 ticks
     assert summary["faults"] == ["plant at 0.002 s: it broke"]
-    assert summary["transport"]["downlink"] == counts
+    unmeasured = dict.fromkeys(("p50", "p99", "p99_9", "max"))
+    assert summary["transport"]["downlink"] == counts | {"measured_ms": unmeasured}
     assert summary["recorder"] == {
         "messages": 5 + 3, "lost": 3, "lost_by_topic": {"joint_states": 3}, "complete": True
     }  # fmt: skip
@@ -245,7 +228,7 @@ def test_digest_depends_on_every_byte_and_on_the_order(setup: Setup) -> None:
     first, second = {"effort": [1.0, 2.0, 3.0]}, {"effort": [1.0, 2.0, 3.0 + 1e-15]}
 
     def digest(*commands: dict[str, Any]) -> str:
-        return run_of(setup, commands=[dict(command) for command in commands]).digest
+        return run_of(setup, commands=commands).digest
 
     assert digest(first, second) == digest(first, second)
     assert len({digest(first), digest(second), digest(first, second), digest(second, first)}) == 4
@@ -263,31 +246,31 @@ def answered(cycle: int, period_ms: float, **values: Any) -> dict[str, Any]:
 
 def test_stall_is_the_worst_that_any_loop_met(setup: Setup) -> None:
     late = {"timing.lateness_ns": 31_000_000}
-    slept = [at(0.0, **{"timing.lateness_ns": -1}) for _ in range(40)]
+    slept = [at(0.0, **{"timing.lateness_ns": -1})] * 40
     steady = [answered(0, 0.0), answered(1, 1.0)]
     slow = [answered(0, 0.0, **{"timing.step_ns": 52_000_000}), answered(1, 1.0)]
     assert stall_ms(setup, [at(0.0), at(0.0)], steady) == 0.0
     assert stall_ms(setup, [at(0.0), at(0.0, **late)], steady) == pytest.approx(31.0)
-    assert stall_ms(setup, [at(0.0), *[dict(each) for each in slept], at(0.0)], steady) == (
-        pytest.approx(40.0)
-    )
+    assert stall_ms(setup, [at(0.0), *slept, at(0.0)], steady) == pytest.approx(40.0)
     assert stall_ms(setup, [at(0.0)], slow) == pytest.approx(52.0)
 
 
 def test_states_that_come_late_to_the_controller_are_a_stall(setup: Setup) -> None:
     status = [answered(0, 0.0), answered(1, 1.2), answered(2, 101.0), answered(3, 0.1)]
-    assert stall_ms(setup, [at(0.0)], [dict(each) for each in status]) == pytest.approx(100.0)
+    assert stall_ms(setup, [at(0.0)], status) == pytest.approx(100.0)
     jittery = [at(0.0, state_age_ns=2_000_000), at(0.0, state_age_ns=42_000_000)]
     assert stall_ms(setup, jittery, status) == pytest.approx(60.0)
 
 
-def test_states_that_were_lost_are_no_stall(setup: Setup) -> None:
-    status = [answered(0, 0.0), answered(1, 80.0, stamp_ns=80_000_000)]
-    assert stall_ms(setup, [at(0.0)], status) == 0.0
-
-
-def test_controller_that_takes_over_is_no_stall(setup: Setup) -> None:
-    status = [answered(700, 1.0, stamp_ns=5_000_000), answered(0, 300.0, stamp_ns=6_000_000)]
+@pytest.mark.parametrize(
+    "status",
+    [
+        [answered(0, 0.0), answered(1, 80.0, stamp_ns=80_000_000)],
+        [answered(700, 1.0, stamp_ns=5_000_000), answered(0, 300.0, stamp_ns=6_000_000)],
+    ],
+    ids=["states were lost", "another controller took over"],
+)
+def test_what_is_no_stall(setup: Setup, status: list[dict[str, Any]]) -> None:
     assert stall_ms(setup, [at(0.0)], status) == 0.0
 
 

@@ -90,7 +90,7 @@ def test_several_viewers_see_the_same(feed, receiver, folder):
     other.close()
 
 
-def test_a_viewer_that_takes_nothing_holds_nobody_up(feed, receiver):
+def test_viewer_that_reads_nothing_does_not_block_the_sender(feed, receiver):
     meet(feed, receiver)
     for tick in range(2000):  # far more than its socket holds; a sender that waits hangs here
         feed.take(Message(STATES, tick, bytes(1000)))

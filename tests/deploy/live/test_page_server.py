@@ -63,7 +63,7 @@ def test_nobody_has_a_name_of_theirs_point_here(url):
 
 
 @pytest.mark.parametrize("method", ["HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"])
-def test_nobody_can_do_anything_but_look(url, method):
+def test_viewers_can_only_read(url, method):
     assert get(url, method)[0] == 405
 
 

@@ -17,7 +17,7 @@ def test_a_file_that_is_no_recording_is_damaged_once(tmp_path, funnel_hil):
     code, output = funnel_hil("view", tmp_path)
     assert code == 2
     assert output.count("damaged") == 1
-    assert "it does not begin as an MCAP file does; " in output
+    assert "it does not begin like an MCAP file; " in output
 
 
 def test_a_recording_is_played_and_its_layout_written(tmp_path):

@@ -62,7 +62,7 @@ def test_one_sine_does_not_tell_dead_time_from_lag() -> None:
     times_s = np.arange(0.0, 20.0, 0.01)
     random = np.random.default_rng(1)
     response = np.sin(3.0 * (times_s - 0.05)) + 0.01 * random.standard_normal(len(times_s))
-    with pytest.raises(ValueError, match="tell dead time from lag; together they are"):
+    with pytest.raises(ValueError, match="separate dead time and lag; together they are"):
         find_latency(times_s, np.sin(3.0 * times_s), response, 0.3, is_held=False)
 
 

@@ -131,7 +131,7 @@ def test_what_is_no_frame_is_not_answered() -> None:
     assert ProbeFrame.decode(frame.encode()) == frame
     assert ProbeFrame.decode(b"hello") is None
     assert ProbeFrame.decode(b"x" * 200) is None
-    with pytest.raises(ValueError, match="no frames of a link probe"):
+    with pytest.raises(ValueError, match="not frames of a link probe"):
         list(FrameStream().cut(b"GET / HTTP/1.1\r\n" * 20))
     pieces, stream = frame.encode() * 3, FrameStream()
     assert [f for at in range(0, len(pieces), 50) for f in stream.cut(pieces[at : at + 50])] == [

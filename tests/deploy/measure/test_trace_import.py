@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.measure.trace_output import share_interval
+from deploy.judge.link_delays import share_interval
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from plant_emulator.channel.trace_file import LOST_NS, read_trace
@@ -97,12 +97,16 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
 @pytest.mark.parametrize(
     ("text", "words", "complaint"),
     [
-        ("hello", ("ping",), "holds no two answers as ping shows them"),
+        ("hello", ("ping",), "does not contain two replies in the format of ping"),
         (CAN_LOG, ("candump", "--from", "201"), "--to must be given"),
-        (CAN_LOG, ("candump", "--from", "7ff", "--to", "181"), "holds no frame 7ff"),
+        (CAN_LOG, ("candump", "--from", "7ff", "--to", "181"), "does not contain frame 7ff"),
         (CSV, ("csv", "--from", "sent"), "give one of --to and --delay"),
         (CSV, ("csv", "--from", "sent", "--to", "nowhere"), "nowhere"),
-        (CSV, ("csv", "--from", "got", "--to", "sent"), "--least MS says what it is"),
+        (
+            CSV,
+            ("csv", "--from", "got", "--to", "sent"),
+            "give the true smallest delay with --least MS",
+        ),
         ("", ("mcap", "--from", "/a"), "cannot be read as MCAP"),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_law_that_left_its_funnel_is_green_in_no_column_and_wins_nothing(compa
     assert not any(first.law in text for text in verdict_on_laws(mixed).reasons if "east" in text)
 
 
-def test_an_error_far_outside_is_told_as_a_multiple_of_its_bound(comparison):
+def test_error_far_outside_is_reported_as_a_multiple_of_its_bound(comparison):
     far, near = (with_bounds(run, kept=False, margin=margin)
                  for run, margin in zip(comparison.runs, (-14.14, -0.2), strict=True))  # fmt: skip
     verdict, *_ = tables_of(ComparedRuns([far, near]))

@@ -68,7 +68,7 @@ def test_sentence_names_what_fell_by_how_much_and_since_when():
         (["simulate", "--at-least", "20ms"], "unit 'ms': must be %"),
         (["margin", "--at-least", "20%"], "unit '%': must be ms"),
         (["margin", "--at-least", "much"], "--at-least 'much': must be a number"),
-        (["sweep", "delay_sweep", "--tolerance", "1%"], "must come with --baseline"),
+        (["sweep", "delay_sweep", "--tolerance", "1%"], "needs --baseline"),
         (["compare", "--baseline", "nowhere.json"], "must be summary.json of a run or study"),
     ],
 )

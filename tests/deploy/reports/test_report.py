@@ -132,7 +132,7 @@ def test_a_partial_recording_is_called_partial(run):
     partial = replace(run, complete=False)
     verdict = verdict_on_run(partial, summarise(partial))
     assert verdict.headline == (
-        "Not known whether bounds were kept, inside its bounds where it is known"
+        "Not known whether bounds were kept, inside its bounds at all known ticks"
     )
     assert PARTIAL in verdict.reasons
 
@@ -146,7 +146,7 @@ def test_texts_from_a_run_are_shown_and_never_executed(run, page_of, only):
     summary["tracking"]["joint_names"][0] = HOSTILE
     summary["transport"]["uplink"]["rejected"] = {HOSTILE: 3}
     page = page_of(hostile_run, summary)
-    assert "<h1>Run faulted, inside its bounds where it is known</h1>" in page
+    assert "<h1>Run ended by a fault, inside its bounds at all known ticks</h1>" in page
     assert "<script>alert" not in page
     assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 6
 
@@ -160,7 +160,7 @@ def test_joint_names_are_plain_text_in_figures(run):
 def test_a_run_without_any_data_still_has_a_report(run, page_of):
     empty = build_run_data(run.setup, {}, clock="realtime", link="zenoh", complete=False)
     page = page_of(empty)
-    assert "<h1>Nothing to judge</h1>" in page
+    assert "<h1>Nothing was recorded</h1>" in page
     assert "No tick was recorded" in page
     assert "Nothing was recorded that could be drawn" in page
 

@@ -65,30 +65,28 @@ def test_who_held_up_a_loop_is_told_by_what_it_lacked(held_up, affinity, schedul
     said = shown(
         held_up, setting("CPU affinity", affinity), setting("real-time scheduler", scheduler)
     )
-    assert "A loop was held up for 102 ms" in said
+    assert "A loop could not run for 102 ms" in said
     assert cause in said
     assert ("the host" in said) == (affinity is scheduler is GRANTED)
 
 
 def test_where_nobody_knows_what_loops_were_granted_the_host_is_not_blamed_alone(held_up):
-    assert "held up for 102 ms, by the host or by other processes:" in shown(held_up)
+    assert "could not run for 102 ms, by the host or by other processes:" in shown(held_up)
 
 
-def test_over_which_time_errors_are_taken_is_told(run):
+def test_time_range_of_the_errors_is_shown(run):
     assert "Joints, errors from 0.04 s on\n" in shown(run)
 
 
-def test_ticks_that_a_late_plant_skipped_are_told(run):
+def test_ticks_skipped_by_a_late_plant_are_shown(run):
     truth = run.tables[topics.PLANT_TRUTH.name].copy()
     truth["timing.skipped"][60:] = 7
     skipped = replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
     assert summarise(skipped)["recording"]["ticks_skipped"] == 7
-    assert "7 ticks skipped, as the plant came too late to measure; states sent: 100" in shown(
-        skipped
-    )
+    assert "7 ticks skipped because the plant was late; states sent: 100" in shown(skipped)
     truth["timing.skipped"][60:] = 1
-    assert "1 tick skipped, as the plant" in shown(skipped)
+    assert "1 tick skipped because the plant" in shown(skipped)
     rows = dict(health_table(summarise(skipped)).rows)
-    assert (rows["Ticks"], rows["Ticks skipped, plant too late"]) == (100, 1)
+    assert (rows["Ticks"], rows["Ticks skipped by a late plant"]) == (100, 1)
     assert "skipped" not in shown(run)
     assert not any("skipped" in name for name, _ in health_table(summarise(run)).rows)

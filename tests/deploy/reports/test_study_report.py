@@ -97,7 +97,7 @@ def test_points_of_a_figure_carry_the_command_that_runs_them_again(margin, page_
     assert page.count("<output>Click on a point") == 3
 
 
-def test_seeds_are_told_so_that_every_run_can_be_repeated(sweep, margin, page_of):
+def test_report_names_the_seeds_of_every_run(sweep, margin, page_of):
     assert "have seed 4; add --set seed=5 and so on for the others." in page_of(sweep)
     assert "have seed 1." in page_of(margin)
 

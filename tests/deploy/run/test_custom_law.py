@@ -78,8 +78,8 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
         ("broken_module:Law", "{}", "broken_module cannot be imported: ZeroDivisionError"),
         ("my_laws:Missing", "{}", "my_laws has no class Missing"),
         ("my_laws:number", "{}", "my_laws has no class number"),
-        ("my_laws:NoLaw", "{}", "is no control law: it lacks torque, reset, diagnostics"),
-        ("my_laws:ComputedTorque", "{stifness: 1}", "cannot be made from these: TypeError"),
+        ("my_laws:NoLaw", "{}", "is not a control law: it lacks torque, reset, diagnostics"),
+        ("my_laws:ComputedTorque", "{stifness: 1}", "cannot be created with these: TypeError"),
         ("not a law", "{}", "must be one of fixed_time_neural"),
     ],
 )

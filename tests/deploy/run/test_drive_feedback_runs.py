@@ -50,7 +50,7 @@ def hard_run(name, *overrides):
 
 
 @pytest.mark.parametrize("name", HARD)
-def test_drives_keep_the_bounds_and_take_up_what_nobody_foresaw(name):
+def test_drive_loop_keeps_the_bounds_and_absorbs_unmodelled_torques(name):
     data, summary = hard_run(name, DRIVES)
     assert summary["bounds"]["kept"], summary["bounds"]
     assert data.faults() == []

@@ -130,7 +130,7 @@ def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
     assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
     code, output = funnel_hil("replay", out, "--allow-custom-law")
     assert code == 0
-    assert f"the replay ended early: {TOLD[0]}" in output
+    assert f"the replay stopped early: {TOLD[0]}" in output
     assert "identical until it failed" in output
 
 

@@ -59,7 +59,7 @@ def own_law(folder):
     return folder, law
 
 
-def test_replay_imports_a_law_of_ones_own_only_if_told_to(own_law):
+def test_replay_imports_a_custom_law_only_with_permission(own_law):
     folder, law = own_law
     code, _, error = left(replay, folder)
     assert code != 0
@@ -105,7 +105,7 @@ def test_what_is_missing_in_the_middle_is_not_claimed(lost_in_the_middle):
     assert "recording damaged: bounds not kept" in output
     assert "The plant itself counted" in output
     assert f"inside its bounds at the {known} of 700 ticks at which it is known" in output
-    assert f"missing are those at {first_s:.3f} to {last_s:.3f} s" in output
+    assert f"those at {first_s:.3f} to {last_s:.3f} s are missing" in output
     assert "all 700 ticks" not in output
     assert "until then" not in output
     summary = json.loads((lost_in_the_middle / "summary.json").read_text())

@@ -51,7 +51,7 @@ def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypa
     for words in COMMANDS.values():
         code, output = funnel_hil(*words, "--overwrite")
         assert code == 2
-        assert "--overwrite: must come with --out" in output
+        assert "--overwrite: needs --out" in output
     assert list(tmp_path.iterdir()) == []
 
 
@@ -111,7 +111,7 @@ def test_no_report_leaves_it_for_later(funnel_hil, tmp_path):
     code, said = funnel_hil("simulate", "--set", "duration_s=0.1", "--no-report", "--out", out)
     assert code == 0
     assert not (out / "report.html").exists()
-    assert f"funnel-hil report {out} draws its report" in said
+    assert f"funnel-hil report {out} writes the report" in said
     before = (out / "summary.json").read_text()
     assert funnel_hil("report", out)[0] == 0
     assert (out / "report.html").stat().st_size > 100_000

@@ -69,7 +69,7 @@ def test_a_scenario_that_is_written_again_keeps_the_names_of_its_files(own_arm, 
     assert {f.name for f in second.path.iterdir()} == {f.name for f in first.path.iterdir()}
 
 
-def test_a_time_to_judge_from_that_nobody_chose_follows_the_duration(tmp_path, funnel_hil):
+def test_default_of_metrics_from_s_follows_the_duration(tmp_path, funnel_hil):
     first, second = tmp_path / "first", tmp_path / "second"
     short = ("--set", "duration_s=0.4")
     assert funnel_hil("simulate", *short, "--no-report", "--out", str(first))[0] == 0

@@ -85,7 +85,7 @@ def test_what_is_kept_out_is_counted(name):
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_fault_is_told_and_begins_on_time(name):
+def test_fault_is_announced_and_begins_on_time(name):
     run = measured(name).run
     told = [event for event in run.events if event.kind == EventKind.INJECTED]
     fault = run.setup.scenario.faults[0]
@@ -125,7 +125,7 @@ def test_fault_of_the_arm_does_the_same_over_can(name):
     "name", sorted({name.removeprefix("faults/") for name in SIMULATED} - ARM_FAULTS)
 )
 def test_fault_of_messages_or_processes_is_refused_over_can_with_a_way_out(name):
-    with pytest.raises(ScenarioError, match=r"link\.can\.faults|run has processes"):
+    with pytest.raises(ScenarioError, match=r"link\.can\.faults|use run, which has processes"):
         simulate(load_setup(f"faults/{name}", OVER_CAN))
 
 

@@ -16,12 +16,12 @@ from tests.arms import PYBULLET_DATA, needs_pybullet_data
 
 REASONS = (
     "cannot be read as URDF",
-    "has no revolute or continuous joint, nor a prismatic one",
+    "has no revolute, continuous or prismatic joint",
     "which xacro has not expanded",
     "must be three numbers",
-    "is no finite number",
-    "has no room between",
-    "has no inertia, nor has any link fixed to it",
+    "is not a finite number",
+    ": lower must be less than upper",
+    "and the links fixed to it have no inertia",
     "robot.repair: true",
     "must be a joint that turns or slides",
     "must be at most 1e+09",

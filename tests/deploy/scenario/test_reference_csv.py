@@ -104,7 +104,7 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
         load_setup("paper_arm", [*longer, from_file(path)])
     assert "duration_s = 0.4: must be within the 0 to 0.3 s of reference.file" in str(refused.value)
     held = load_setup("paper_arm", [*longer, from_file(path, beyond="hold")])
-    assert any("is held at rest there" in said for said in scenario_warnings(held))
+    assert any("but the arm rests there" in said for said in scenario_warnings(held))
     late = tmp_path / "late.csv"
     lines = path.read_text().splitlines()
     late.write_text("\n".join([lines[0], *lines[100:]]))

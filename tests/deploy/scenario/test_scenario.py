@@ -66,10 +66,10 @@ def test_override_leaves_the_keys_beside_it_alone() -> None:
     assert after == before
 
 
-def test_all_mistakes_are_told_at_once() -> None:
+def test_all_mistakes_are_reported_at_once() -> None:
     with pytest.raises(ScenarioError) as refused:
         load_setup("paper_arm", ["duration=1", "seed=-1"])
-    assert "duration: there is no such key" in str(refused.value)
+    assert "duration: unknown key" in str(refused.value)
     assert "seed = -1: must be" in str(refused.value)
 
 

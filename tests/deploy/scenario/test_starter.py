@@ -12,11 +12,16 @@ from deploy.scenario.starter import starter_scenario, torque_limits
 from deploy.scenario.warnings import reference_torques, scenario_warnings
 from tests.arms import ARMS, shipped_arm
 
-LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="0.25 0 0"/>
-<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
-<origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>
-<limit lower="-2" upper="2" effort="{effort}" velocity="2"/></joint>"""
+ARM = """<robot name="two"><link name="base"/>
+<link name="link0"><inertial><mass value="3"/><origin xyz="0.25 0 0"/>
+<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="link1"><inertial><mass value="2"/><origin xyz="0.25 0 0"/>
+<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="joint0" type="revolute"><parent link="base"/><child link="link0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{}" velocity="2"/></joint>
+<joint name="joint1" type="revolute"><parent link="link0"/><child link="link1"/>
+<origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{}" velocity="2"/></joint></robot>"""
 
 
 @pytest.fixture
@@ -24,16 +29,8 @@ def two_links(tmp_path):
     """A URDF of two links that pitch, of 3 and 2 kg, 0.5 m each."""
 
     def write(*efforts):
-        parts = ['<robot name="two"><link name="base"/>']
-        for number, (mass, effort) in enumerate(zip((3.0, 2.0), efforts, strict=True)):
-            parent = "base" if number == 0 else "link0"
-            child, x = f"link{number}", 0.5 * number
-            parts.append(LINK.format(name=child, mass=mass))
-            parts.append(JOINT.format(
-                name=f"joint{number}", parent=parent, child=child, x=x, effort=effort
-            ))  # fmt: skip
         file = tmp_path / "two.urdf"
-        file.write_text("".join(parts) + "</robot>")
+        file.write_text(ARM.format(*efforts))
         return file
 
     return write
@@ -105,14 +102,14 @@ def test_a_shipped_arm_with_motors_keeps_its_bounds_over_a_delay(name):
     assert execute(setup).summary["verdict"] == "kept"
 
 
-def test_a_torque_that_no_motor_has_is_warned_of_before_the_run(two_links):
+def test_reference_beyond_the_largest_torque_causes_a_warning(two_links):
     # Held out flat, the first joint carries 9.81 (3 · 0.25 + 2 · 0.75) = 22 N m.
     flat = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": 0.0}]}
     values = {"name": "flat", "duration_s": 1, "reference": flat}
     values["robot"] = {"urdf": str(two_links(11.0, 20.0))}
     (said,) = [each for each in scenario_warnings(build_setup(values, two_links(11.0, 20.0)))
-               if "the reference asks" in each]  # fmt: skip
-    assert "joint0 for 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in said
+               if "the reference needs" in each]  # fmt: skip
+    assert "joint0 to deliver 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in said
 
 
 def test_payload_is_a_share_of_what_the_arm_holds_up(two_links):
@@ -142,7 +139,7 @@ def test_gears_bend_as_a_first_resonance_asks(two_links):
     assert not any("encoder_side" in said for said in scenario_warnings(setup))
     by_link = ["plant.actuator.gear_resonance_hz=15", "plant.actuator.encoder_side=link"]
     warned = scenario_warnings(load_setup(str(setup.source), by_link))
-    assert any("encoder_side: link measures beyond" in said for said in warned)
+    assert any("encoder_side: link measures on the output side" in said for said in warned)
     stiffness = actuator.gear_stiffness_nm_rad
     assert stiffness[0] == pytest.approx(3.0 * stiffness[1])  # as the largest torques
     mass = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)

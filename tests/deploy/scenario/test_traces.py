@@ -49,7 +49,7 @@ def test_run_keeps_its_trace(tmp_path: Path, funnel_hil) -> None:
     assert code == 0, said
     digest = json.loads((out / "summary.json").read_text())["digest"]
     assert simulate(load_setup(str(out / "scenario.yaml"))).data().digest == digest
-    assert "The link beside its trace" in (out / "report.html").read_text()
+    assert "The link compared with its trace" in (out / "report.html").read_text()
 
 
 def test_hosts_agree_on_what_the_trace_holds(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_hosts_agree_on_what_the_trace_holds(tmp_path: Path) -> None:
         (["link.uplink.trace={file: vpn, start_s: 61}"], r"start_s = 61.0: must be below .* 60 s"),
         (
             ["link.uplink.trace={file: vpn, start_s: 50, loop: false}", "duration_s=12"],
-            "trace.loop = False: must be true: from start_s on, the trace lasts 10 s",
+            "trace.loop = False: must be true, because the trace lasts only 10 s after start_s",
         ),
         (["link.uplink.trace={file: vpn, scale: -1}"], "scale = -1: must be greater than or equal"),
     ],

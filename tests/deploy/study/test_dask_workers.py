@@ -211,7 +211,7 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
     output = stopped.communicate(timeout=WAIT_S)[0]
     assert stopped.returncode == 130, output
     assert f"{kept} runs were there from before" in output
-    assert "goes on from here" in output
+    assert "repeat the same command to continue" in output
     assert kept < rows_in(out) < 80
     # who does the rest does not matter
     last = start(definition, out, "--scheduler", cluster[0], cwd=tmp_path)

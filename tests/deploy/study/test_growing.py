@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from pyarrow import parquet
 
 import funnel_hil as interface
-from deploy.judge.conditions import host_of, provenance_of
 from deploy.judge.run_rows import read_rows
 from deploy.reports.results import write_study_results
-from deploy.run.run_folder import grown_from
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
-from deploy.study.folder import StudyFolder, create_folder, find_folder
+from deploy.study.folder import StudyFolder, create_folder, find_folder, opened
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out
 from tests.deploy.study.studies import NOISE, TIED, Here, limits, made_up, make_sweep, margin_of
@@ -24,9 +23,7 @@ KEY = "controller.model_scale"
 
 def conclude(study, path, workers):
     """Carry a study out, on, or make it grow, as the commands do; its rows and summary."""
-    path = find_folder(study, path) or create_folder(study, path)
-    with StudyFolder(path, study).lock() as folder:
-        folder.become()
+    with opened(study, find_folder(study, path), path) as folder:
         carry_out(study, workers, folder, workers.stop)
         summary = write_study_results(study, folder)
     summary.pop("conditions")
@@ -115,20 +112,13 @@ def test_a_study_of_cases_grows_in_every_direction(key, is_prepended, plants, tm
 
 
 def test_a_share_of_plants_grows_by_plants(tmp_path):
-    def study(plants):
-        given = {
-            "scenarios": ["paper_arm"], "laws": ["smc"], "seeds": [1], "values": [4],
-            "plants": plants, "set": NOISE,
-            "uncertainty": {
-                "plant.payload_kg": {"distribution": "uniform", "from": 0, "to": 1},
-            },
-        }  # fmt: skip
-        return margin_study(given, tmp_path / "m.yaml")
-
-    def do(run):
-        return made_up(run, violation_fraction=run.columns["plant.payload_kg"] / 10)
-
-    more, at_once = assert_grown_as_at_once(lambda: study(2), lambda: study(3), tmp_path, do)
+    ranges = {"plant.payload_kg": {"distribution": "uniform", "from": 0, "to": 1}}
+    given = {"laws": ["smc"], "values": [4], "set": NOISE, "uncertainty": ranges}
+    more, at_once = assert_grown_as_at_once(
+        *(lambda n=n: margin_study({**given, "plants": n}, tmp_path / "m.yaml") for n in (2, 3)),
+        tmp_path,
+        lambda run: made_up(run, violation_fraction=run.columns["plant.payload_kg"] / 10),
+    )
     assert len(at_once) - len(more) == 2
 
 
@@ -234,34 +224,20 @@ def test_real_runs_from_the_command_and_from_python(tmp_path, funnel_hil):
     assert one.summary["digest"] == table.to_pylist()[2]["digest"]
 
 
-def test_what_has_grown_names_every_version_and_host_that_made_it():
-    def made(version, kernel, started):
-        host = {"machine": "x86_64", "kernel": kernel, "cpus": 2}
-        return {"versions": {"funnel-hil": version}, "host": host, "started": started}
-
-    first, second, third = (
-        made("0.0.9", "5", "Monday"),
-        made("1", "6", "Tuesday"),
-        made("1", "6", "W"),
-    )
-    manifest = grown_from(grown_from(first, second), third)
-    told = {**provenance_of(manifest), **host_of(manifest)}
-    assert told["version"] == "funnel-hil 0.0.9, then funnel-hil 1"
-    assert told["date"] == "Monday, then Tuesday, then W"
-    assert told["host"] == (
-        "x86_64, kernel 5, 2 of 2 CPUs usable, then x86_64, kernel 6, 2 of 2 CPUs usable"
-    )
-
-
 def test_conditions_of_a_grown_study_are_not_the_last_calls_alone(tmp_path):
     path = tmp_path / "grown"
     conclude(make_sweep(tmp_path, {KEY: [1.0]}, seeds=1), path, Here(made_up))
     manifest = json.loads((path / "manifest.json").read_text())
-    manifest["versions"]["funnel-hil"] = "0.0.9"
+    versions, host = manifest["versions"], manifest["host"]
+    own = (versions["funnel-hil"], host["kernel"])
+    versions["funnel-hil"], host["kernel"], manifest["started"] = "0.0.9", "5", "Monday"
     (path / "manifest.json").write_text(json.dumps(manifest))
-    conclude(make_sweep(tmp_path, {KEY: [1.0]}, seeds=2), path, Here(made_up))
-    summary = json.loads((path / "summary.json").read_text())
-    assert summary["conditions"]["version"].startswith("funnel-hil 0.0.9, then funnel-hil ")
+    for seeds in (2, 3):  # what is the same again is named once
+        conclude(make_sweep(tmp_path, {KEY: [1.0]}, seeds=seeds), path, Here(made_up))
+    conditions = json.loads((path / "summary.json").read_text())["conditions"]
+    assert conditions["version"] == f"funnel-hil 0.0.9, then funnel-hil {own[0]}"
+    assert re.findall("kernel ([^,]*), ", conditions["host"]) == ["5", own[1]]
+    assert conditions["date"].startswith("Monday, then 20")
 
 
 def test_a_changed_file_that_a_grid_names_is_noticed(tmp_path):

@@ -8,7 +8,6 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
-from deploy.reports.study_report import write_study_report
 from deploy.reports.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
@@ -78,7 +77,7 @@ def test_a_run_that_fails_by_accident_leaves_the_margin_open(
     words += ["--set", "metrics.from_s=0", "--workers", "1", "--out", out]
     code, output = funnel_hil(*words)
     assert code == 1
-    assert "goes on from here" in output
+    assert "repeat the same command to continue" in output
     assert "1 of" in output
     assert "MemoryError" in output
     (case,) = json.loads((out / "summary.json").read_text())["cases"]
@@ -104,15 +103,6 @@ def test_margins_as_a_table_for_documents(tmp_path):
     ]
 
 
-def test_margins_have_a_report_with_bars_and_curves(tmp_path):
-    margin = margin_of()
-    _, folder = conduct(margin, tmp_path / "out", Here(limits))
-    write_study_report(margin.summary(folder.rows), folder)
-    page = folder.report.read_text(encoding="utf-8")
-    for name in ("margins", "outside", "rms"):
-        assert f'id="{name}-paper_arm"' in page
-
-
 def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     margin = margin_of()
     path = create_folder(margin, tmp_path / "out")
@@ -122,6 +112,8 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     assert "7 ms" in output
     assert json.loads((path / "summary.json").read_text())["cases"][0]["margin"] == 3.0
     assert "| `smc` | 7 ms |" in (path / "table.md").read_text()
+    page = (path / "report.html").read_text(encoding="utf-8")
+    assert all(f'id="{name}-paper_arm"' in page for name in ("margins", "outside", "rms"))
 
 
 def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp_path):
@@ -204,7 +196,7 @@ def test_what_never_fails_holds_at_the_limit():
     assert search.first_failure is None
 
 
-def test_larger_values_that_hold_again_are_told_and_do_not_count():
+def test_larger_values_that_hold_again_are_reported_and_do_not_count():
     search, _ = found(lambda value: value <= 9 or value == 15)
     assert search.margin == 9
     assert search.held_again == [15]

@@ -335,5 +335,5 @@ def test_what_is_of_a_bus_takes_effect_for_a_process(tmp_path):
     assert setup.scenario.link.security.enabled
     assert lockstep_setup(setup).scenario.link.plant_endpoint.startswith("tls/")
     for given in (told, ["link.plant_endpoint=tcp/127.0.0.1:7999", process]):
-        with pytest.raises(ScenarioError, match="changes nothing in a study"):
+        with pytest.raises(ScenarioError, match="has no effect in a study"):
             load_setups("paper_arm", given, ["smc"])

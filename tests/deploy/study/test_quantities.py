@@ -129,8 +129,8 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
         ({"quantity": "plant.payload_kg", "limit": 2}, ["resolution", "must be given"]),
         ({"quantity": "plant.payload_kg", "limit": -2, "resolution": 1}, ["payload_kg", "-2"]),
         ({"quantity": "plant.payload_kg", "limit": 0, "resolution": 1}, ["limit", "own 0"]),
-        ({"quantity": "plant.payload_kg", "direction": "uplink"}, ["direction", "of no link"]),
-        ({"quantity": "plant.payload_kg", "running": [True]}, ["running", "of no link"]),
+        ({"quantity": "plant.payload_kg", "direction": "uplink"}, ["direction", "not a quantity"]),
+        ({"quantity": "plant.payload_kg", "running": [True]}, ["running", "not a quantity"]),
         ({"direction": "sideways"}, ["direction", "'sideways'", "'uplink'"]),
         ({"running": [True], "duration_s": 3}, ["duration_s", "above 3 s"]),
         ({"running": [True], "set": {"link.uplink.schedule": [

@@ -142,7 +142,7 @@ def test_a_fault_in_one_axis_leaves_the_others_to_the_master(rig):
     assert rig.bank.faults[0].startswith("node 3: ")
 
 
-def test_bus_off_is_told_by_an_error_frame(rig):
+def test_error_frame_reports_bus_off(rig):
     rig.bank.measure(np.zeros(3), np.ones(3), np.zeros(3))
     rig.bank.receive(CanFrame(BUS_OFF, is_error=True), 0)
     for tick in range(1, 400):

@@ -106,5 +106,5 @@ def test_a_file_that_is_no_eds_is_refused(tmp_path, kind):
             path.symlink_to("/dev/zero")
         case _:
             path.write_text(CIA402_EDS.read_text().replace("DataType=0x0007", "DataType=-7"))
-    with pytest.raises(ConfigurationError, match=r"is no regular file|has data type -7"):
+    with pytest.raises(ConfigurationError, match=r"is not a regular file|has data type -7"):
         Cia402Protocol().check(CanConfiguration(eds=str(path)), takes_targets=True)

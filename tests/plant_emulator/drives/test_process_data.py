@@ -115,7 +115,7 @@ def test_a_remapped_rpdo_takes_what_it_was_told(bench):
 
 
 @pytest.mark.parametrize(("length", "code"), [(3, 0x8210), (0, 0x8210), (5, 0x8220), (8, 0x8220)])
-def test_an_rpdo_of_wrong_length_is_told_once_and_changes_nothing(bench, length, code):
+def test_rpdo_of_wrong_length_is_reported_once_and_changes_nothing(bench, length, code):
     frame = (struct.pack("<Hh", SHUTDOWN, 100) + bytes(4))[:length]
     for _ in range(3):
         with pytest.raises(InvalidMessageError):

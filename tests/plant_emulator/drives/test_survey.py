@@ -75,7 +75,7 @@ def test_dry_run_reads_back_ranges_and_names_what_is_missing_or_wrong() -> None:
         assert wrong["joint3, drive 3"].found == "VMAX is 8, not 10"
         assert wrong["joint7, drive 7"].found == "no answer"
         others = findings(rig.channel, "link.can.node_ids=[1, 2, 3, 4, 5, 7, 8]")["other drives"]
-        assert (others.status, others.found) == ("missing", "addresses [6] answer, too")
+        assert (others.status, others.found) == ("missing", "addresses [6] also answer")
         assert all("DISABLED" in each for each in rig.bank.statuses)
 
 

@@ -55,7 +55,7 @@ def digest(lines: list[str]) -> str:
         ("paper_arm_mit", [FEEDBACK], "9abd708122f30be9", "bc930cfb469e7e3d"),
     ],
 )
-def test_frames_are_the_same_as_ever(
+def test_frames_equal_the_stored_ones(
     scenario: str, overrides: list[str], start: str, cycles: str, tmp_path: Path
 ) -> None:
     assert digests(tmp_path, scenario, *overrides) == (start, cycles)

@@ -71,9 +71,9 @@ def test_torques_that_frames_cannot_say_are_told_before_the_run() -> None:
     wider = [*mit, "link.can.mit.torque_nm=[400, 700, 300]"]
     assert scenario_warnings(load_setup("paper_arm_can", wider)) == []
     (weak,) = scenario_warnings(load_setup("paper_arm_can", [*mit, "limits.torque_nm=18"]))
-    assert weak.startswith("the reference asks shoulder for ")
+    assert weak.startswith("the reference needs shoulder to deliver ")
     (told,) = scenario_warnings(
         load_setup("paper_arm_mit", [*VIRTUAL, LAW, "link.can.mit.torque_nm=400"])
     )
-    assert "cannot say all torques of shoulder (700 N m, cut off at 400): set" in told
+    assert "cannot represent all torques of shoulder (700 N m, cut off at 400): set" in told
     assert scenario_warnings(load_setup("paper_arm_mit", [*VIRTUAL, LAW])) == []

@@ -107,8 +107,18 @@ def from_elsewhere(keys: KeyFolder) -> None:
         (from_elsewhere, "plant.crt", "is not issued by", "keys issue plant"),
         (lambda k: k.key(Role.PLANT).chmod(0o604), "plant.key", "others may read it", "chmod 600"),
         (lambda k: k.key(Role.PLANT).chmod(0o640), "plant.key", "others may read it", "chmod 600"),
-        (lambda k: k.key(Role.PLANT).write_bytes(b"?"), "plant.key", "is no private key", "issue"),
-        (lambda k: k.certificate(Role.PLANT).write_bytes(b"?"), "plant.crt", "no cert", "issue"),
+        (
+            lambda k: k.key(Role.PLANT).write_bytes(b"?"),
+            "plant.key",
+            "is not a PEM private key",
+            "issue",
+        ),
+        (
+            lambda k: k.certificate(Role.PLANT).write_bytes(b"?"),
+            "plant.crt",
+            "not a PEM cert",
+            "issue",
+        ),
     ],
 )
 def test_unusable_keys_are_refused_with_file_and_remedy(

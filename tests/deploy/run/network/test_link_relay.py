@@ -124,7 +124,7 @@ def test_receiver_that_has_gone_ends_the_connection() -> None:
             send_until(near, deadline_s)
 
 
-def test_connection_that_nobody_takes_ends() -> None:
+def test_connection_to_a_closed_target_ends() -> None:
     with socket.create_server(HERE) as gone:
         target = gone.getsockname()
     with (

@@ -70,5 +70,5 @@ def test_user_without_a_name_or_a_home_gets_the_script_and_a_sentence(monkeypatc
     for name in ("HOME", "LOGNAME", "USER", "LNAME", "USERNAME"):
         monkeypatch.delenv(name, raising=False)
     assert f"realtime {os.getuid()}\n" in remedy()
-    with pytest.raises(FileNotFoundError, match="an absolute path does without"):
+    with pytest.raises(FileNotFoundError, match="use an absolute path"):
         KeyFolder.at(DEFAULT_FOLDER)

@@ -108,9 +108,3 @@ def test_another_scenario_is_refused(laws, changes, said, tmp_path, tried):
     assert tried == ["smc"]
     assert (out / "summary.json").read_text() == before
     compare(out, laws, overwrite=True, **changes)
-
-
-def test_grown_rows_are_those_of_a_comparison_that_is_not_written(tmp_path):
-    grown = compare(tmp_path / "laws", ["smc", "pid"])
-    changes = {"duration_s": 0.2, "metrics.from_s": 0}
-    assert grown.rows == interface.compare("paper_arm", changes, laws=["smc", "pid"]).rows

@@ -76,7 +76,7 @@ def test_gains_of_laws_that_no_run_has_are_no_difference(folder, tmp_path):
     assert list(compared.differing) == ["controller.law", "controller.gains.ftsmc.eta"]
 
 
-def test_gains_of_a_law_of_ones_own_are_a_difference(tmp_path, import_folder):
+def test_diff_shows_gains_of_a_custom_law(tmp_path, import_folder):
     law, idle = f"controller.law={own_law(tmp_path, 'pass')}", "controller.gains.ftsmc.eta=0.1"
     early = record(tmp_path / "early", law, "controller.gains.custom={at_tick: 5}")
     late = record(tmp_path / "late", law, "controller.gains.custom={at_tick: 9}", idle)
@@ -90,10 +90,10 @@ def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     assert compared.partings == [None, None]
     assert compared.differing == {}
     rows = rows_of(recorded_table(compared))
-    assert rows["Digest, beside the first"] == ["–", "same"]
+    assert rows["Digest, compared with the first run"] == ["–", "same"]
     assert rows["First tick that differs"] == ["–", "never"]
     assert rows["… at (s)"] == ["–", "–"]
-    assert rows["Positions apart, most (mrad)"] == ["–", "0"]
+    assert rows["Largest difference of a position (mrad)"] == ["–", "0"]
     assert "the same at every tick" in verdict_on_runs(compared).headline
 
 
@@ -125,7 +125,7 @@ def test_ticks_that_are_missing_are_no_parting(folder, tmp_path, funnel_hil, ord
     known = known_ticks(compared.runs[order.index("gap")].data)
     inside = f"inside its bounds at the {known.known} of 700 ticks at which it is known"
     assert f"gap: {inside}" in said
-    assert f"gap: The true motion is known at {known.known} of 700 ticks: missing are" in said
+    assert f"gap: The true motion is known at {known.known} of 700 ticks; those at" in said
 
 
 def test_a_parting_behind_missing_ticks_is_at_its_tick(folder, tmp_path):
@@ -143,7 +143,7 @@ def test_a_run_that_ends_before_another_is_the_same_until_then(folder, tmp_path)
     assert compared.partings[1].tick == 201
     verdict = verdict_on_runs(compared)
     assert verdict.headline.endswith("they are the same until one ends")
-    assert "short: the same as first at every tick before 201, where one ends, to the bit" in (
+    assert "short: bit-identical to first at every tick before 201, where one of the runs ends" in (
         verdict.reasons
     )
 
@@ -157,7 +157,10 @@ def test_runs_part_at_the_tick_at_which_something_else_happens(folder):
     first, pushed = (run.table("plant_truth")["position"] for run in runs)
     assert parting.largest_rad == np.abs(first - pushed).max() > 0.0
     assert list(compared.differing) == ["faults"]
-    assert rows_of(recorded_table(compared))["Digest, beside the first"] == ["–", "differs"]
+    assert rows_of(recorded_table(compared))["Digest, compared with the first run"] == [
+        "–",
+        "differs",
+    ]
 
 
 def test_numbers_are_those_of_each_summary(folder):
@@ -237,10 +240,10 @@ def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
 @pytest.mark.parametrize(
     ("names", "said"),
     [
-        (["first"], "must be given two recorded runs or more"),
+        (["first"], "needs two recorded runs or more"),
         (["first", "first"], "is given twice"),
         (["first", "iiwa"], "must be the joints of"),
-        (["first", "nowhere"], "holds no run.mcap"),
+        (["first", "nowhere"], "has no run.mcap"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(names, said, folder, tmp_path, funnel_hil):

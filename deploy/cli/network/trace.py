@@ -1,4 +1,4 @@
-"""Traces of networks: import what other programs measured."""
+"""Import network delays that other programs measured, as traces."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 import typer
 
 from bus_schema.errors import InputError
+from deploy.judge.link_delays import Measured
 from deploy.measure import trace_import
-from deploy.measure.trace_output import Measured, scenario_lines, write_trace
+from deploy.measure.trace_output import scenario_lines, write_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 
@@ -36,12 +37,12 @@ class Unit(StrEnum):
 
 @app.callback()
 def trace() -> None:
-    """Traces of networks: import what other programs measured."""
+    """Import network delays that other programs measured, as traces."""
 
 
 @app.command("import")
 def import_trace(
-    kind: Annotated[Kind, typer.Argument(help="What wrote the file.")],
+    kind: Annotated[Kind, typer.Argument(help="Program or format of the file.")],
     file: Annotated[Path, typer.Argument(help="Output of ping or candump, or a CSV or MCAP file.")],
     sent: Annotated[
         str | None,
@@ -52,23 +53,26 @@ def import_trace(
         typer.Option("--to", help="Answers, likewise; MCAP without it: header stamp to log time."),
     ] = None,
     delay: Annotated[
-        str | None, typer.Option(help="CSV column of delays, in place of --to.")
+        str | None, typer.Option(help="CSV column of delays, instead of --to.")
     ] = None,
-    unit: Annotated[Unit, typer.Option(help="Of times in CSV.")] = Unit.S,
+    unit: Annotated[Unit, typer.Option(help="Unit of times in CSV.")] = Unit.S,
     interval_s: Annotated[
-        float, typer.Option("--interval", metavar="S", help="Between requests of ping without -D.")
+        float,
+        typer.Option("--interval", metavar="S", help="Time between requests, for ping without -D."),
     ] = 1.0,
     least_ms: Annotated[
         float | None,
-        typer.Option("--least", metavar="MS", help="What the least delay is, if clocks differ."),
+        typer.Option(
+            "--least", metavar="MS", help="Smallest delay to assume, if the clocks differ."
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="The trace, .csv or .parquet; by default <file>_trace.csv.")
     ] = None,
 ) -> None:
-    """Make a trace of what another program measured, and say how a scenario replays it.
+    """Convert another program's measurement to a trace, and print the scenario lines for it.
 
-    Of ping, a half of each round trip counts.
+    For ping, the one-way delay is half of each round trip.
     """
     measured = _read(kind, file, sent, received, delay, unit, interval_s)
     if least_ms is not None:

@@ -1,4 +1,4 @@
-"""What `funnel-hil run` and `funnel-hil simulate` do."""
+"""The commands `run` and `simulate`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import typer
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
-from deploy.cli.common import finish, say_oddities, watching
-from deploy.cli.gating import CommandGate
+from deploy.cli.common import CommandGate, finish, say_oddities, watching
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
@@ -38,7 +37,7 @@ from deploy.study.study import OF_BOUND
 
 
 def run_in_processes(options: RunOptions) -> None:
-    """Run controller, plant and recorder as separate processes, and judge the run."""
+    """Run controller, plant and recorder as processes, and report whether bounds were kept."""
     as_given = _checked(options)
     awaits_controller = options.await_controller
     setup = as_given if awaits_controller else with_free_endpoints(as_given)
@@ -70,14 +69,14 @@ def _progress(console: Console, setup: Setup) -> CommandProgress:
 
 
 def _view(folder: Path, reporter: StatusReporter) -> int:
-    """Show the run in the viewer's process, which alone loads what that takes; its exit code."""
+    """Show the run in the viewer's process, which alone loads the viewer. Returns its code."""
     from deploy.cli.view import view_beside
 
     return view_beside(folder, reporter)
 
 
 def _checked(options: RunOptions) -> Setup:
-    """The scenario, where nothing keeps it from being run in processes."""
+    """Return the scenario after checking that it can run in processes."""
     setup = load_setup(options.scenario, options.overrides or [])
     say_oddities(setup)
     if options.real_delay_ms is not None:
@@ -94,9 +93,9 @@ def _checked(options: RunOptions) -> Setup:
 
 
 def loading_report(on_message: Callable[[StatusMessage], None]) -> Callable[[StatusMessage], None]:
-    """The same, which also loads what draws a report: as the processes leave the bus.
+    """Return a handler that also loads the report modules when the plant has finished.
 
-    Before, it would take time from loops that are measured; later, it would be waited for.
+    Earlier, loading would take CPU time from the measured loops. Later, the user would wait for it.
     """
     loading = threading.Thread(target=load_report, daemon=True)
 
@@ -109,12 +108,12 @@ def loading_report(on_message: Callable[[StatusMessage], None]) -> Callable[[Sta
 
 
 def _waiting_sentence(setup: Setup, delay: RealDelay | None) -> str:
-    """Where a controller from elsewhere finds the plant, and the recorder finds it."""
+    """Say where an external controller finds the plant, and the recorder the controller."""
     link = setup.scenario.link
     place = link.plant_endpoint if delay is None else delay.endpoint
     return (
-        f"waiting for a controller, {link.connect_timeout_s:g} s: the plant is at {place}, and the"
-        f" recorder looks for the controller at {link.controller_endpoint}"
+        f"waiting up to {link.connect_timeout_s:g} s for a controller: the plant is at {place}, and"
+        f" the recorder looks for the controller at {link.controller_endpoint}"
     )
 
 
@@ -123,7 +122,7 @@ def run_in_virtual_time(options: SimulateOptions) -> None:
     setup = load_setup(options.scenario, options.overrides or [])
     say_oddities(setup)
     if setup.scenario.link.security.enabled:
-        typer.echo("warning: link.security: a simulation uses no keys, and checks none", err=True)
+        typer.echo("warning: link.security: a simulation neither uses nor checks keys", err=True)
     check_link(setup, one_process=True)
     require_simulable(setup)
     if options.confirm:

@@ -27,19 +27,28 @@ _CONNECT_S = 5.0
 
 def link(
     host: Annotated[
-        str | None, typer.Argument(help="Where `funnel-hil link --serve` runs.", show_default=False)
+        str | None,
+        typer.Argument(help="Host on which `funnel-hil link --serve` runs.", show_default=False),
     ] = None,
-    serve: Annotated[bool, typer.Option("--serve", help="Answer others.")] = False,
-    port: Annotated[int, typer.Option(help="There, or here with --serve.")] = 7460,
-    rate_hz: Annotated[float, typer.Option("--rate", metavar="HZ", help="Of the loop.")] = 1000.0,
-    size: Annotated[int, typer.Option(help="Of a message, bytes.")] = 256,
-    duration_s: Annotated[float, typer.Option("--duration", metavar="S", help="How long.")] = 10.0,
-    is_tcp: Annotated[bool, typer.Option("--tcp", help="Over TCP in place of UDP.")] = False,
-    out: Annotated[str, typer.Option(help="What files of traces begin with.")] = "link",
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Answer measurements from other hosts.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option(help="Port on HOST; with --serve, port to listen at.")
+    ] = 7460,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", metavar="HZ", help="Rate of the messages.")
+    ] = 1000.0,
+    size: Annotated[int, typer.Option(help="Size of a message in bytes.")] = 256,
+    duration_s: Annotated[
+        float, typer.Option("--duration", metavar="S", help="Duration of the measurement.")
+    ] = 10.0,
+    is_tcp: Annotated[bool, typer.Option("--tcp", help="Use TCP instead of UDP.")] = False,
+    out: Annotated[str, typer.Option(help="Prefix of the trace files.")] = "link",
 ) -> None:
-    """Measure a network: one-way delays, losses and order, as traces that a scenario replays.
+    """Measure one-way delays, losses and order of a network, and write traces for a scenario.
 
-    It is measured from the controller's host to the plant's: messages there are the downlink.
+    Run it on the controller's host, with HOST the plant's: messages to HOST are the downlink.
     """
     if (host is None) != serve:
         raise InputError("link: give a HOST, or --serve")
@@ -70,7 +79,7 @@ def _serve(port: int, stop: StopRequest) -> None:
         socket.create_server(("", port)) as listener,
     ):
         datagrams.bind(("", port))
-        print(f"answers at port {port}, UDP and TCP, until stopped", flush=True)
+        print(f"answering on port {port}, UDP and TCP, until stopped", flush=True)
         ProbeServer(datagrams, listener).run(lambda: stop.is_set)
 
 
@@ -85,7 +94,7 @@ def _connected(host: str, port: int, kind: int) -> socket.socket:
 
 
 def _show(time_s: float, round_trips_ms: Vector, sent: int) -> None:
-    """A histogram of the last second in one line, which the next one takes the place of."""
+    """Show a histogram of the last second in one line, which replaces the previous one."""
     if not sys.stderr.isatty():
         return
     lost = sent - len(round_trips_ms)
@@ -114,7 +123,7 @@ def _report(times: ProbeTimes, measured: MeasuredLink, out: str) -> None:
     ):
         files[name] = Path(f"{out}_{name}.csv")
         write_trace(way, files[name])
-        print(f"{name}: {way.summary()}, reordered {reordered}")
+        print(f"{name}: {way.summary(reordered)}")
     if times.has_one_clock:
         print("both sides run under one kernel and have one clock: one-way delays are exact")
     else:

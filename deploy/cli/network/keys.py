@@ -1,4 +1,4 @@
-"""Make, issue and list keys for link.security."""
+"""Make, issue and list keys and certificates for link.security."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deploy.run.network.keys import common_name, create_authority, hosts_of, iss
 app = typer.Typer(help=__doc__, no_args_is_help=True, add_completion=False)
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
-Folder = Annotated[Path, typer.Option("--folder", help="Where the keys lie: link.security.folder.")]
+Folder = Annotated[Path, typer.Option("--folder", help="Folder of the keys: link.security.folder.")]
 Hosts = Annotated[
     list[str] | None,
     typer.Option(
@@ -34,10 +34,10 @@ def init(
     hosts: Hosts = None,
     days: Days = 30.0,
     authority_days: Annotated[
-        float, typer.Option(min=0.01, max=3650, help="That of the authority.")
+        float, typer.Option(min=0.01, max=3650, help="Validity of the authority in days.")
     ] = 365.0,
 ) -> None:
-    """Make an authority, and a certificate for each role."""
+    """Make a certificate authority, and a certificate for each role."""
     create_authority(KeyFolder.at(folder), authority_days)
     issue_roles(list(Role), folder, hosts, days)
 
@@ -49,7 +49,7 @@ def issue_roles(
     hosts: Hosts = None,
     days: Days = 30.0,
 ) -> None:
-    """Issue new keys and certificates to roles, in place of those they have."""
+    """Replace the keys and certificates of roles by new ones."""
     keys = KeyFolder.at(folder)
     for role in roles:
         issue(keys, role, [*_LOCAL, *(hosts or [])], days)
@@ -58,7 +58,7 @@ def issue_roles(
 
 @app.command("list")
 def show_all(folder: Folder = Path(DEFAULT_FOLDER)) -> None:
-    """Show which certificates there are, for whom, and for how long."""
+    """List the certificates with role, hosts and validity."""
     keys = KeyFolder.at(folder)
     table = Table(
         "role", "serial number", "valid until, UTC", "hosts", title=str(keys.path), box=None

@@ -1,4 +1,4 @@
-"""The command `latency`: dead time and lag of a recorded system."""
+"""The command `latency`: estimates dead time and lag of a recorded system."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
-from deploy.cli.trace import Unit
+from deploy.cli.network.trace import Unit
 from deploy.measure.latency import find_latency
 from deploy.measure.trace_import import UNITS_MS
 
@@ -20,20 +20,25 @@ _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 
 def latency(
     file: Annotated[Path, typer.Argument(help="A CSV or Parquet file.")],
-    command: Annotated[str, typer.Option(help="Column; `action[2]` is an element of a list.")],
-    response: Annotated[str, typer.Option(help="Column, likewise.")],
+    command: Annotated[
+        str, typer.Option(help="Column of commands; `action[2]` is one element of a list.")
+    ],
+    response: Annotated[str, typer.Option(help="Column of responses, in the same form.")],
     time: Annotated[str, typer.Option(help="Column of times.")] = "time_s",
-    unit: Annotated[Unit, typer.Option(help="Of the times.")] = Unit.S,
+    unit: Annotated[Unit, typer.Option(help="Unit of the times.")] = Unit.S,
     linear: Annotated[
-        bool, typer.Option("--linear", help="Commands are on lines between rows, and not held.")
+        bool,
+        typer.Option(
+            "--linear", help="Interpolate commands linearly between rows instead of holding them."
+        ),
     ] = False,
     longest_ms: Annotated[
-        float, typer.Option("--longest", metavar="MS", help="Longest dead time and lag.")
+        float, typer.Option("--longest", metavar="MS", help="Largest dead time and lag to search.")
     ] = 500.0,
 ) -> None:
-    """Tell dead time from first-order lag in a recording of a system, with 95 % intervals.
+    """Estimate dead time and first-order lag from a recorded command and response.
 
-    Of a file with several episodes, the longest counts.
+    Both come with 95 % intervals. If a file has several episodes, the longest is used.
     """
     table = _table(file)
     times_s, commands, responses = (

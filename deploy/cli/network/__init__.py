@@ -1,0 +1,1 @@
+"""Commands about networks: delays of links, traces of networks, keys of link.security."""

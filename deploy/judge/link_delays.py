@@ -1,0 +1,99 @@
+"""One-way delays of the link between controller and plant, as a run measured them itself."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bus_schema.arrays import Vector, percentiles
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from deploy.judge.run_data import RunData, stamps_s
+
+
+class Measured(NamedTuple):
+    """The messages of one direction, in the order of sending.
+
+    Attributes:
+        sent_s: when each was sent, shape (messages,).
+        delays_ms: how long it took, NaN where it was lost; shape (messages,).
+    """
+
+    sent_s: Vector
+    delays_ms: Vector
+
+    @property
+    def lost(self) -> int:
+        return int(np.isnan(self.delays_ms).sum())
+
+    def summary(self, reordered: int | None = None) -> str:
+        """Return what was measured in a line; None for an unknown order."""
+        found = percentiles(self.delays_ms[~np.isnan(self.delays_ms)])
+        span_s = float(np.ptp(self.sent_s))
+        return link_sentence(len(self.sent_s), span_s, self.lost, found, reordered)
+
+
+def measured_link(run: RunData) -> dict[str, Measured]:
+    """Return the messages that arrived, by direction: over bus, emulated link and any real delay.
+
+    An uplink delay lasts from the measurement to the start of the controller's cycle, a downlink
+    delay from the end of that cycle to the command's arrival at the joints. Both are empty in
+    virtual time, if the processes had different clocks, or if the recording lacks a cycle.
+    """
+    plant, controller = (
+        run.last_values(role, EventKind.ENDED) for role in (Role.PLANT, Role.CONTROLLER)
+    )
+    status, truth = (
+        run.tables[topic.name] for topic in (topics.CONTROL_STATUS, topics.PLANT_TRUTH)
+    )
+    cycles = np.arange(controller.get("cycles", 0))
+    has_one_clock = plant.get("kernel", 0) == controller.get("kernel") != 0
+    if run.clock != "realtime" or not (
+        has_one_clock and np.array_equal(status["timing.cycle"], cycles)
+    ):
+        return dict.fromkeys(("uplink", "downlink"), Measured(np.zeros(0), np.zeros(0)))
+    periods_ns, stamps_ns = status["timing.period_ns"], 1e9 * stamps_s(status)
+    newest_ns = 1e9 * (controller["newest_cycle_s"] - plant["start_s"])
+    started_ns = newest_ns + np.cumsum(periods_ns) - periods_ns.sum()
+    arrived = (truth["round_trip_ns"] >= 0) & np.isin(truth["command_sequence"], status["sequence"])
+    of = np.searchsorted(status["sequence"], truth["command_sequence"][arrived])
+    arrivals_ns = stamps_ns[of] + truth["round_trip_ns"][arrived]
+    sent_ns = (started_ns + status["timing.step_ns"])[of]
+    up_ms = (started_ns - stamps_ns) / 1e6
+    down_ms = np.maximum(arrivals_ns - sent_ns, 0.0) / 1e6  # a cycle ends after sending
+    return {
+        "uplink": Measured(stamps_ns / 1e9, up_ms), "downlink": Measured(sent_ns / 1e9, down_ms)
+    }  # fmt: skip
+
+
+def link_sentence(
+    messages: int, duration_s: float, lost: int, delays_ms: dict[str, Any], reordered: int | None
+) -> str:
+    """Return what is known of a direction in a line: `link`, `trace import` and runs say the same.
+
+    Args:
+        messages: sent.
+        duration_s: time in which they were sent.
+        lost: of them.
+        delays_ms: percentiles of the others' delays by name; None for unknown.
+        reordered: messages that arrived behind a younger one; None for unknown.
+    """
+    low, high = share_interval(lost, messages)
+    values = ", ".join(
+        f"{name.replace('_', '.')} {value:.3f}"
+        for name, value in delays_ms.items() if value is not None
+    )  # fmt: skip
+    return (
+        f"{messages:,} messages in {duration_s:.1f} s, lost {lost} ({100 * low:.2g} to"
+        f" {100 * high:.2g} %), delay in ms: {values}"
+        + ("" if reordered is None else f", reordered {reordered}")
+    )
+
+
+def share_interval(count: int, of: int) -> tuple[float, float]:
+    """Return the 95 % confidence interval of a share, after Wilson."""
+    z2 = 1.96**2
+    centre, spread = count + z2 / 2, 1.96 * (count * (of - count) / of + z2 / 4) ** 0.5
+    return max(0.0, (centre - spread) / (of + z2)), min(1.0, (centre + spread) / (of + z2))
