@@ -130,9 +130,9 @@ def test_reset_is_asked_once_there_is_something_to_forget(tmp_path):
         ("import os\nos.abort()", "was ended by SIGABRT"),
         ("import os\nos.kill(os.getpid(), 40)", "was ended by signal 40"),
         (ECHO + "asked(); print('loaded', flush=True); say(0.0, 0.0, 0.0, 0.0); asked()",
-         r"says b'loaded\\n.*must go to standard error.*at 0\.250 s"),
+         r"sent b'loaded\\n.*text must go to standard error.*at 0\.250 s"),
         (ECHO + "asked(); print(3 * 'this is a law. ', flush=True); read()",
-         "says b'this is a law. this is a"),
+         "sent b'this is a law. this is a"),
     ],
 )  # fmt: skip
 def test_what_a_program_does_wrong_is_said(tmp_path, body, reason):
