@@ -57,11 +57,6 @@ def test_valid_command_comes_through():
     assert not bench.rejected
 
 
-def test_foreign_command_is_put_into_our_joint_order():
-    command = Bench().admit(foreign(("elbow", "yaw", "shoulder"), (3.0, 1.0, 2.0)))
-    assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
-
-
 REJECTIONS = [
     (b"", "malformed"),
     (b"not a message at all", "malformed"),
@@ -171,15 +166,6 @@ def test_command_of_torques_alone_has_no_target(data):
     assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
     assert command.target is None
     assert not bench.rejected
-
-
-def test_foreign_target_is_put_into_our_joint_order():
-    data = foreign(
-        ("elbow", "yaw", "shoulder"), (3.0, 1.0, 2.0),
-        position=(0.3, 0.1, 0.2), velocity=(6.0, 4.0, 5.0),
-    )  # fmt: skip
-    command = Bench(takes_targets=True).admit(data)
-    assert command.target.tolist() == [[0.1, 0.2, 0.3], [4.0, 5.0, 6.0]]
 
 
 @pytest.mark.parametrize(

@@ -19,15 +19,13 @@ MS = 1_000_000
 SUBSTEP_NS = 250_000
 
 
-class Station:
+class Station(PlantLink):
     """A link whose other end sends what it is told to, when it is told to."""
 
-    def __init__(self, joint_names, clock, *, has_targets=False):
+    def __init__(self, joint_names, clock):
         self.clock = clock
         self._layout = topics.layout(topics.JOINT_STATES, joint_names)
-        self._command = Record(
-            topics.layout(topics.JOINT_COMMANDS, joint_names, has_targets=has_targets)
-        )
+        self._command = Record(topics.layout(topics.JOINT_COMMANDS, joint_names))
         self.to_come = []
         self.delivered = []
         self.messages = []
@@ -41,11 +39,6 @@ class Station:
         arrival = CommandArrival(self._command.payload(), len(self.to_come) + 1, b"", arrival_ns)
         self.to_come.append(arrival)
 
-    def aim(self, position):
-        """All commands to come have this target, at rest."""
-        self._command.fields["position"][:] = position
-        self._command.fields["velocity"][:] = 0.0
-
     def publish(self, topic, payload):
         self.published.append((topic, payload))
         return 0
@@ -57,22 +50,7 @@ class Station:
         self.messages.append((state, status))
         self.clock.wait_until(self.clock.now_ns() + self.stall_ns.get(record.stamp_ns, 0))
 
-    def wait_until(self, clock, instant_ns):
-        return clock.wait_until(instant_ns)
-
     def sender_has_left(self, sender):
-        return False
-
-    def fault(self):
-        return None
-
-    def report(self):
-        return {}
-
-    def overflow(self):
-        return 0
-
-    def may_miss_states(self):
         return False
 
     def take_commands(self):
@@ -197,7 +175,6 @@ class LeavingController(Station):
     """Its one answer arrives, and it leaves, just when the plant has waited in vain."""
 
     waits = 0
-    controller_loss = PlantLink.controller_loss
 
     def take_commands(self):
         return super().take_commands() if self.waits > 1 else []
