@@ -74,7 +74,7 @@ def replay(measured: dict[str, Measured], folder: Path) -> JudgedRun:
         file, start_s = folder / f"{way}.parquet", _LEAD_S if way == "downlink" else 0.0
         times_s, delays = np.append(0.0, sent_s), np.append(delays_ms[0], delays_ms)
         write_trace(Measured(times_s, delays), file)
-        words += [f"link.{way}.trace={{file: {file}, start_s: {start_s}, loop: false}}"]
+        words += [f"link.{way}.trace={{file: {file}, start_s: {start_s}}}"]
     return execute(load_setup("paper_arm", [*SETTINGS, *words]), InProcess())
 
 
