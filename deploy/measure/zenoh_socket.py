@@ -5,19 +5,21 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import threading
 import time
 from collections.abc import Sequence
 
 from bus_schema.zenoh.node import REALTIME_LEASE_S
-from bus_schema.zenoh.session import Delivery, ZenohSession
+from bus_schema.zenoh.session import ZenohSession
 from deploy.measure.probe_frames import LEAST_BYTES, ProbeFrame
 
 _QUESTIONS, _ANSWERS = "funnel_hil/link_probe/questions", "funnel_hil/link_probe/answers"
 _HELLO_S = 0.05
+_MOST_WAITING = 1000
 
 
 class ZenohSocket(socket.socket):
-    """A Zenoh session that looks like a UDP socket, so that `select` can wait for it.
+    """A Zenoh session that behaves like a UDP socket, so that `select` can wait for it.
 
     Frames of all clients go to the server, and all its answers to each of them.
 
@@ -38,20 +40,25 @@ class ZenohSocket(socket.socket):
         super().__init__(fileno=near.detach())
         self._arrivals.setblocking(False)
         self._publisher = self._session.publisher(sends)
-        self._session.subscribe(key, self._take)
+        self._inbox = self._session.inbox(key, _MOST_WAITING, lossless=True)
+        self._thread = threading.Thread(target=self._pass_on, daemon=True)
+        self._thread.start()
 
     def sendall(self, data: bytes, flags: int = 0) -> None:  # type: ignore[override]  # noqa: ARG002
         """Publish a message."""
         self._publisher.put(data, b"")
 
     def close(self) -> None:
+        self._inbox.knock()
+        self._thread.join()  # if it leaves Zenoh while Python exits, the process aborts
         self._session.close()
         self._arrivals.close()
         super().close()
 
-    def _take(self, delivery: Delivery) -> None:
-        with contextlib.suppress(OSError):  # full, as with UDP, or closed
-            self._arrivals.send(delivery.payload)
+    def _pass_on(self) -> None:
+        while (delivery := self._inbox.wait()) is not None:
+            with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as with UDP
+                self._arrivals.send(delivery.payload)
 
 
 def zenoh_server(port: int) -> ZenohSocket:
