@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def _read_field(file: Path, name: str) -> tuple[Vector, Vector]:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     topic, _, field = name.partition(".")
-    known, found, types = set(), [], get_typestore(Stores.EMPTY)
+    types, known, found = get_typestore(Stores.EMPTY), set(), list[tuple[int, float]]()
     try:
         with file.open("rb") as stream:
             for schema, channel, message in make_reader(stream).iter_messages():
@@ -57,7 +58,7 @@ def _read_field(file: Path, name: str) -> tuple[Vector, Vector]:
                     continue
                 if not found:
                     types.register(get_types_from_msg(schema.data.decode(), schema.name))
-                value = types.deserialize_cdr(message.data, schema.name)
+                value: Any = types.deserialize_cdr(message.data, schema.name)
                 for word, index in _PART.findall(field):
                     value = value[int(index)] if index else getattr(value, word)
                 found.append((message.log_time, float(value)))

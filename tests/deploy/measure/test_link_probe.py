@@ -184,6 +184,24 @@ def test_command_writes_traces_and_says_how_to_use_them(tmp_path: Path) -> None:
     assert len(read_trace(tmp_path / "link_uplink.csv").delays_ns) == 100
 
 
+def test_command_serves_and_measures_over_zenoh(tmp_path: Path) -> None:
+    [port] = free_ports(1)
+    command = [sys.executable, "-m", "deploy.cli", "link", "--zenoh", "--port", str(port)]
+    with subprocess.Popen([*command, "--serve"], stdout=subprocess.PIPE, text=True) as serving:
+        try:
+            assert serving.stdout is not None
+            assert serving.stdout.readline() == f"answering on port {port}, Zenoh, until stopped\n"
+            ran = subprocess.run(
+                [*command, "127.0.0.1", "--duration", "0.5", "--rate", "200"],
+                cwd=tmp_path, capture_output=True, text=True, timeout=4 * HANG_S, check=False,
+            )  # fmt: skip
+        finally:
+            serving.terminate()
+    assert ran.returncode == 0, ran.stderr
+    assert "downlink: 100 messages" in ran.stdout
+    assert serving.returncode == 0
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
