@@ -42,7 +42,7 @@ LOOK_S = 0.005
 """Period of checks for a peer before a run: short, as it delays every run."""
 _PATIENCE_S = 0.1
 """Largest delay of a loop in virtual time by a frozen subscriber. Real-time loops never wait."""
-_LEASE_S, _REALTIME_LEASE_S = 60.0, 3.0
+_LEASE_S, REALTIME_LEASE_S = 60.0, 3.0
 """Short in real time: zenoh 1.10 may stop sending to a peer after a drop, until it reconnects."""
 
 
@@ -72,7 +72,7 @@ class ZenohNode:
             connect,
             low_latency=is_loop,
             patience_s=_PATIENCE_S if lossless else 0.0,
-            lease_s=_LEASE_S if lossless else _REALTIME_LEASE_S,
+            lease_s=_LEASE_S if lossless else REALTIME_LEASE_S,
             gossip=link.router_endpoint is not None,
             security=secure_settings(role, link.domain, link.security.keys)
             if link.security.enabled

@@ -49,7 +49,7 @@ class _Fit:
     Args:
         times_s: increasing, shape (rows,).
         command: shape (rows,).
-        response: shape (rows,).
+        response: shape (rows,); NaN where there is none.
         longest_s: of a dead time; rows before it only lead in.
         is_held: whether a command stays until the next, or is on a line to it.
     """
@@ -61,16 +61,17 @@ class _Fit:
         slopes = np.diff(command) / np.diff(times_s)
         self._slopes = np.append(slopes * (not is_held), 0.0)
         self._first = int(np.searchsorted(times_s, times_s[0] + 2.0 * longest_s))
-        self.response = response[self._first :]
+        self._seen = np.isfinite(response[self._first :])
+        self.response = response[self._first :][self._seen]
 
     def regressors(self, dead_time_s: float, lag_s: float) -> Matrix:
-        """The filtered command and a constant, shape (rows, 2)."""
-        columns = np.ones((len(self.response), 2))
+        """The filtered command and a constant where there is a response, shape (responses, 2)."""
+        columns = np.ones((len(self._seen), 2))
         _filter(
             self._times_s, self._command, self._slopes, self._first, dead_time_s,
             max(lag_s, _SHORTEST_LAG_S), columns[:, 0],
         )  # fmt: skip
-        return columns
+        return columns[self._seen]
 
     def solve(self, dead_time_s: float, lag_s: float) -> tuple[Vector, Vector]:
         """Gain and constant, and what they leave."""
@@ -116,17 +117,18 @@ def find_latency(
     Args:
         times_s: increasing, shape (rows,).
         command: what it was told, shape (rows,).
-        response: what it did, shape (rows,).
+        response: what it did, shape (rows,); NaN where there is only a command.
         longest_s: the longest dead time and lag that are looked for.
         is_held: whether a command stays until the next, or is on a line to it.
 
     Raises:
         ValueError: the rows do not say; the message says why.
     """
-    period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else math.inf
-    if times_s[-1] - times_s[0] < 4.0 * longest_s or len(times_s) < _FEWEST_ROWS:
+    seen_s = times_s[np.isfinite(response)]
+    period_s = float(np.median(np.diff(seen_s))) if len(seen_s) > 1 else math.inf
+    if np.ptp(times_s) < 4.0 * longest_s or len(seen_s) < _FEWEST_ROWS:
         raise ValueError(
-            f"{len(times_s)} rows over {np.ptp(times_s):.3g} s: needs {_FEWEST_ROWS} rows and four"
+            f"{len(seen_s)} rows over {np.ptp(times_s):.3g} s: needs {_FEWEST_ROWS} rows and four"
             f" times the longest latency, {longest_s:g} s"
         )
     fit = _Fit(times_s, command, response, longest_s, is_held=is_held)

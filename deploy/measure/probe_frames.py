@@ -84,15 +84,14 @@ class FrameStream:
 
 
 class ProbeServer:
-    """Answers frames at a UDP and a TCP socket.
+    """Answers frames at sockets.
 
     Args:
-        datagrams: bound.
-        listener: listens.
+        sources: bound sockets of datagrams, over Zenoh too, and sockets that listen.
     """
 
-    def __init__(self, datagrams: socket.socket, listener: socket.socket) -> None:
-        self._datagrams, self._listener = datagrams, listener
+    def __init__(self, *sources: socket.socket) -> None:
+        self._sources = sources
         self._streams: dict[socket.socket, FrameStream] = {}
         self._arrivals: dict[int, dict[int, int]] = {}
         self._kernel = own_kernel()
@@ -100,7 +99,7 @@ class ProbeServer:
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
         """Answer until it is to stop."""
         while not is_stop_requested():
-            sources = [self._datagrams, self._listener, *self._streams]
+            sources = [*self._sources, *self._streams]
             for source in select.select(sources, [], [], _POLL_S)[0]:
                 with contextlib.suppress(OSError):  # whoever asked is gone
                     self._take(source)
@@ -108,17 +107,21 @@ class ProbeServer:
             near.close()
 
     def _take(self, source: socket.socket) -> None:
-        if source is self._listener:
-            near, _ = source.accept()
-            near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._streams[near] = FrameStream()
-        elif source is self._datagrams:
+        if source in self._streams:
+            self._take_from_stream(source)
+        elif source.type == socket.SOCK_DGRAM:
             data, address = source.recvfrom(MOST_BYTES)
             frame, now_ns = ProbeFrame.decode(data), time.monotonic_ns()
             if frame is not None and frame.size == len(data):
-                source.sendto(self._answer(frame, now_ns), address)
+                answer = self._answer(frame, now_ns)
+                if address is None:  # over Zenoh, where answers go to all clients
+                    source.sendall(answer)
+                else:
+                    source.sendto(answer, address)
         else:
-            self._take_from_stream(source)
+            near, _ = source.accept()
+            near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._streams[near] = FrameStream()
 
     def _take_from_stream(self, source: socket.socket) -> None:
         try:

@@ -1,6 +1,6 @@
 """A loop over a real link, and the trace that the run measured of this link replayed beside it.
 
-``python -m scripts.experiments.live_and_replayed FIRST LAST`` runs an arm in real time over
+``python -m scripts.experiments.live_and_replayed FIRST LAST [SCALE]`` runs an arm in real time over
 Zenoh (TCP) and a relay, which is a process of its own and plays a bursty trace, while other traffic
 crosses the same interface. It then simulates the arm with the one-way delays that this run measured
 of its link, and prints a row for each seed.
@@ -30,7 +30,8 @@ SETTINGS = [
     "duration_s=8", "controller.delay_compensation.enabled=true", "link.deadline_ms=100",
     "controller.delay_compensation.expected_round_trip_ms=12", "plant.command_timeout_ms=1000",
 ]  # fmt: skip
-DOWNLINK, UPLINK = {"delay_ms": 4}, {"trace": {"file": "deploy/traces/5g.parquet"}}
+DOWNLINK, TRACE = {"delay_ms": 4}, "deploy/traces/5g.parquet"
+SCALE = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
 TRAFFIC_BYTES, PAUSE_S = 20_000, 0.01
 _LEAD_S = 0.0003
 """A replayed command is sent without the step of the controller, which takes less than this."""
@@ -41,7 +42,8 @@ class TracedDelay(RealDelay):
 
     @property
     def options(self) -> RelayOptions:
-        link = LinkConfiguration.model_validate({"downlink": DOWNLINK, "uplink": UPLINK})
+        uplink = {"trace": {"file": TRACE, "scale": SCALE}}
+        link = LinkConfiguration.model_validate({"downlink": DOWNLINK, "uplink": uplink})
         return super().options._replace(link=link, seed=round(self.round_trip_ms))
 
 

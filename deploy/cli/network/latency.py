@@ -13,15 +13,16 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
 from deploy.cli.network.trace import Unit
 from deploy.measure.latency import find_latency
+from deploy.measure.mcap_series import read_series
 from deploy.measure.trace_import import UNITS_MS
 
 _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 
 
 def latency(
-    file: Annotated[Path, typer.Argument(help="A CSV or Parquet file.")],
+    file: Annotated[Path, typer.Argument(help="A CSV, Parquet or MCAP file.")],
     command: Annotated[
-        str, typer.Option(help="Column of commands; `action[2]` is one element of a list.")
+        str, typer.Option(help="Column of commands, as `action[2]`; in MCAP, `/topic.field[2]`.")
     ],
     response: Annotated[str, typer.Option(help="Column of responses, in the same form.")],
     time: Annotated[str, typer.Option(help="Column of times.")] = "time_s",
@@ -40,11 +41,16 @@ def latency(
 
     Both come with 95 % intervals. If a file has several episodes, the longest is used.
     """
-    table = _table(file)
-    times_s, commands, responses = (
-        _column(file, table, each) for each in (time, command, response)
-    )
-    times_s = times_s * (UNITS_MS[unit] / 1e3)
+    if file.suffix == ".mcap":
+        if time != "time_s" or unit != Unit.S:
+            raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
+        times_s, commands, responses = read_series(file, command, response, is_held=not linear)
+    else:
+        table = _table(file)
+        times_s, commands, responses = (
+            _column(file, table, each) for each in (time, command, response)
+        )
+        times_s = times_s * (UNITS_MS[unit] / 1e3)
     starts = [0, *(np.flatnonzero(~(np.diff(times_s) > 0.0)) + 1).tolist(), len(times_s)]
     first, end = max(zip(starts, starts[1:], strict=False), key=lambda each: each[1] - each[0])  # noqa: RUF007
     rows = slice(first, end)
@@ -55,9 +61,10 @@ def latency(
     except ValueError as error:
         raise InputError(f"{file}: {command}, {response}: {error}") from error
     of = f" (the longest of {len(starts) - 1} episodes)" if len(starts) > 2 else ""
-    rate_hz = 1.0 / float(np.median(np.diff(times_s[rows])))
+    seen_s = times_s[rows][np.isfinite(responses[rows])]
+    rate_hz = 1.0 / float(np.median(np.diff(seen_s)))
     kept = "on lines" if linear else "held"
-    print(f"{end - first:,} rows at {rate_hz:.4g} Hz{of}; commands are {kept}")
+    print(f"{len(seen_s):,} rows at {rate_hz:.4g} Hz{of}; commands are {kept}")
     for name, (value, half), scale, suffix in (
         ("dead time", found.dead_time_s, 1e3, " ms"), ("lag", found.lag_s, 1e3, " ms"),
         ("gain", found.gain, 1.0, ""),

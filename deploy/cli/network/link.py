@@ -17,6 +17,7 @@ from bus_schema.runtime.realtime import go_realtime
 from deploy.measure.link_probe import MeasuredLink, ProbeTimes, evaluate, probe
 from deploy.measure.probe_frames import LEAST_BYTES, MOST_BYTES, ProbeServer
 from deploy.measure.trace_output import scenario_lines, write_trace
+from deploy.measure.zenoh_socket import zenoh_client, zenoh_server
 from deploy.run.exit_codes import FAULT
 from deploy.run.stop_signals import StopRequest
 
@@ -44,6 +45,9 @@ def link(
         float, typer.Option("--duration", metavar="S", help="Duration of the measurement.")
     ] = 10.0,
     is_tcp: Annotated[bool, typer.Option("--tcp", help="Use TCP instead of UDP.")] = False,
+    is_zenoh: Annotated[
+        bool, typer.Option("--zenoh", help="Use Zenoh instead of UDP; with --serve too.")
+    ] = False,
     out: Annotated[str, typer.Option(help="Prefix of the trace files.")] = "link",
 ) -> None:
     """Measure one-way delays, losses and order of a network, and write traces for a scenario.
@@ -52,6 +56,8 @@ def link(
     """
     if (host is None) != serve:
         raise InputError("link: give a HOST, or --serve")
+    if is_tcp and is_zenoh:
+        raise InputError("link: give --tcp or --zenoh, not both")
     if not (0.0 < rate_hz <= 10_000.0 and LEAST_BYTES <= size <= MOST_BYTES and duration_s > 0.0):
         raise InputError(
             f"link: --rate must be up to 10000 Hz, --size {LEAST_BYTES} to {MOST_BYTES} bytes,"
@@ -61,10 +67,13 @@ def link(
     stop = StopRequest()
     try:
         if host is None:
-            _serve(port, stop)
+            _serve(port, stop, is_zenoh=is_zenoh)
             return
-        kind = socket.SOCK_STREAM if is_tcp else socket.SOCK_DGRAM
-        with _connected(host, port, kind) as way:
+        if is_zenoh:
+            opened: socket.socket = zenoh_client(host, port, _CONNECT_S)
+        else:
+            opened = _connected(host, port, socket.SOCK_STREAM if is_tcp else socket.SOCK_DGRAM)
+        with opened as way:
             times = probe(way, rate_hz, size, duration_s, lambda: stop.is_set, _show)
         measured = evaluate(times)
     except (OSError, ValueError) as error:
@@ -73,7 +82,12 @@ def link(
     _report(times, measured, out)
 
 
-def _serve(port: int, stop: StopRequest) -> None:
+def _serve(port: int, stop: StopRequest, *, is_zenoh: bool) -> None:
+    if is_zenoh:
+        with zenoh_server(port) as messages:
+            print(f"answering on port {port}, Zenoh, until stopped", flush=True)
+            ProbeServer(messages).run(lambda: stop.is_set)
+        return
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams,
         socket.create_server(("", port)) as listener,

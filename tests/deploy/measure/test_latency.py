@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from mcap.writer import Writer
 from pyarrow import parquet
 
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from deploy.measure.latency import find_latency
+from deploy.measure.mcap_series import read_series
 
 
 def recorded(
@@ -99,3 +102,62 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     code, said = funnel_hil(*words, "--command", "action[0]")
     assert code == 2
     assert "never changes" in said
+
+
+def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    """A recording of joint states, each topic with its own times in s and efforts."""
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        text = schema_text(JOINT_STATE).encode()
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", text)
+        joint_state = TYPESTORE.types[JOINT_STATE]
+        header = TYPESTORE.types["std_msgs/msg/Header"](
+            TYPESTORE.types["builtin_interfaces/msg/Time"](0, 0), ""
+        )
+        for topic, (times_s, efforts) in topics.items():
+            channel = writer.register_channel(topic, "cdr", schema)
+            for time_s, effort in zip(times_s, efforts, strict=True):
+                none, log_time = np.zeros(0), round(time_s * 1e9)
+                message = joint_state(header, [], none, none, np.array([0.0, effort]))
+                data = bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE))
+                writer.add_message(channel, log_time, data, log_time)
+        writer.finish()
+
+
+def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_hil) -> None:
+    times_s, command, response = recorded(1000.0, 20.0, 30.0, 0.001)
+    file = tmp_path / "robot.mcap"
+    sent = times_s[::8], command[::8]  # it changes every eight rows
+    write_mcap(file, {"/wanted": sent, "/found": (times_s[3::13], response[3::13])})
+    rows = read_series(file, "/wanted.effort[1]", "/found.effort[1]", is_held=True)
+    found = find_latency(*rows, 0.3, is_held=True)
+    assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
+    assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
+    words = ("latency", file, "--command", "/wanted.effort[1]", "--response")
+    code, said = funnel_hil(*words, "/found.effort[1]")
+    assert code == 0, said
+    assert "1,538 rows at 76.92 Hz" in said  # responses before the last command, 1000 Hz / 13
+    for response_name, complaint in (
+        ("/fuond.effort[1]", "did you mean /found"),
+        ("/found.effort[2]", "/found.effort[2]: cannot be read as a number"),
+        ("/found.effort", "/found.effort: cannot be read as a number"),
+    ):
+        code, said = funnel_hil(*words, response_name)
+        assert code == 2
+        assert complaint in said
+    code, said = funnel_hil(*words, "/found.effort[1]", "--unit", "ms")
+    assert code == 2
+    assert "MCAP files have log times" in said
+
+
+def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
+    settings = ("duration_s=2", "link.uplink.delay_ms=2", "link.downlink.delay_ms=6")
+    words = [word for each in settings for word in ("--set", each)]
+    code, said = funnel_hil("simulate", "paper_arm", *words, "--out", tmp_path / "run")
+    assert code == 0, said
+    names = "/joint_commands.effort[0]", "/joint_states.effort[0]"
+    rows = read_series(tmp_path / "run" / "run.mcap", *names, is_held=True)
+    found = find_latency(*rows, 0.1, is_held=True)
+    assert 8.0 <= 1e3 * found.dead_time_s[0] <= 9.0  # states of 1 kHz leave one tick open
+    assert found.gain[0] == pytest.approx(1.0)

@@ -16,11 +16,14 @@ import pytest
 from bus_schema.link.configuration import LinkConfiguration
 from deploy.measure.link_probe import ProbeTimes, clock_offset_ns, evaluate, probe
 from deploy.measure.probe_frames import LEAST_BYTES, FrameStream, ProbeFrame, ProbeServer
+from deploy.measure.zenoh_socket import zenoh_client, zenoh_server
 from deploy.run.network.link_relay import LinkRelay
+from deploy.run.network.links import free_ports
 from plant_emulator.channel.trace_file import read_trace
 
 MS = 1_000_000
 HANG_S = 30.0
+MEDIAN_MS = 0.5
 HERE = ("127.0.0.1", 0)
 KINDS = {"udp": socket.SOCK_DGRAM, "tcp": socket.SOCK_STREAM}
 
@@ -71,6 +74,27 @@ def test_known_link_is_recovered(protocol: str) -> None:
     else:
         assert measured.there.lost == measured.back.lost == 0
         assert np.nanmax(measured.there.delays_ms) >= 10.0  # what was sent again
+
+
+def test_delay_over_zenoh_is_recovered() -> None:
+    link = LinkConfiguration(downlink={"delay_ms": 3}, uplink={"delay_ms": 7})
+    [served] = free_ports(1)
+    with zenoh_server(served) as answering, socket.create_server(HERE) as listener:
+        relay = LinkRelay(listener, ("127.0.0.1", served), link, seed=1)
+        with (
+            in_thread(ProbeServer(answering).run),
+            in_thread(relay.run),
+            zenoh_client("127.0.0.1", listener.getsockname()[1], HANG_S) as way,
+        ):
+            times = probe(way, 200.0, 150, 1.5, lambda: False, lambda *_: None)
+    measured = evaluate(times)
+    assert times.has_one_clock
+    for delays, injected_ms in ((measured.there, 3.0), (measured.back, 7.0)):
+        assert delays.lost == 0
+        assert len(delays.sent_s) == 300
+        assert np.nanmin(delays.delays_ms) >= injected_ms
+        assert np.nanmedian(delays.delays_ms) == pytest.approx(injected_ms, abs=MEDIAN_MS)
+    assert measured.reordered == (0, 0)
 
 
 def times(
@@ -166,6 +190,7 @@ def test_command_writes_traces_and_says_how_to_use_them(tmp_path: Path) -> None:
         ((), "give a HOST, or --serve"),
         (("somewhere", "--serve"), "give a HOST, or --serve"),
         (("127.0.0.1", "--size", "10"), "--size 100 to 60000"),
+        (("127.0.0.1", "--tcp", "--zenoh"), "give --tcp or --zenoh, not both"),
         (("127.0.0.1", "--rate", "0"), "--rate must be up to 10000 Hz"),
     ],
 )

@@ -157,7 +157,7 @@ def test_only_studies_that_a_command_can_take_are_offered(funnel_hil):
     told = {words: funnel_hil(*words, "nowhere") for words in (("sweep",), ("margin", "--study"))}
     assert {code for code, _ in told.values()} == {2}
     offered = [said.partition("the shipped studies ")[2].split() for _, said in told.values()]
-    assert offered[0] == ["delay_sweep"]
+    assert offered[0] == ["delay_sweep,", "networks,", "networks_panda"]
     assert "delay_margin," in offered[1]
     assert "delay_sweep," not in offered[1]
 
