@@ -64,7 +64,8 @@ class SlowLaw:
 
     def __init__(self, law: ControlLaw, timing: AnswerTiming) -> None:
         self._law, self._timing = law, timing
-        self._own_target = getattr(law, "target", None)
+        own_target = getattr(law, "target", None)
+        self._own_target = own_target if callable(own_target) else None
         self.diagnostics = law.diagnostics
         self._in_force: _Answer | None = None
         self._coming: _Answer | None = None

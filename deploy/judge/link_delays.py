@@ -48,11 +48,13 @@ def measured_link(run: RunData) -> dict[str, Measured]:
     status, truth = (
         run.tables[topic.name] for topic in (topics.CONTROL_STATUS, topics.PLANT_TRUTH)
     )
-    cycles = np.arange(controller.get("cycles", 0))
     has_one_clock = plant.get("kernel", 0) == controller.get("kernel") != 0
-    if run.clock != "realtime" or not (
-        has_one_clock and np.array_equal(status["timing.cycle"], cycles)
-    ):
+    has_times = {"newest_cycle_s", "cycles"} <= controller.keys() and "start_s" in plant
+    if not (
+        run.clock == "realtime" and has_one_clock and has_times  # events may come from anyone
+        and status.size == controller["cycles"]
+        and np.array_equal(status["timing.cycle"], np.arange(status.size))
+    ):  # fmt: skip
         return dict.fromkeys(("uplink", "downlink"), Measured(np.zeros(0), np.zeros(0)))
     periods_ns, stamps_ns = status["timing.period_ns"], 1e9 * stamps_s(status)
     newest_ns = 1e9 * (controller["newest_cycle_s"] - plant["start_s"])

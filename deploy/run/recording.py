@@ -93,7 +93,7 @@ def record_failures(path: Path, failures: Sequence[str]) -> None:
                 )
             except OSError as error:
                 logger.warning(
-                    "%s: messages are missing, because writing failed: %s", file, error.strerror
+                    "%s: what failed could not be written to it: %s", file, error.strerror
                 )
 
 

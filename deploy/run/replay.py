@@ -64,7 +64,6 @@ def replay(setup: Setup, contents: LogContents, *, master_skips: bool = False) -
     if master_skips:
         link.start_ns = 0
         answered, missing = _states_answered(setup, contents)
-        recorded = recorded[: len(answered)]
     loop = ControlLoop(setup.control_task(), link)
     loop.warm_up()
     has_status = setup.link_kind.brings_plant_status
@@ -76,7 +75,12 @@ def replay(setup: Setup, contents: LogContents, *, master_skips: bool = False) -
         replayed = _as_delivered(setup, replayed, rounding)
     if master_skips:  # a command is recorded with the stamp of the drives' state before it
         beside = zip(replayed, recorded, strict=False)
-        replayed = [new[: _STAMP.start] + old[_STAMP] + new[_STAMP.stop :] for new, old in beside]
+        replayed = [
+            *(new[: _STAMP.start] + old[_STAMP] + new[_STAMP.stop :] for new, old in beside),
+            *replayed[len(recorded) :],
+        ]
+    if missing:
+        return _not_comparable(len(recorded), len(answered), missing)
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
@@ -90,6 +94,12 @@ def replay(setup: Setup, contents: LogContents, *, master_skips: bool = False) -
         recorded_digest=digest(states, recorded),
         failure=failure,
     )
+
+
+def _not_comparable(recorded: int, answered: int, missing: str) -> Replay:
+    """A replay that ended at a command whose state is not in the recording."""
+    return Replay(recorded, answered, first_difference=answered, digest="", recorded_digest="",
+                  failure=missing)  # fmt: skip
 
 
 def _states_answered(setup: Setup, contents: LogContents) -> tuple[list[bytes], str]:

@@ -114,3 +114,9 @@ def test_whole_run_keeps_its_bounds_until_inference_takes_too_long(inference_ms,
              f"controller.inference_ms={inference_ms}"]  # fmt: skip
     run = simulate(load_setup("paper_arm", words)).data()
     assert summarise(run)["verdict"] == verdict
+
+
+def test_law_may_have_data_called_target():
+    law = Counting()
+    law.target = np.zeros(1)
+    assert answers(law, 2, every=2)[0] == [1, 1]

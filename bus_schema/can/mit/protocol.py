@@ -93,13 +93,19 @@ class MitMaster(CanMaster):
     def _next_answering(self, timeout_s: float) -> int | None:
         """The joint whose drive replies with the next frame; None if it is no reply."""
         frame = self._bus.receive(timeout_s)
-        return None if frame is None else self._note_reply(frame)
+        return None if frame is None else self._note_answer(frame)
+
+    def _note_answer(self, frame: CanFrame) -> int | None:
+        """Note a frame outside the loop: a reply, whose joint is returned, or a stranger's."""
+        joint = self._note_reply(frame)
+        if joint is None:
+            self._note_stranger(frame)
+        return joint
 
     def _note_reply(self, frame: CanFrame) -> int | None:
         """Note the error in a reply; its joint, None for any other frame."""
         found = self._codec.reply(frame)
         if found is None:
-            self._note_stranger(frame)
             return None
         joint, reply = found
         self._errors[joint] = reply.error
@@ -115,7 +121,7 @@ class MitMaster(CanMaster):
     def _settle(self) -> None:
         """Drop what has come, and wait for no reply to a command that was sent before."""
         while (frame := self._bus.receive(0.0)) is not None:
-            self._note_reply(frame)
+            self._note_answer(frame)
         self._owed = [0] * len(self._owed)
 
     def _missed_heartbeats(self) -> list[str]:

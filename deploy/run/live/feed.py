@@ -21,6 +21,7 @@ from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
 _HELLO = b"funnel-hil: "
 _BUFFER_BYTES = 1 << 20
+_RETRY_S = 0.1
 _MOST_VIEWERS = 8
 _MOST_ACCEPTED = 50
 """Connections accepted per check, so that viewers cannot keep the recorder from its work."""
@@ -148,6 +149,7 @@ class FeedReceiver:
             packet = b""
         if not packet:
             self.close()
+            time.sleep(min(timeout_s, _RETRY_S))  # it may refuse another viewer at once
             self._connect()
         elif packet.startswith(_HELLO):
             self.scenario = Path(json.loads(packet[len(_HELLO) :]))

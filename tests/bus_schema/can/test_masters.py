@@ -14,6 +14,8 @@ from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame
 from bus_schema.can.master import CanMaster, DriveError, SilentDriveError
+from bus_schema.can.mit.codec import MitCodec, MitRanges
+from bus_schema.can.mit.protocol import MitMaster
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import load_robot
@@ -55,6 +57,11 @@ def cia402(bus: FrameBus) -> Cia402Master:
 
 def cansimple(bus: FrameBus) -> CanMaster:
     return CanSimpleMaster(bus, CAN, NODES, CanSimpleCodec(NODES))
+
+
+def mit(bus: FrameBus) -> CanMaster:
+    ranges = [MitRanges(12.5, 45.0, 18.0, 500.0, 5.0)] * len(NODES)
+    return MitMaster(bus, CAN, NODES, MitCodec(NODES, ranges, 0, 6))
 
 
 def read(master: CanMaster) -> bool:
@@ -131,6 +138,7 @@ def test_answers_are_awaited_of_all_but_those_given_up() -> None:
             [CanFrame(0x049, is_remote=True), CanFrame(0x04E, bytes(4))],
             "another master is on this bus: it sent requests (1), Set_Input_Torque (1)",
         ),
+        (mit, [CanFrame(0x001, bytes(8))], "another master is on this bus: it sent commands (1)"),
         (
             cia402,
             [CanFrame(0x181, bytes(8)), CanFrame(0x181, bytes(8))],

@@ -8,6 +8,7 @@ below; it closes to 0.01 rad at 1000 per second, so after 10 ms it is there to 1
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,9 +23,11 @@ from bus_schema.messages.topics import (
     PLANT_TRUTH,
     RUN_EVENTS,
 )
+from deploy.judge.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
 from deploy.judge.run_data import RunData, build_run_data, digest
 from deploy.reports.verdict import verdict_on_run
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from tests.deploy.judge.made_up_messages import JOINTS, rows
@@ -284,3 +287,18 @@ def test_digest_does_not_count_how_often_the_first_state_was_sent() -> None:
     assert digest([b"s0", b"s0", b"s0", b"s1"], [b"c0", b"c0", b"c1"]) == once
     assert digest([b"s0", b"s1", b"s1"], [b"c0", b"c1"]) != once
     assert digest([], []) == hashlib.sha256().hexdigest()
+
+
+@pytest.mark.parametrize(
+    "told", [{"kernel": 7, "cycles": 10}, {"kernel": 7, "cycles": 2**52, "newest_cycle_s": 1.0}]
+)
+def test_ends_that_lack_values_or_exaggerate_measure_no_link(told: dict[str, float]) -> None:
+    """Any program on the bus may send them."""
+    run = simulate(load_setup("paper_arm", ["duration_s=0.01"])).data()
+    others = [event for event in run.events if event.kind != EventKind.ENDED]
+    ends = [
+        RunEvent(10**7, "plant", EventKind.ENDED, json.dumps({"kernel": 7, "start_s": 0.0})),
+        RunEvent(10**7, "controller", EventKind.ENDED, json.dumps(told)),
+    ]
+    found = measured_link(replace(run, clock="realtime", events=[*others, *ends]))
+    assert [len(each.delays_ms) for each in found.values()] == [0, 0]
