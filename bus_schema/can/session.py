@@ -143,7 +143,7 @@ def _over_socket_of(bus: can.BusABC, configuration: CanConfiguration) -> CanBus:
         except Exception:  # noqa: BLE001 (the group may carry anything; msgpack raises anything)
             return None
         # python-can takes anything that compares as a number. FD frames are passed on even where
-        # this node sends none: whoever gets them says so, as a real controller would by errors.
+        # this node sends none: their receiver reports them, as real hardware does.
         has_types = type(frame.identifier) is int and all(type(flag) is bool for flag in frame[2:])
         return frame if has_types else None
 

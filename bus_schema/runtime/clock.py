@@ -174,6 +174,6 @@ class HostLateness:
         if self._worst_ns < _WORTH_NAMING_NS or now_ns - self._at_ns > _RECENTLY_NS:
             return ""
         return (
-            f"this host was not running for {self._worst_ns * 1e-6:.0f} ms,"
+            f"this host was late by {self._worst_ns * 1e-6:.0f} ms,"
             f" {self._at_ns * 1e-9:.2f} s into the run"
         )

@@ -61,7 +61,7 @@ def test_lateness_is_named_while_it_is_recent_and_worth_it() -> None:
     assert lateness.in_words(100 * MS) == ""
     lateness.note(60 * MS, 200 * MS)
     lateness.note(1 * MS, 210 * MS)
-    assert lateness.in_words(300 * MS) == "this host was not running for 60 ms, 0.20 s into the run"
+    assert lateness.in_words(300 * MS) == "this host was late by 60 ms, 0.20 s into the run"
     assert lateness.in_words(2000 * MS) == ""
     lateness.note(30 * MS, 2000 * MS)
     assert "30 ms" in lateness.in_words(2000 * MS)
@@ -257,4 +257,4 @@ def test_a_fault_after_a_hold_up_names_the_host_and_who_else_is_there(held: Held
     fault = str(held.link.fault())
     assert "the bus is gone" in fault
     assert "another drive on this bus has address 3 and sent 1 states" in fault
-    assert "this host was not running for 496 ms, 0.50 s into the run" in fault
+    assert "this host was late by 496 ms, 0.50 s into the run" in fault
