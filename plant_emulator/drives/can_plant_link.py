@@ -209,15 +209,21 @@ class CanPlantLink(PlantLink):
             self._drives.advance(now_ns)
 
     def _serve(self, clock: Clock, until_ns: int) -> None:
-        """Process frames as they arrive, until an instant."""
-        while (left_ns := until_ns - clock.now_ns()) > 0:
+        """Process frames as they arrive, until an instant.
+
+        One that is read after it has to wait, as what happens at the instant comes first: else a
+        request would be answered with the state before a tick that has passed.
+        """
+        while clock.now_ns() < until_ns:
             frame = self._next_frame(0.0)
             was_awaited = frame is None
             if was_awaited:
-                frame = self._next_frame(left_ns * 1e-9)
-            if frame is not None:
-                self._take(frame, was_awaited=was_awaited)
+                frame = self._next_frame(max(0.0, (until_ns - clock.now_ns()) * 1e-9))
             self._heard_ns = clock.now_ns()
+            if frame is not None and self._heard_ns >= until_ns:
+                self._waiting.appendleft(frame)
+            elif frame is not None:
+                self._take(frame, was_awaited=was_awaited)
 
     def _catch_up(self, clock: Clock) -> None:
         """Process waiting frames for at most one period, because a flood may not end."""

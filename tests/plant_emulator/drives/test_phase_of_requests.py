@@ -57,15 +57,21 @@ class MastersTime(VirtualClock):
 
 
 class MastersBus:
-    """Requests of all seven drives every 2 ms, each of which takes its reader some time."""
+    """Requests of all seven drives every 2 ms, each of which takes its reader some time.
 
-    def __init__(self, clock: MastersTime, read_ns: int) -> None:
-        self._clock, self._read_ns = clock, read_ns
-        self._next = 0
+    Attributes:
+        answers: how many were sent.
+    """
+
+    def __init__(self, clock: MastersTime, read_ns: int, wakes_late_ns: int) -> None:
+        self._clock, self._read_ns, self._wakes_late_ns = clock, read_ns, wakes_late_ns
+        self._next = self.answers = 0
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         tick, joint = divmod(self._next, len(REQUESTS))
         comes_ns, until_ns = tick * PERIOD_NS, self._clock.master_ns + round(timeout_s * 1e9)
+        if comes_ns > until_ns and timeout_s > 0.0:
+            until_ns += self._wakes_late_ns
         self._clock.master_ns = max(self._clock.master_ns, min(comes_ns, until_ns))
         if comes_ns > until_ns:
             return None
@@ -74,13 +80,43 @@ class MastersBus:
         return REQUESTS[joint]
 
     def send_all(self, frames: Sequence[CanFrame]) -> None:
-        pass
+        self.answers += len(frames)
 
     def dropped(self) -> int | None:
         return None
 
     def close(self) -> None:
         pass
+
+
+class Motors:
+    """The plant's link to the motors of `openarm`, whose time is a `MastersTime`."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, read_ns: int, wakes_late_ns: int = 0
+    ) -> None:
+        setup = load_setup("openarm", ["duration_s=20", "clock=realtime", "rate_hz=500"])
+        self.clock, self._arm = MastersTime(), setup.arm()
+        self.bus = MastersBus(self.clock, read_ns, wakes_late_ns)
+        telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
+        monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
+        monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
+        run = setup.link_run(lockstep=False)
+        self._link = CanKind().open_plant(run, self._arm, self.clock)
+        self._link.await_controller(60.0)
+        names = setup.robot.joint_names
+        self._state = Record(layout(JOINT_STATES, names)).payload()
+        self._status = layout(PLANT_STATUS, names).template
+
+    def reach(self, tick: int) -> None:
+        self._link.wait_until(self.clock, tick * PERIOD_NS)
+
+    def measure(self) -> None:
+        self._link.send_state(self._state, self._status)
+
+    def close(self) -> None:
+        self._link.close()
+        self._arm.close()
 
 
 @pytest.mark.parametrize(
@@ -94,20 +130,25 @@ def test_ticks_stay_ahead_of_requests_on_a_slow_host(
     Else the clock would be set back until requests come before the tick, and are answered with the
     state before it.
     """
-    setup = load_setup("openarm", ["duration_s=20", "clock=realtime", "rate_hz=500"])
-    clock, arm = MastersTime(), setup.arm()
-    bus = MastersBus(clock, read_ns)
-    telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
-    monkeypatch.setattr(can_kind, "open_can_bus", lambda _: bus)
-    monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
-    link = CanKind().open_plant(setup.link_run(lockstep=False), arm, clock)
-    link.await_controller(60.0)
-    names = setup.robot.joint_names
-    state = Record(layout(JOINT_STATES, names)).payload()
+    motors = Motors(monkeypatch, read_ns)
     for tick in range(1, 2000):
-        link.wait_until(clock, tick * PERIOD_NS)
-        link.send_state(state, layout(PLANT_STATUS, names).template)
-        clock.master_ns += busy_ns
-    assert clock.ahead_ns == pytest.approx(LEAD_NS, abs=read_ns + 10_000)
-    link.close()
-    arm.close()
+        motors.reach(tick)
+        motors.measure()
+        motors.clock.master_ns += busy_ns
+    assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=read_ns + 10_000)
+    motors.close()
+
+
+def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A request that was sent after the tick is there when the host wakes up for it."""
+    motors = Motors(monkeypatch, read_ns=5_000, wakes_late_ns=LEAD_NS + 100_000)
+    answers_before_tick = []
+    for tick in range(1, 50):
+        motors.reach(tick)
+        answers_before_tick.append(motors.bus.answers)
+        motors.measure()
+    # At the first one, no joint was measured yet; before each other, one set of requests per tick.
+    assert answers_before_tick == [0, *(len(REQUESTS) * tick for tick in range(2, 50))]
+    motors.close()
