@@ -35,6 +35,12 @@ from plant_emulator.drives.drive import (
 _MS = 1_000_000
 _USUAL_C, _HOT_C = 25, 110
 _TURN_RAD = 2.0 * math.pi
+_ERRORS = {
+    None: MitError.NONE,
+    DriveFault.DRIVE: MitError.OVER_CURRENT,
+    DriveFault.OVER_TEMPERATURE: MitError.OVER_TEMPERATURE,
+    DriveFault.ENCODER: MitError.ENCODER,
+}
 
 
 class LoopDrive(Drive):
@@ -126,8 +132,7 @@ class MitDrive(LoopDrive):
             self._rest()
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        hot, short = MitError.OVER_TEMPERATURE, MitError.OVER_CURRENT
-        self._error = hot if fault is DriveFault.OVER_TEMPERATURE else short
+        self._error = _ERRORS[fault]
         self._rest()
 
     def describe(self, frame: CanFrame) -> str | None:
@@ -158,7 +163,7 @@ class MitDrive(LoopDrive):
         self._is_timed_out = False
         if kind is Special.DISABLE:
             self._rest()
-            self._error = MitError.OVER_TEMPERATURE if self._is_hot else MitError.NONE
+            self._error = _ERRORS[self._lasting_fault]
         elif self._error is MitError.NONE:
             self._is_in_motor_mode = True
 
