@@ -203,7 +203,11 @@ class Drive(ABC):
         on_set_up: called when `heard` has become another one.
         is_silent: its bus connection is cut.
         targets_taken: targets that the bank has counted.
+        most_bytes: of a frame that it may take.
+        takes_extended: it takes frames with 29-bit identifiers, too.
     """
+
+    most_bytes, takes_extended = 8, False
 
     heard: Collection[int]
 

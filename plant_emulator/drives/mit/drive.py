@@ -28,6 +28,7 @@ from plant_emulator.drives.drive import (
     DriveSettings,
     JointDemand,
     JointLoop,
+    Loop,
     Send,
     following,
 )
@@ -52,7 +53,7 @@ class LoopDrive(Drive):
         super().__init__(settings, send)
         self._step_rad = _TURN_RAD / settings.counts_per_turn
         self._zero_rad = 0.0
-        self._loop: JointLoop | CascadeLoop | None = None
+        self._loop: Loop | None = None
         self._heard_ns = 0
 
     @property
@@ -73,7 +74,7 @@ class LoopDrive(Drive):
         """Define the present position as zero; a command in force refers to the new zero."""
         moved_rad = self.position_rad
         self._zero_rad += moved_rad
-        if self._loop is not None:
+        if isinstance(self._loop, JointLoop | CascadeLoop):
             self._loop = self._loop._replace(target_rad=self._loop.target_rad + moved_rad)
 
     def _mit_loop(self, command: MitCommand, most_nm: float) -> JointLoop:
