@@ -39,7 +39,7 @@ Faults = Annotated[
         "--fault",
         metavar="KIND:NODE@TIME[+DURATION]",
         help="Let something go wrong, such as drive:2@3s or silent:1@500ms+2s; repeatable. Kinds:"
-        " drive, silent, encoder-frozen, over-temperature.",
+        " drive, silent, encoder, encoder-frozen, over-temperature.",
     ),
 ]
 

@@ -46,6 +46,7 @@ class MitError(IntEnum):
     NONE = 0
     OVER_TEMPERATURE = 1
     OVER_CURRENT = 2
+    ENCODER = 5
 
 
 class MitRanges(NamedTuple):

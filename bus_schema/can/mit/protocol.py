@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
 
 from bus_schema.arrays import Vector
+from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.can.master import POLL_S, CanMaster, DriveError
 from bus_schema.can.mit.codec import MitCodec, MitRanges, Special
@@ -19,6 +20,24 @@ from bus_schema.robot_description import RobotDescription
 _QUIET_S, _LONGEST_QUIET_S = 0.1, 1.0
 
 
+class RequestCodec(CanCodec, Protocol):
+    """Cyclic frames of drives that answer requests with their states."""
+
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:
+        """Requests to all drives that change their mode."""
+
+    def reply(self, frame: CanFrame) -> tuple[int, Reply] | None:
+        """Joint and content of a reply, None for any other frame."""
+
+
+class Reply(Protocol):
+    """What a drive replies."""
+
+    @property
+    def error(self) -> int:
+        """0 for none."""
+
+
 class MitMaster(CanMaster):
     """The master; the arguments are those of `CanMaster`.
 
@@ -29,10 +48,10 @@ class MitMaster(CanMaster):
     the commands that each drive has yet to reply to. Only replies to requests are states.
     """
 
-    _codec: MitCodec
+    _codec: RequestCodec
 
     def __init__(
-        self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: MitCodec
+        self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: RequestCodec
     ) -> None:
         super().__init__(bus, can, node_ids, codec)
         self._owed = [0] * len(node_ids)
