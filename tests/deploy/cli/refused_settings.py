@@ -108,6 +108,7 @@ TOGETHER = [
            "must be at most") for stiffness in ("1e7", "[100, 100, 1e7]")],
         (f"{EXTERNAL}=[./not_there]", "there is no program ./not_there"),
         (f"{EXTERNAL}=[./half.urdf]", "half.urdf is not executable"),
+        (f"{EXTERNAL}=[cat] & controller.external.targets=true", "external.targets must be false"),
         (f"{PROCESS} & controller.delay_compensation.enabled=true", "must be left out or off"),
         (f"{PROCESS} & controller.torque_rate_limit_nm_s=5", "controller.torque_rate_limit_nm_s"),
         (f"{PROCESS} & controller.inference_jitter_ms=5", "controller.inference_jitter_ms = 5"),
