@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import datetime as dt
 import socket
 import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -128,6 +130,8 @@ def _show(time_s: float, round_trips_ms: Vector, sent: int) -> None:
 def _report(times: ProbeTimes, measured: MeasuredLink, out: str) -> None:
     with contextlib.suppress(OSError):
         print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
+    ago = dt.timedelta(microseconds=(time.monotonic_ns() - int(times.sent_ns[0])) // 1000)
+    print(f"first message sent at {(dt.datetime.now(dt.UTC) - ago).isoformat()}")
     found = percentiles(times.round_trips_ms)
     shown = ", ".join(f"{name.replace('_', '.')} {value:.3f}" for name, value in found.items())
     print(f"round trip in ms: {shown}")
