@@ -29,8 +29,10 @@ from bus_schema.messages.topics import Role
 from deploy.judge.link_delays import Measured, measured_link
 from deploy.measure.trace_output import write_trace
 from deploy.run.execute import InProcess, JudgedRun, execute
+from deploy.run.exit_codes import BAD_INPUT
 from deploy.run.run_folder import load_run, read_summary
 from deploy.scenario.scenario import load_setup
+from plant_emulator.channel.trace_file import read_trace
 from scripts.experiments.two_hosts import Host, await_line, two_hosts
 
 SETTINGS = [
@@ -51,7 +53,7 @@ class Live(NamedTuple):
 
     Attributes:
         summary: content of its ``summary.json``.
-        traces: prefixes of the files of traces, and where in them the run began, s.
+        traces: prefixes of files, and how long after their first message the run began, s.
     """
 
     summary: Mapping[str, Any]
@@ -82,8 +84,7 @@ class Network(NamedTuple):
         )  # fmt: skip
         ends = f"{self.controller.address}:{port}", f"{self.plant.address}:{target_port}"
         with self.controller.command("relay", *ends, *words) as process:
-            await_line(process, "relaying")
-            yield time.monotonic()
+            yield instant_s(await_line(process, "relaying"))
 
     def run(self, folder: Path) -> None:
         """Run the loop, recorder and all, to its end."""
@@ -103,7 +104,9 @@ class Network(NamedTuple):
             self.controller.command("controller", *words, *relayed) as controller,
         ):
             for process in (recorder, plant, controller):
-                process.communicate()
+                said, _ = process.communicate()
+                if process.returncode == BAD_INPUT:
+                    raise RuntimeError(said)
 
     def probe(self, out: Path, *options: object) -> Any:
         """Start `funnel-hil link` through its relay, over Zenoh as the loop."""
@@ -157,6 +160,7 @@ def run_live(network: Network, folder: Path) -> Live:
             await_line(link, _LAST_LINE)
         with network.probe(beside, "--duration", 600) as link:
             network.run(run)
+            time.sleep(probe_begun_s - begun_s)  # its relay plays the end of the run so much later
             link.send_signal(signal.SIGINT)
             first_s = instant_s(await_line(link, "first message"))
             await_line(link, _LAST_LINE)
@@ -184,9 +188,12 @@ def traced(prefix: Path, way: str) -> Path:
 
 def replay(prefix: Path, start_s: float) -> JudgedRun:
     """Simulate over a measured network."""
+    # An uplink trace begins with the first answer.
+    answered_s = read_trace(traced(prefix, "downlink")).delays_ns[0] * 1e-9
+    starts_s = {"uplink": max(start_s - answered_s, 0.0), "downlink": start_s + _LEAD_S}
     words = [
-        f"link.{way}.trace={{file: {traced(prefix, way)}, start_s: {start_s + lead_s}}}"
-        for way, lead_s in (("uplink", 0.0), ("downlink", _LEAD_S))
+        f"link.{way}.trace={{file: {traced(prefix, way)}, start_s: {begin_s}}}"
+        for way, begin_s in starts_s.items()
     ]
     return execute(load_setup("paper_arm", [*SETTINGS, *words]), InProcess())
 
