@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import datetime as dt
 import time
 import zlib
 from pathlib import Path
@@ -177,3 +178,9 @@ class HostLateness:
             f"this host was late by {self._worst_ns * 1e-6:.0f} ms,"
             f" {self._at_ns * 1e-9:.2f} s into the run"
         )
+
+
+def utc_text(instant_ns: int) -> str:
+    """Return an instant of the monotonic clock as date and time, in UTC, with microseconds."""
+    ago = dt.timedelta(microseconds=(time.monotonic_ns() - instant_ns) // 1000)
+    return (dt.datetime.now(dt.UTC) - ago).isoformat(timespec="microseconds")

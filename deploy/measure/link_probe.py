@@ -171,9 +171,12 @@ def evaluate(times: ProbeTimes) -> MeasuredLink:
     delays_there = np.where(arrived, np.maximum(raw_there - offset_ns, 0.0), np.nan) / 1e6
     delays_back = np.where(back, np.maximum(raw_back + offset_ns, 0.0), np.nan) / 1e6
     came = arrived | ~known
+    answered_ns = np.where(back, times.answered_ns, received) - offset_ns - sent[0]
+    answered_s = np.interp(elapsed_s, elapsed_s[arrived], answered_ns[arrived] / 1e9)
+    order = np.flatnonzero(came)[np.argsort(answered_s[came], kind="stable")]
     return MeasuredLink(
         Measured(elapsed_s[known], delays_there[known]),
-        Measured(elapsed_s[came], delays_back[came]),
+        Measured(answered_s[order], delays_back[order]),
         (_reordered(received[arrived]), _reordered(returned[back])),
         line[0] / 1e6, line[1] / 1e3, uncertainty_ns / 1e6,
     )  # fmt: skip

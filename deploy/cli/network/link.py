@@ -13,6 +13,7 @@ import typer
 
 from bus_schema.arrays import Vector, percentiles
 from bus_schema.errors import InputError
+from bus_schema.runtime.clock import utc_text
 from bus_schema.runtime.realtime import go_realtime
 from deploy.measure.link_probe import MeasuredLink, ProbeTimes, evaluate, probe
 from deploy.measure.probe_frames import LEAST_BYTES, MOST_BYTES, ProbeServer
@@ -128,6 +129,7 @@ def _show(time_s: float, round_trips_ms: Vector, sent: int) -> None:
 def _report(times: ProbeTimes, measured: MeasuredLink, out: str) -> None:
     with contextlib.suppress(OSError):
         print("\r\033[K" if sys.stderr.isatty() else "", end="", file=sys.stderr)
+    print(f"first message sent at {utc_text(int(times.sent_ns[0]))}")
     found = percentiles(times.round_trips_ms)
     shown = ", ".join(f"{name.replace('_', '.')} {value:.3f}" for name, value in found.items())
     print(f"round trip in ms: {shown}")

@@ -37,6 +37,9 @@ class LinkRelay:
         target: where all is passed on to.
         link: its ``downlink`` is the way to the target, its ``uplink`` the way back.
         seed: of all that is random.
+
+    Attributes:
+        begun_ns: instant of the monotonic clock at which the link's traces begin.
     """
 
     def __init__(
@@ -57,7 +60,7 @@ class LinkRelay:
         )
         self._peers: dict[Address, tuple[socket.socket, DatagramSink]] = {}
         self._streams: list[Stream] = []
-        self._begun_ns = time.monotonic_ns()
+        self.begun_ns = time.monotonic_ns()
         listener.setblocking(False)
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
@@ -96,7 +99,7 @@ class LinkRelay:
         }  # fmt: skip
 
     def _now_ns(self) -> int:
-        return time.monotonic_ns() - self._begun_ns
+        return time.monotonic_ns() - self.begun_ns
 
     def _await(self) -> tuple[set[socket.socket], set[socket.socket]]:
         """Sockets that can be read and written, once there are any or something is due."""

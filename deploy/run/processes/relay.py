@@ -9,6 +9,7 @@ from __future__ import annotations
 import socket
 import time
 
+from bus_schema.runtime.clock import utc_text
 from bus_schema.runtime.realtime import go_realtime
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.network.link_relay import LinkRelay
@@ -40,8 +41,9 @@ def relay(options: RelayOptions, reporter: StatusReporter) -> int:
     end_s = time.monotonic() + options.duration_s
     with listener:
         relaying = LinkRelay(listener, (str(far[0]), int(far[1])), options.link, options.seed)
-        protocol = "UDP" if options.is_udp else "TCP"
-        reporter.report("note", text=f"relaying {protocol} at {options.listen}")
+        place = f"{'UDP' if options.is_udp else 'TCP'} at {options.listen}"
+        begun = utc_text(relaying.begun_ns)
+        reporter.report("note", text=f"relaying {place} since {begun}")
         relaying.run(lambda: stop.is_set or time.monotonic() >= end_s)
     ignore_stops()
     reporter.report("result", **relaying.counts())

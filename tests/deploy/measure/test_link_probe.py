@@ -143,6 +143,15 @@ def test_losses_are_told_by_direction_and_order_is_counted() -> None:
     assert found.reordered[0] >= 1
 
 
+def test_answers_have_the_times_at_which_they_were_sent() -> None:
+    given, there_ms = times(5.0, 40.0, seconds=10.0)
+    given.returned_ns[::50] = 0  # their arrival there is known from later answers
+    found = evaluate(given)
+    answered_s = np.arange(len(there_ms)) / 500.0 + (there_ms + 0.1) / 1e3
+    answered_s[::50] -= 1e-4
+    np.testing.assert_allclose(found.back.sent_s, np.sort(answered_s), atol=2e-4)
+
+
 def test_too_few_answers_are_refused() -> None:
     given, _ = times(0.0, 0.0, seconds=1.0, rate_hz=100.0)
     given.returned_ns[5:] = 0
