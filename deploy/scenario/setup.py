@@ -18,9 +18,9 @@ from bus_schema.runtime.clock import TickGrid
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
 from controller.reference import Reference
-from deploy.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
+from deploy.scenario.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
