@@ -136,7 +136,8 @@ class ControllerConfiguration(StrictModel):
         model_scale: factor on masses and inertias of the nominal model, including rotors.
         rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
-        every: the law runs at every n-th state; the torque is held in between.
+        every: the law runs at every n-th state; the torque is held in between. In lockstep, the
+            plant waits for a process only at these states.
         inference_ms: time that the law takes for an answer, while the loop continues.
         inference_jitter_ms: random change of that time, uniform within ± this
             value, drawn from the seed.
@@ -199,7 +200,6 @@ class ControllerConfiguration(StrictModel):
     @field_validator(
         "torque_rate_limit_nm_s",
         "delay_compensation",
-        "every",
         "inference_ms",
         "inference_jitter_ms",
     )

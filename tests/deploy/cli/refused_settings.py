@@ -125,7 +125,7 @@ TOGETHER = [
         ("link.can.node_ids=[1, 2, 2]", "given more than once: [2]"),
         ("link.can.node_ids=[1, 2]", f"one for {ONE_EACH}"),
         ("link.can.rated_torque_nm=[1, 2]", f"one for {ONE_EACH}"),
-        ("link.can.protocol=canasta", "'cia402', 'cansimple', 'mit' or 'damiao'"),
+        ("link.can.protocol=canasta", "'cia402', 'cansimple', 'mit', 'damiao' or 'moteus'"),
         ("link.can.eds=/etc/hostname", "'/etc/hostname': must be a file that is an EDS"),
         ("link.can.protocol=cansimple & link.can.eds=my.eds", "'my.eds': must be left out"),
         ("link.can.faults.drives=['drive:9@1s']", "must name one of the nodes 1, 2, 3"),
