@@ -164,7 +164,7 @@ def test_rows_of_a_command_act_tick_by_tick_and_the_last_one_stays(run):
 def test_a_newer_command_ends_the_rows_of_the_one_before(run):
     rows = joint_state(NAMES, effort=np.repeat([1.0, 2.0, 3.0, 4.0], 3), stamp_ns=4 * MS)
     newer = joint_state(NAMES, effort=[9.0, 9.0, 9.0], stamp_ns=6 * MS)
-    arrivals = [CommandArrival(rows, 1, b"", 4_100_000), CommandArrival(newer, 2, b"", 6_100_000)]
+    arrivals = [CommandArrival(rows, 1, b"", 4_100_000), CommandArrival(newer, 2, b"", 6_300_000)]
     _, steps = run(arrivals=arrivals)
     by_tick = [{nm for at, nm in steps if k * MS < at < (k + 1) * MS} for k in range(4, 9)]
     assert by_tick == [{1.0}, {2.0}, {3.0, 9.0}, {9.0}, {9.0}]
