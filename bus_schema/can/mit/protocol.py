@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import NamedTuple
 
 from bus_schema.arrays import Vector
-from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.can.master import POLL_S, CanMaster, DriveError
-from bus_schema.can.mit.codec import MitCodec, MitRanges, Special
+from bus_schema.can.mit.codec import MitCodec, MitRanges, RequestCodec, Special
 from bus_schema.can.protocol import DriveProtocol
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains
@@ -18,24 +17,6 @@ from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 
 _QUIET_S, _LONGEST_QUIET_S = 0.1, 1.0
-
-
-class RequestCodec(CanCodec, Protocol):
-    """Cyclic frames of drives that answer requests with their states."""
-
-    def special_frames(self, kind: int) -> Sequence[CanFrame]:
-        """Requests to all drives that change their mode."""
-
-    def reply(self, frame: CanFrame) -> tuple[int, Reply] | None:
-        """Joint and content of a reply, None for any other frame."""
-
-
-class Reply(Protocol):
-    """What a drive replies."""
-
-    @property
-    def error(self) -> int:
-        """0 for none."""
 
 
 class MitMaster(CanMaster):

@@ -1,4 +1,4 @@
-"""Cyclic frames of moteus controllers, as mjbots' public CAN and register references have them.
+"""Frames of moteus controllers, as mjbots' public CAN and register references have them.
 
 The identifier has the receiver in its low byte and the sender in the next one; bit 15 asks for an
 answer. A frame holds subframes that write or read neighbouring registers. Positions are turns.
@@ -13,46 +13,58 @@ import math
 import struct
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import FD_LENGTHS, CycleFrames
+from bus_schema.can.mit.codec import MitReply, RequestCodec
 
 TURN_RAD = 2.0 * math.pi
-ASKS_REPLY, BROADCAST = 0x8000, 0x7F
-NOP = b"\x50"
+ASKS_REPLY, BROADCAST, NOP = 0x8000, 0x7F, b"\x50"
 _MOST_STANDARD = 0x7FF
+_TURNS, _TURNS_S, _TORQUE = (1e-2, 1e-4, 1e-5), (0.1, 2.5e-4, 1e-5), (0.5, 1e-2, 1e-3)
+_FINE, _SHARE = (1.0, 0.1, 1e-3), (1 / 0x7F, 1 / 0x7FFF, 1 / 0x7FFF_FFFF)
 
 
 class Register(IntEnum):
-    """The registers that an emulated drive has."""
+    """The registers that an emulated drive has.
+
+    Attributes:
+        steps: of its values where they are integers of 8, 16 and 32 bits.
+    """
+
+    steps: tuple[float, float, float]
+
+    def __new__(cls, number: int, steps: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Register:
+        register = int.__new__(cls, number)
+        register._value_, register.steps = number, steps
+        return register
 
     MODE = 0x000
-    POSITION = 0x001
-    VELOCITY = 0x002
-    TORQUE = 0x003
-    Q_CURRENT = 0x004
-    D_CURRENT = 0x005
-    MOTOR_TEMPERATURE = 0x00A
+    POSITION = 0x001, _TURNS
+    VELOCITY = 0x002, _TURNS_S
+    TORQUE = 0x003, _TORQUE
+    Q_CURRENT = 0x004, _FINE
+    D_CURRENT = 0x005, _FINE
+    MOTOR_TEMPERATURE = 0x00A, _FINE
     TRAJECTORY_COMPLETE = 0x00B
-    VOLTAGE = 0x00D
-    TEMPERATURE = 0x00E
+    VOLTAGE = 0x00D, (0.5, 0.1, 1e-3)
+    TEMPERATURE = 0x00E, _FINE
     FAULT = 0x00F
-    COMMAND_POSITION = 0x020
-    COMMAND_VELOCITY = 0x021
-    FEEDFORWARD_TORQUE = 0x022
-    KP_SCALE = 0x023
-    KD_SCALE = 0x024
-    MAXIMUM_TORQUE = 0x025
-    STOP_POSITION = 0x026
-    WATCHDOG_TIMEOUT = 0x027
-    VELOCITY_LIMIT = 0x028
-    ACCELERATION_LIMIT = 0x029
-    SET_OUTPUT_NEAREST = 0x130
-    SET_OUTPUT_EXACT = 0x131
+    COMMAND_POSITION = 0x020, _TURNS
+    COMMAND_VELOCITY = 0x021, _TURNS_S
+    FEEDFORWARD_TORQUE = 0x022, _TORQUE
+    KP_SCALE = 0x023, _SHARE
+    KD_SCALE = 0x024, _SHARE
+    MAXIMUM_TORQUE = 0x025, _TORQUE
+    STOP_POSITION = 0x026, _TURNS
+    WATCHDOG_TIMEOUT = 0x027, (1e-2, 1e-3, 1e-6)
+    VELOCITY_LIMIT = 0x028, _TURNS_S
+    ACCELERATION_LIMIT = 0x029, (0.05, 1e-3, 1e-5)
+    SET_OUTPUT_NEAREST = 0x130, _TURNS
+    SET_OUTPUT_EXACT = 0x131, _TURNS
 
 
 class Mode(IntEnum):
@@ -65,29 +77,12 @@ class Mode(IntEnum):
     ZERO_VELOCITY = 12
 
 
-_STOP = bytes((0x01, Register.MODE, Mode.STOPPED))  # write one int8
-_QUERY = bytes.fromhex("11001e01110f")  # read MODE (int8), POSITION and VELOCITY (float), FAULT
-_STATE = struct.Struct("<2sb2sff2sb")
-_STATE_HEADS = (b"\x21\x00", b"\x2e\x01", b"\x21\x0f")
-_COMMAND = struct.Struct("<6sfffff2sf")
+_STOP = b"\x01\x00\x00"  # write MODE (int8)
+_QUERY = b"\x11\x00\x1e\x01\x11\x0f"  # read MODE (int8), POSITION and VELOCITY (float), FAULT
+_STATE, _STATE_HEADS = struct.Struct("<2sb2sff2sb"), (b"\x21\x00", b"\x2e\x01", b"\x21\x0f")
 # Write MODE (int8), five floats from COMMAND_POSITION on, and WATCHDOG_TIMEOUT.
-_COMMAND_HEAD, _TIMEOUT_HEAD = bytes((0x01, 0x00, Mode.POSITION, 0x0C, 5, 0x20)), b"\x0d\x27"
-
-
-class MoteusState(NamedTuple):
-    """What a drive answers to a query, in turns."""
-
-    mode: int
-    position: float
-    velocity: float
-    fault: int
-
-    @property
-    def error(self) -> int:
-        """The fault code in mode FAULT, the mode if it is TIMEOUT, else 0."""
-        if self.mode == Mode.FAULT:
-            return self.fault
-        return self.mode if self.mode == Mode.TIMEOUT else 0
+_COMMAND = struct.Struct("<6sfffff2sf")
+_COMMAND_HEAD, _TIMEOUT_HEAD = b"\x01\x00\x0a\x0c\x05\x20", b"\x0d\x27"
 
 
 def moteus_frame(identifier: int, data: bytes) -> CanFrame:
@@ -97,23 +92,27 @@ def moteus_frame(identifier: int, data: bytes) -> CanFrame:
     return CanFrame(identifier, data.ljust(length, NOP), is_extended=is_extended, is_fd=True)
 
 
-def query_frame(node_id: int) -> CanFrame:
-    """A frame that asks a drive for its state."""
-    return moteus_frame(ASKS_REPLY | node_id, _QUERY)
+def query_frame(node_id: int, *, stops: bool = False) -> CanFrame:
+    """A frame that asks a drive for its state, after a stop if it is to stop."""
+    return moteus_frame(ASKS_REPLY | node_id, _STOP + _QUERY if stops else _QUERY)
 
 
-def state_of(frame: CanFrame) -> tuple[int, MoteusState] | None:
-    """Address and state in the answer to a query of master 0; None for any other frame."""
+def state_of(frame: CanFrame) -> MitReply | None:
+    """The answer to a query of master 0; None for any other frame.
+
+    Its error is the fault code in mode FAULT, and the mode itself if that is TIMEOUT.
+    """
     node_id, receiver = divmod(frame.identifier, 1 << 8)
     if receiver or not is_data(frame._replace(is_extended=False), _STATE.size, is_fd=True):
         return None
-    first, mode, second, position, velocity, third, fault = _STATE.unpack(frame.data)
+    first, mode, second, turns, turns_s, third, fault = _STATE.unpack(frame.data)
     if (first, second, third) != _STATE_HEADS:
         return None
-    return node_id, MoteusState(mode, position, velocity, fault)
+    error = {Mode.FAULT: fault, Mode.TIMEOUT: mode}.get(mode, 0)
+    return MitReply(node_id, turns * TURN_RAD, turns_s * TURN_RAD, 0.0, error=error)
 
 
-class MoteusCodec:
+class MoteusCodec(RequestCodec):
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
@@ -123,9 +122,8 @@ class MoteusCodec:
     """
 
     def __init__(self, node_ids: Sequence[int], timeout_s: float, *, has_gains: bool) -> None:
-        self._node_ids, self._timeout_s, self._has_gains = tuple(node_ids), timeout_s, has_gains
-        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
-        self._sampling = [query_frame(node_id) for node_id in node_ids]
+        super().__init__(node_ids, [query_frame(node_id) for node_id in node_ids])
+        self._timeout_s, self._has_gains = timeout_s, has_gains
         has_long_answers = max(node_ids) << 8 > _MOST_STANDARD
         self.cycle = CycleFrames(
             (), (len(_QUERY), _STATE.size, _COMMAND.size),
@@ -133,49 +131,33 @@ class MoteusCodec:
             extended=1 + has_long_answers,
         )  # fmt: skip
 
-    def sampling_frames(self) -> Sequence[CanFrame]:
-        return self._sampling
-
-    def is_sampling(self, frame: CanFrame) -> bool:
-        return frame in self._sampling
-
-    def special_frames(self, kind: int) -> Sequence[CanFrame]:  # noqa: ARG002 (one is needed)
-        """Frames that stop the drives and ask for their states."""
-        return [moteus_frame(ASKS_REPLY | each, _STOP + _QUERY) for each in self._node_ids]
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:  # noqa: ARG002 (all stop)
+        return [query_frame(node_id, stops=True) for node_id in self._node_ids]
 
     def stop_frames(self) -> Sequence[CanFrame]:
         """Commands that stop the drives."""
         return [moteus_frame(node_id, _STOP) for node_id in self._node_ids]
 
-    def reply(self, frame: CanFrame) -> tuple[int, MoteusState] | None:
-        found = state_of(frame)
-        joint = None if found is None else self._joint_of.get(found[0])
-        return None if found is None or joint is None else (joint, found[1])
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        found = self.reply(frame)
-        if found is None:
+    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+        state = state_of(frame)
+        if state is None or state.node_id not in self._joint_of:
             return None
-        joint, state = found
-        position[joint], velocity[joint] = state.position * TURN_RAD, state.velocity * TURN_RAD
-        return joint
+        return self._joint_of[state.node_id], state
 
     def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
         scale, turns = 0.0, np.full((2, torque_nm.size), np.nan)
         if target is not None and self._has_gains:
             scale, turns = 1.0, target / TURN_RAD
+        rest = scale, scale, _TIMEOUT_HEAD, self._timeout_s
         rows = zip(self._node_ids, *turns.tolist(), torque_nm.tolist(), strict=True)
         return [
-            moteus_frame(
-                node_id,
-                _COMMAND.pack(_COMMAND_HEAD, *row, scale, scale, _TIMEOUT_HEAD, self._timeout_s),
-            )
+            moteus_frame(node_id, _COMMAND.pack(_COMMAND_HEAD, *row, *rest))
             for node_id, *row in rows
         ]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of.get(frame.identifier)
-        if joint is None or frame.is_remote or frame.is_error:
+        if joint is None or frame.is_remote:
             return None
         if frame.data == _STOP:
             torque_nm[joint] = 0.0

@@ -60,5 +60,5 @@ class MoteusProtocol(DriveProtocol):
         return [query_frame(node_id)]
 
     def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:
-        found = state_of(frame)
-        return None if found is None else (found[0], "MODE", float(found[1].mode))
+        state = state_of(frame)
+        return None if state is None else (state.node_id, "error", float(state.error))

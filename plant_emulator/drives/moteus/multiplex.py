@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -17,25 +17,9 @@ from bus_schema.errors import InvalidMessageError
 
 _FORMATS, _FLOAT = "bhif", 3
 _MOST = (0x7F, 0x7FFF, 0x7FFF_FFFF)
-_MOST_REGISTERS, _MOST_SHORT = 64, 3
-_POSITION, _VELOCITY, _TORQUE = (1e-2, 1e-4, 1e-5), (0.1, 2.5e-4, 1e-5), (0.5, 1e-2, 1e-3)
-_CURRENT = _TEMPERATURE = (1.0, 0.1, 1e-3)
-_SHARE = (1 / _MOST[0], 1 / _MOST[1], 1 / _MOST[2])
-_STEPS: dict[int, tuple[float, float, float]] = {
-    Register.POSITION: _POSITION, Register.VELOCITY: _VELOCITY, Register.TORQUE: _TORQUE,
-    Register.Q_CURRENT: _CURRENT, Register.D_CURRENT: _CURRENT,
-    Register.MOTOR_TEMPERATURE: _TEMPERATURE, Register.TEMPERATURE: _TEMPERATURE,
-    Register.VOLTAGE: (0.5, 0.1, 1e-3),
-    Register.COMMAND_POSITION: _POSITION, Register.COMMAND_VELOCITY: _VELOCITY,
-    Register.FEEDFORWARD_TORQUE: _TORQUE, Register.MAXIMUM_TORQUE: _TORQUE,
-    Register.KP_SCALE: _SHARE, Register.KD_SCALE: _SHARE, Register.STOP_POSITION: _POSITION,
-    Register.WATCHDOG_TIMEOUT: (1e-2, 1e-3, 1e-6), Register.VELOCITY_LIMIT: _VELOCITY,
-    Register.ACCELERATION_LIMIT: (0.05, 1e-3, 1e-5),
-    Register.SET_OUTPUT_NEAREST: _POSITION, Register.SET_OUTPUT_EXACT: _POSITION,
-}  # fmt: skip
-"""Steps of integers of 8, 16 and 32 bits; 1 where there is none."""
-
+_STEPS = {int(register): register.steps for register in Register}
 _WHOLE = (1.0, 1.0, 1.0)
+_MOST_REGISTERS, _MOST_SHORT, _MOST_VARUINT = 64, 3, 5
 
 
 class Operation(IntEnum):
@@ -46,18 +30,7 @@ class Operation(IntEnum):
     REPLY = 0x20
 
 
-class ErrorKind(IntEnum):
-    """First byte of a subframe that names a register which a drive does not have."""
-
-    WRITE = 0x30
-    READ = 0x31
-
-    def packed(self, register: int) -> bytes:
-        """The subframe."""
-        return bytes((self, *_packed_varuint(register), _UNKNOWN_REGISTER))
-
-
-_UNKNOWN_REGISTER = 1
+WRITE_ERROR, READ_ERROR, _UNKNOWN_REGISTER = 0x30, 0x31, 1
 
 
 class Subframe(NamedTuple):
@@ -65,26 +38,15 @@ class Subframe(NamedTuple):
 
     Attributes:
         operation: what is done with them.
-        form: how numbers are written, 0 to 2 for integers and 3 for floats.
+        form: how numbers are written: 0 to 2 for integers, 3 for floats.
         registers: their numbers.
         values: those that are written or reported.
     """
 
-    operation: Operation
+    operation: int
     form: int
     registers: range
-    values: tuple[float, ...] = ()
-
-    def packed_reply(self, known: Mapping[int, float]) -> bytes:
-        """The reply to a reading subframe, all of whose registers are known."""
-        count, form = len(self.registers), self.form
-        numbers = (_number(each, known[each], form) for each in self.registers)
-        short = count if count <= _MOST_SHORT else 0
-        head = bytes((Operation.REPLY | form << 2 | short,)) + (b"" if short else bytes((count,)))
-        return (
-            head + _packed_varuint(self.registers.start)
-            + struct.pack(f"<{count}{_FORMATS[form]}", *numbers)
-        )  # fmt: skip
+    values: tuple[float, ...]
 
 
 def subframes(data: bytes) -> list[Subframe]:
@@ -93,28 +55,47 @@ def subframes(data: bytes) -> list[Subframe]:
     Raises:
         InvalidMessageError: it ends early, or has a subframe that is none of `Operation`.
     """
-    found, place = [], 0
-    while place < len(data):
-        kind, place = data[place], place + 1
-        if kind == NOP[0]:
-            continue
+    found = []
+    while data := data.lstrip(NOP):
+        kind, data = data[0], data[1:]
         operation, form, count = kind & 0xF0, kind >> 2 & 3, kind & 3
         if operation not in list(Operation):
             raise InvalidMessageError("no_subframe", f"drives have no use for {kind:#x}")
         if not count:
-            count, place = _varuint(data, place)
-        start, place = _varuint(data, place)
-        if count > _MOST_REGISTERS:
-            raise InvalidMessageError("too_short", f"no frame has {count} registers")
+            count, data = _split_varuint(data)
+        start, data = _split_varuint(data)
+        layout = "<" + _FORMATS[form]
+        size = count * struct.calcsize(layout) if operation != Operation.READ else 0
+        if len(data) < size or count > _MOST_REGISTERS:
+            raise InvalidMessageError("too_short", f"{count} registers are announced")
         registers = range(start, start + count)
-        layout = struct.Struct("<" + (operation != Operation.READ) * count * _FORMATS[form])
-        raw, place = data[place : place + layout.size], place + layout.size
-        if len(raw) < layout.size:
-            raise InvalidMessageError("too_short", f"{data.hex()} ends early")
-        rows = zip(registers, layout.unpack(raw), strict=False)
+        numbers = (number for (number,) in struct.iter_unpack(layout, data[:size]))
+        rows = zip(registers, numbers, strict=False)
         values = tuple(_value(register, number, form) for register, number in rows)
-        found.append(Subframe(Operation(operation), form, registers, values))
+        found.append(Subframe(operation, form, registers, values))
+        data = data[size:]
     return found
+
+
+def packed_reply(asked: Iterable[Subframe], known: Mapping[int, float]) -> bytes:
+    """Replies to reading subframes, up to one with a register that is not known."""
+    data = b""
+    for _, form, registers, _ in asked:
+        unknown = next((register for register in registers if register not in known), None)
+        if unknown is not None:
+            return data + packed_error(READ_ERROR, unknown)
+        count = len(registers)
+        is_short = count <= _MOST_SHORT
+        head = Operation.REPLY | form << 2 | (count if is_short else 0)
+        numbers = (_number(register, known[register], form) for register in registers)
+        data += bytes((head, *(() if is_short else (count,)))) + _varuint(registers.start)
+        data += struct.pack(f"<{count}{_FORMATS[form]}", *numbers)
+    return data
+
+
+def packed_error(kind: int, register: int) -> bytes:
+    """A subframe that says that there is no such register to read or write."""
+    return bytes((kind, *_varuint(register), _UNKNOWN_REGISTER))
 
 
 def _value(register: int, number: float, form: int) -> float:
@@ -128,20 +109,20 @@ def _number(register: int, value: float, form: int) -> float:
         return value
     if math.isnan(value):
         return -_MOST[form] - 1
-    steps = value / _STEPS.get(register, _WHOLE)[form]
+    steps = value / _STEPS[register][form]
     return int(min(max(steps, -_MOST[form]), _MOST[form]))
 
 
-def _varuint(data: bytes, place: int) -> tuple[int, int]:
-    """A number in groups of 7 bits, the lowest first, and where what follows it begins."""
+def _split_varuint(data: bytes) -> tuple[int, bytes]:
+    """A number in groups of 7 bits, the lowest first, and what follows it."""
     number = 0
-    for index, byte in enumerate(data[place : place + 5]):
+    for index, byte in enumerate(data[:_MOST_VARUINT]):
         number |= (byte & 0x7F) << 7 * index
         if not byte & 0x80:
-            return number, place + index + 1
-    raise InvalidMessageError("too_short", f"{data.hex()} ends early")
+            return number, data[index + 1 :]
+    raise InvalidMessageError("too_short", "the frame ends within a number")
 
 
-def _packed_varuint(number: int) -> bytes:
+def _varuint(number: int) -> bytes:
     low, rest = number & 0x7F, number >> 7
-    return bytes((low | 0x80,)) + _packed_varuint(rest) if rest else bytes((low,))
+    return bytes((low | 0x80,)) + _varuint(rest) if rest else bytes((low,))
