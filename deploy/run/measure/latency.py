@@ -4,13 +4,15 @@ The model is τ ẏ = k u(t − d) + b − y. For each d and τ the filtered com
 and k and b follow by least squares; a grid finds the best d and τ, and ever smaller steps refine
 them. Confidence intervals allow for residuals that resemble their neighbours (Newey and West,
 "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
-matrix", 1987).
+matrix", 1987), and for rows that are too far apart to tell dead times from one another: they have
+all dead times with which the model fits as well as with the best (its profile likelihood).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +25,10 @@ _SHORTEST_LAG_S, _FINEST_S = 1e-5, 1e-6
 _LEAST_EXPLAINED = 0.5
 _WIDEST_S, _WIDEST_SHARE = 2e-3, 0.1
 _Z_95 = 1.96
-_NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+_SURELY_WORSE = _Z_95**2
+"""By how much the deviance of a model exceeds that of the best, if it is one of 20 that do."""
+_NOTHING = 1e-15
+_HALVINGS, _FINEST_RATIO = 8, 1e-4
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,11 @@ def find_latency(
     fit = _Fit(times_s, command, response, longest_s, is_held=is_held)
     if np.ptp(command) == 0.0 or np.ptp(fit.response) == 0.0:
         raise ValueError("command or response never changes: the motion does not excite the system")
-    dead_time_s, lag_s = _best(fit, longest_s, period_s)
+    best = _best(fit, longest_s, period_s)
+    most = best.cost * (1.0 + _SURELY_WORSE / len(fit.response)) + _NOTHING
+    places = [best, *(_end(fit, best, most, longest_s, sign * period_s) for sign in (-1, 1))]
+    lags_s = [_lag_end(fit, place, most, ratio) for place in places for ratio in (0.5, 2.0)]
+    dead_time_s, lag_s = best.dead_time_s, best.lag_s
     (gain, _), residuals = fit.solve(dead_time_s, lag_s)
     explained = 1.0 - float(residuals.var() / fit.response.var())
     if explained < _LEAST_EXPLAINED:
@@ -142,7 +151,7 @@ def find_latency(
     if max(dead_time_s, lag_s) > 0.98 * longest_s:
         raise ValueError(f"dead time or lag reach the end of the search range, {longest_s:g} s")
     covariance = _covariance(fit, dead_time_s, lag_s, residuals)
-    half = _Z_95 * np.sqrt(np.diag(covariance))
+    half = _Z_95 * np.sqrt(np.diag(covariance)) + _FINEST_S
     sum_s = dead_time_s + lag_s
     if not max(half[:2]) <= _WIDEST_S + _WIDEST_SHARE * sum_s:
         of_sum = _Z_95 * math.sqrt(max(0.0, covariance[:2, :2].sum()))
@@ -150,27 +159,66 @@ def find_latency(
             "the motion does not excite the system enough to separate dead time and lag; together"
             f" they are {1e3 * sum_s:.2f} ± {1e3 * of_sum:.2f} ms"
         )
-    return Latency((dead_time_s, half[0]), (lag_s, half[1]), (float(gain), half[2]), explained)
+    dead_time = _interval(dead_time_s, half[0], [place.dead_time_s for place in places])
+    lag = _interval(lag_s, half[1], lags_s)
+    return Latency(dead_time, lag, (float(gain), half[2]), explained)
 
 
-def _best(fit: _Fit, longest_s: float, period_s: float) -> tuple[float, float]:
+def _interval(best_s: float, half_s: float, ends_s: list[float]) -> tuple[float, float]:
+    """Middle and half of what holds both an interval around the best value, and the ends."""
+    low_s, high_s = min(best_s - half_s, *ends_s), max(best_s + half_s, *ends_s)
+    return (low_s + high_s) / 2.0, (high_s - low_s) / 2.0
+
+
+class _Place(NamedTuple):
+    """A dead time with its best lag, or any lag, and the squares that they leave."""
+
+    cost: float
+    dead_time_s: float
+    lag_s: float
+
+
+def _best(fit: _Fit, longest_s: float, period_s: float) -> _Place:
     """Dead time and lag with the least squares."""
-    dead_times = np.linspace(0.0, longest_s, _DEAD_TIMES)
-    lags = [0.0, *np.geomspace(min(period_s, 0.1 * longest_s) / 4, longest_s, _LAGS)]
-    costs = {(d, lag): fit.cost(d, lag) for d in dead_times.tolist() for lag in lags}
-    best = min(costs, key=costs.__getitem__)
-    least, step_s = costs[best], longest_s / _DEAD_TIMES
+    dead_times = np.linspace(0.0, longest_s, _DEAD_TIMES).tolist()
+    lags = [0.0, *np.geomspace(min(period_s, 0.1 * longest_s) / 4, longest_s, _LAGS).tolist()]
+    best = min(_Place(fit.cost(d, lag), d, lag) for d in dead_times for lag in lags)
+    step_s = longest_s / _DEAD_TIMES
     while step_s > _FINEST_S:
-        around = [
-            (min(max(best[0] + i * step_s, 0.0), longest_s), max(best[1] + j * step_s, 0.0))
-            for i, j in _NEIGHBOURS
-        ]
-        found = min((fit.cost(*place), place) for place in around)
-        if found[0] < least:
-            least, best = found
+        around = (min(max(best.dead_time_s + i * step_s, 0.0), longest_s) for i in (-1, 1))
+        found = min(_with_best_lag(fit, dead_time_s, best.lag_s) for dead_time_s in around)
+        if found.cost < best.cost:
+            best = found
         else:
             step_s /= 2.0
     return best
+
+
+def _with_best_lag(fit: _Fit, dead_time_s: float, lag_s: float) -> _Place:
+    """A dead time with the lag that is best for it, looked for from another one on."""
+    lag_s = max(lag_s, _SHORTEST_LAG_S)
+    best, ratio = _Place(fit.cost(dead_time_s, lag_s), dead_time_s, lag_s), 2.0
+    while ratio > 1.0 + _FINEST_RATIO:
+        near = (max(best.lag_s * each, _SHORTEST_LAG_S) for each in (1.0 / ratio, ratio))
+        found = min(_Place(fit.cost(dead_time_s, lag), dead_time_s, lag) for lag in near)
+        if found.cost < best.cost:
+            best = found
+        else:
+            ratio = math.sqrt(ratio)
+    return best
+
+
+def _end(fit: _Fit, best: _Place, most: float, longest_s: float, step_s: float) -> _Place:
+    """The dead time farthest from the best one that leaves `most`, in steps of at most `step_s`."""
+    end = best
+    for _ in range(_HALVINGS):
+        while 0.0 <= end.dead_time_s + step_s <= longest_s:
+            further = _with_best_lag(fit, end.dead_time_s + step_s, end.lag_s)
+            if further.cost > most:
+                break
+            end = further
+        step_s /= 2.0
+    return end
 
 
 def _covariance(fit: _Fit, dead_time_s: float, lag_s: float, residuals: Vector) -> Matrix:
@@ -191,3 +239,13 @@ def _covariance(fit: _Fit, dead_time_s: float, lag_s: float, residuals: Vector) 
         middle += (1.0 - lag / window) * (product + product.T)
     inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     return np.asarray(inverse @ middle @ inverse)
+
+
+def _lag_end(fit: _Fit, place: _Place, most: float, ratio: float) -> float:
+    """The lag farthest from that of a place that leaves `most` with its dead time."""
+    lag_s = max(place.lag_s, _SHORTEST_LAG_S)
+    for _ in range(_HALVINGS):
+        while lag_s > _SHORTEST_LAG_S / 2 and fit.cost(place.dead_time_s, lag_s * ratio) <= most:
+            lag_s *= ratio
+        ratio = math.sqrt(ratio)
+    return lag_s if lag_s > _SHORTEST_LAG_S else 0.0
