@@ -39,7 +39,11 @@ from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
-from controller.external.external_law import ExternalLaw, ExternalLawConfiguration
+from controller.external.external_law import (
+    ExternalLaw,
+    ExternalLawConfiguration,
+    ExternalTargetLaw,
+)
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
@@ -132,7 +136,8 @@ class ControllerConfiguration(StrictModel):
         model_scale: factor on masses and inertias of the nominal model, including rotors.
         rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
-        every: the law runs at every n-th state; the torque is held in between.
+        every: the law runs at every n-th state; the torque is held in between. In lockstep, the
+            plant waits for a process only at these states.
         inference_ms: time that the law takes for an answer, while the loop continues.
         inference_jitter_ms: random change of that time, uniform within ± this
             value, drawn from the seed.
@@ -173,9 +178,15 @@ class ControllerConfiguration(StrictModel):
 
     @model_validator(mode="after")
     def _has_a_program(self) -> ControllerConfiguration:
-        if self.law == EXTERNAL and self.external is None:
+        if self.law != EXTERNAL:
+            return self
+        if self.external is None:
             raise ValueError(
                 f"law {EXTERNAL} needs external.command, the program and its arguments"
+            )
+        if self.external.targets and not self.drive_feedback.enabled:
+            raise ValueError(
+                "external.targets must be false, unless drive_feedback.enabled is true"
             )
         return self
 
@@ -189,7 +200,6 @@ class ControllerConfiguration(StrictModel):
     @field_validator(
         "torque_rate_limit_nm_s",
         "delay_compensation",
-        "every",
         "inference_ms",
         "inference_jitter_ms",
     )
@@ -200,6 +210,11 @@ class ControllerConfiguration(StrictModel):
         if not is_off and info.data.get("law") == PROCESS:
             raise ValueError("left out or off: it does not apply to controller.process")
         return value
+
+    @property
+    def _rows(self) -> int:
+        """Rows of an answer, as far as the scenario says; a law in Python may answer with more."""
+        return self.external.rows if self.law == EXTERNAL and self.external is not None else 1
 
     @property
     def name(self) -> str:
@@ -241,7 +256,8 @@ class ControllerConfiguration(StrictModel):
             if are_left_out():
                 return LeftOut(robot.joints)
             assert self.external is not None  # ensured by a validator
-            return ExternalLaw(self.external, robot.effort_limits_nm)
+            law_type = ExternalTargetLaw if self.external.targets else ExternalLaw
+            return law_type(self.external, robot.effort_limits_nm)
         model = self.nominal_model(robot, rotors_kg_m2)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
@@ -317,7 +333,7 @@ class ControllerConfiguration(StrictModel):
             seed: of the scenario.
         """
         inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
-        is_slow = self.every > 1 or inference_s > 0.0 or jitter_s > 0.0
+        is_slow = self.every > 1 or inference_s > 0.0 or jitter_s > 0.0 or self._rows > 1
         between = self.between_answers
         if between != "hold" and not (is_slow and self.drive_feedback.enabled):
             allowed = (

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError, Rejections
@@ -60,6 +61,18 @@ class SenderNumbers:
 logger = logging.getLogger(__name__)
 
 
+class LaterRows(NamedTuple):
+    """Rows of a command after its first, for the ticks after that of the state it answers.
+
+    Attributes:
+        torques_nm: shape (rows, joints).
+        targets: for the drives, each as of its own tick, shape (rows, 2, joints); None for none.
+    """
+
+    torques_nm: Matrix
+    targets: Matrix | None
+
+
 class Command(NamedTuple):
     """A valid command.
 
@@ -69,12 +82,14 @@ class Command(NamedTuple):
         stamp_ns: stamp of the state it answers.
         target: for the drives, as of that stamp: position, rad, and velocity, rad/s, as rows, shape
             (2, joints); None for none.
+        later: rows for the following ticks; None for none.
     """
 
     torque_nm: Vector
     sequence: int
     stamp_ns: int
     target: Matrix | None = None
+    later: LaterRows | None = None
 
 
 class CommandGate:
@@ -156,6 +171,7 @@ class CommandGate:
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
         target = None if self._target is None else _given(self._target)
+        later = None if self._record.later is None else self._later_rows(self._record.later)
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
         self._require_commander(arrival)
@@ -170,7 +186,15 @@ class CommandGate:
         if arrival.sender != self.commander:
             self.commander, self._numbers = arrival.sender, SenderNumbers()
             self._numbers.is_new(arrival.sequence, arrival.payload)
-        return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target)
+        return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target, later)
+
+    def _later_rows(self, rows: NDArray[np.void]) -> LaterRows:
+        torques_nm = rows["effort"]
+        if not np.isfinite(torques_nm).all():
+            raise InvalidMessageError("not_finite", "a torque of a later row is not finite")
+        if self._target is None:
+            return LaterRows(torques_nm, None)
+        return LaterRows(torques_nm, _given(np.stack((rows["position"], rows["velocity"]), axis=1)))
 
     def _require_commander(self, arrival: CommandArrival) -> None:
         """Refuse other senders than the commander, and repetitions of its commands.
@@ -190,7 +214,7 @@ class CommandGate:
 
 
 def _given(target: Matrix) -> Matrix | None:
-    """Return a copy of a target for the drives; None if the sender gave none."""
+    """Return a copy of one or more targets for the drives; None if the sender gave none."""
     if np.isnan(target).all():
         return None
     if not np.isfinite(target).all():

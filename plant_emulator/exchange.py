@@ -57,8 +57,10 @@ class Exchange:
         arm: receives commands, and is stopped if the link reports a fault.
         telemetry: sent when there is time.
         supervisor: receives events and faults.
+        period_ns: length of a tick.
         reply_timeout_s: in lockstep, longest wall time to wait for the reply to a state; None for
             no waiting.
+        answer_every: in lockstep, wait for the replies to every so many-th state.
 
     Attributes:
         sequence: number of the command in force; 0 before the first.
@@ -77,12 +79,16 @@ class Exchange:
         arm: ArmPlant,
         telemetry: PlantTelemetry,
         supervisor: Supervisor,
+        period_ns: int,
         reply_timeout_s: float | None,
+        answer_every: int = 1,
     ) -> None:
         self._link, self._clock, self._uplink, self._downlink = link, clock, uplink, downlink
         self._gate, self._watchdog, self._arm = gate, watchdog, arm
         self._telemetry, self._supervisor = telemetry, supervisor
-        self._reply_timeout_s = reply_timeout_s
+        self._period_ns, self._reply_timeout_s = period_ns, reply_timeout_s
+        self._answered_ns = answer_every * period_ns
+        self._with_rows: Command | None = None
         self._controller_is_lost = False
         self._second_source_is_told = False
         self._newest_state_ns = self._stamp_ns = self.delay_ns = -1
@@ -136,8 +142,22 @@ class Exchange:
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
             self._arm.command(command.torque_nm, command.target, command.stamp_ns)
+            self._with_rows = command if command.later is not None else None
+            self.play_row(now_ns)
             if self._arm.mode is not mode:
                 self._supervisor.announce_mode("first valid command, brakes released")
+
+    def play_row(self, now_ns: int) -> None:
+        """Apply the row for this tick, if the command in force has several; then hold the last."""
+        command = self._with_rows
+        if command is None or command.later is None:
+            return
+        torques_nm, targets = command.later
+        row = min((now_ns - command.stamp_ns) // self._period_ns, len(torques_nm))
+        if row > 0:
+            target = None if targets is None else targets[row - 1]
+            stamp_ns = command.stamp_ns + row * self._period_ns
+            self._arm.command(torques_nm[row - 1], target, stamp_ns)
 
     def _deliver_next(self) -> None:
         due_ns, measurement = self._uplink.receive()
@@ -146,7 +166,8 @@ class Exchange:
         self._telemetry.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
         self._telemetry.send(self._link)
-        if self._reply_timeout_s is not None and not self._controller_is_lost:
+        is_answered = measurement.stamp_ns % self._answered_ns == 0
+        if self._reply_timeout_s is not None and is_answered and not self._controller_is_lost:
             self._await_reply(measurement, self._reply_timeout_s)
 
     def _await_reply(self, measurement: Measurement, timeout_s: float) -> None:

@@ -56,7 +56,9 @@ class PlantLoop:
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
         self._telemetry = PlantTelemetry(
-            names, arm, task.link.deadline_ns(self._grid.period_ns, round_trip_ns)
+            names,
+            arm,
+            task.link.deadline_ns(task.answer_every * self._grid.period_ns, round_trip_ns),
         )
         self._supervisor = Supervisor(
             arm, self._telemetry, task.plant, task.grid, task.ticks, lambda: self.tick
@@ -64,7 +66,8 @@ class PlantLoop:
         self._instruments = Instruments(names, arm)
         self._exchange = Exchange(
             self._link, clock, self._uplink, self._downlink, gate, self._watchdog, arm,
-            self._telemetry, self._supervisor, task.link.reply_timeout_s if task.lockstep else None,
+            self._telemetry, self._supervisor, self._grid.period_ns,
+            task.link.reply_timeout_s if task.lockstep else None, task.answer_every,
         )  # fmt: skip
         self._watch = None if task.watch is None else task.watch(arm.motion[0])
         self.tick = 0
@@ -202,6 +205,7 @@ class PlantLoop:
         self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
         if self._downlink.next_due_ns <= now_ns:
             self._exchange.put_into_force(now_ns)
+        self._exchange.play_row(now_ns)
         self._react()
 
     def _react(self) -> None:

@@ -34,6 +34,7 @@ class PlantTask:
         link: section ``link`` of the scenario.
         grid: ticks and physics steps of the run.
         lockstep: wait for the reply to every state that is delivered.
+        answer_every: the controller answers only every so many-th state.
         ticks: length of the run.
         seed: seed of everything random on the link.
         takes_targets: the drives close their own loop, around targets in the commands.
@@ -50,6 +51,7 @@ class PlantTask:
     lockstep: bool
     seed: int
     takes_targets: bool = False
+    answer_every: int = 1
     faults: tuple[Fault, ...] = ()
     process_actions: tuple[ScheduledAction, ...] = ()
     watch: Callable[[Vector], TruthWatch] | None = None

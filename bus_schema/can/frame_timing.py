@@ -47,10 +47,13 @@ _LARGEST_CRC17_BYTES = 16
 _CRC15, _CRC15_MASK = 0x4599, 0x7FFF
 _STUFFED_RUN = 5
 _LONGEST_CLASSICAL_BYTES = 8
-_FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _MOST_BITS = 1 + 11 + 2 + 18 + 1 + 3 + 5 + 8 * _MOST_BYTES
 # Start of frame, identifier, RRS, IDE, FDF, res, BRS; then ESI and DLC.
 _FD_HEAD_BITS, _FD_CONTROL_BITS = 1 + 11 + 5, 5
+_LONG_IDENTIFIER_BITS = 19 + 5
+"""SRR and 18 more bits of an identifier, and the most stuff bits among them."""
+
 _RATES_HZ = (10_000, 8000, 5000, 4000, 2500, 2000, 1000, 800, 500, 400, 250, 200, 125, 100)
 _LARGEST_SHARE = 0.95
 """Of the period: the rest is for heartbeats, status words and emergencies."""
@@ -90,12 +93,14 @@ class CycleFrames(NamedTuple):
         per_drive: data bytes of each frame that is sent for or by every single drive.
         words: the same in words; ``{n}`` stands for the number of drives.
         is_fd: frames of single drives are those of CAN FD.
+        extended: how many frames of a single drive have 29-bit identifiers.
     """
 
     shared: tuple[int, ...]
     per_drive: tuple[int, ...]
     words: str
     is_fd: bool = False
+    extended: int = 0
 
 
 def longest_classical_bits(data_bytes: int) -> WireBits:
@@ -120,7 +125,8 @@ def cycle_bits(cycle: CycleFrames, joints: int) -> WireBits:
     """Most bits that the frames of one cycle can have, stuff bits included."""
     longest = longest_fd_bits if cycle.is_fd else longest_classical_bits
     frames = [*map(longest_classical_bits, cycle.shared), *map(longest, joints * cycle.per_drive)]
-    return WireBits(sum(each.nominal for each in frames), sum(each.fast for each in frames))
+    extra = joints * cycle.extended * _LONG_IDENTIFIER_BITS
+    return WireBits(extra + sum(each.nominal for each in frames), sum(each.fast for each in frames))
 
 
 def check_cycle_fits(
@@ -250,16 +256,16 @@ def _fd_bits(
 ) -> tuple[int, int]:
     """As `_classical_bits`: at the nominal rate, and at the data rate."""
     dlc = 0
-    while _FD_LENGTHS[dlc] < length:
+    while FD_LENGTHS[dlc] < length:
         dlc += 1
     # IDE, of a standard frame; FDF, res, BRS: the last bit of the arbitration phase
     slow = _put(bits, head_bits, 0b101, 3 if is_extended else 4)
     count = _put(bits, slow, dlc, 5)  # ESI and DLC
-    for index in range(_FD_LENGTHS[dlc]):
+    for index in range(FD_LENGTHS[dlc]):
         count = _put(bits, count, int(data[index]), 8)
     # No stuff bit comes after the last bit: the CRC field begins with a fixed one.
     early, late = _stuff_bits(bits, count - 1, slow)
-    crc_field = _CRC17_FIELD_BITS if _FD_LENGTHS[dlc] <= _LARGEST_CRC17_BYTES else _CRC21_FIELD_BITS
+    crc_field = _CRC17_FIELD_BITS if FD_LENGTHS[dlc] <= _LARGEST_CRC17_BYTES else _CRC21_FIELD_BITS
     return slow + early + _FD_TAIL_BITS, count - slow + late + crc_field
 
 

@@ -126,6 +126,7 @@ PROTOCOLS: Registry[DriveProtocol] = Registry(
         "cansimple": "bus_schema.can.cansimple.protocol:CanSimpleProtocol",
         "mit": "bus_schema.can.mit.protocol:MitProtocol",
         "damiao": "bus_schema.can.damiao.protocol:DamiaoProtocol",
+        "moteus": "bus_schema.can.moteus.protocol:MoteusProtocol",
     },
 )
 """A new protocol is one line here, and one in `plant_emulator.drives.commissioning.DRIVES`."""

@@ -45,7 +45,7 @@ class CanFaults(StrictModel):
         bus_off_s: time at which the drives' side goes bus-off for good; null for never.
         drives: faults of drives, in the form ``kind:node@time`` or
             ``kind:node@time+duration``, such as ``drive:2@3s``; kinds are ``drive``, ``silent``,
-            ``encoder-frozen`` and ``over-temperature``.
+            ``encoder``, ``encoder-frozen`` and ``over-temperature``.
     """
 
     frame_error_probability: Annotated[Number, Field(ge=0, le=0.5)] = 0.0

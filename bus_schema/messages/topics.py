@@ -115,7 +115,8 @@ def layout(
     """Return the wire layout of a fixed-size topic for a robot with these joints.
 
     A command carries torques alone, unless it `has_targets`: positions and velocities for drives
-    that close their own loop (see `bus_schema.drive_feedback`). A reference has no torques.
+    that close their own loop (see `bus_schema.drive_feedback`). From a foreign sender it may have
+    rows for the following ticks too. A reference has no torques.
     """
     if topic.type_name == message_types.RUN_EVENT:
         raise ValueError(f"{topic.name} has no fixed layout")
@@ -124,6 +125,7 @@ def layout(
         len(joint_names),
         lengths=_empty_fields(topic, has_targets=has_targets),
         strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
+        may_have_rows=topic is JOINT_COMMANDS,
     )
 
 

@@ -17,9 +17,9 @@ from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.cli.common import say_oddities
 from deploy.cli.options import Overrides, ScenarioArgument
-from deploy.link_kinds.can import check_drives, may_have_others
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.stop_signals import on_stop
+from deploy.scenario.link_kinds.can import check_drives, may_have_others
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
@@ -39,7 +39,7 @@ Faults = Annotated[
         "--fault",
         metavar="KIND:NODE@TIME[+DURATION]",
         help="Let something go wrong, such as drive:2@3s or silent:1@500ms+2s; repeatable. Kinds:"
-        " drive, silent, encoder-frozen, over-temperature.",
+        " drive, silent, encoder, encoder-frozen, over-temperature.",
     ),
 ]
 

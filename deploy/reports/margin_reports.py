@@ -12,6 +12,8 @@ from deploy.reports.tables import ABSENT
 from deploy.reports.verdict import ReportHead
 
 _SHOWN_EFFECTS = 12
+_MOST_NAMED = 8
+"""Lines of which each has its entry in the legend; of more, colours and patterns have."""
 
 Summary = dict[str, Any]
 
@@ -124,6 +126,7 @@ def _curves_panel(
     of loops that already run are hollow.
     """
     laws = list(dict.fromkeys(case["law"] for case in summary["cases"]))
+    has_key = len(own) > _MOST_NAMED and len(laws) > 1
     settings = list(dict.fromkeys(map(texts.setting_text, summary["cases"])))
     lines = []
     for case in own:
@@ -132,7 +135,8 @@ def _curves_panel(
         tried = case["probes"] if "probes" in case else case["values"]
         points = [(runs["value"], runs) for runs in tried if runs["runs"]]
         colour = law if len(laws) > 1 else setting
-        lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"]))
+        key = (case["law"], texts.setting_text(case)) if has_key else None
+        lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"], key))
     return Panel(
         arm, f"{name}-{arm}", title or quantity.title,
         lambda study: study_figures.curves(study, lines, texts.value_title(summary), quantity),

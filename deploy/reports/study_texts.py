@@ -13,12 +13,17 @@ COMPENSATION = {None: "", False: "without", True: "with"}
 
 def setting_text(case: Summary) -> str:
     """With what a law has a margin: compensation, feedback at the drives, a loop that runs."""
+    running = ["running"] if case["running"] else []
+    return ", ".join([*filter(None, [equipment_text(case)]), *running])
+
+
+def equipment_text(case: Summary) -> str:
+    """With or without compensation, and feedback at the drives."""
     said = [
         f"{COMPENSATION[case['compensation']]} compensation",
         f"{COMPENSATION[case['drive_feedback']]} drive feedback",
     ]
-    parts = [text for text in said if not text.startswith(" ")]
-    return ", ".join([*parts, *(["running"] if case["running"] else [])])
+    return ", ".join(text for text in said if not text.startswith(" "))
 
 
 def case_name(case: Summary) -> str:
@@ -108,9 +113,17 @@ def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
     if not known:
         return f"{where}: no law keeps its bounds at all."
     best = max(known, key=lambda case: case["growth"] * case["margin"])
-    others = [case_name(case) for case in known if case["margin"] == best["margin"]]
+    laws: dict[str, list[str]] = {}
+    for case in known:
+        if case["margin"] == best["margin"]:
+            laws.setdefault(equipment_text(case), []).append(case["law"])
+    whose = [f"{_listed(names)} {equipment}".rstrip() for equipment, names in laws.items()]
     margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
-    return f"{where}: the {margin}, of {' and '.join(others)}."
+    return f"{where}: the {margin}, of {'; of '.join(whose)}."
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def _held_again(summary: Summary) -> list[str]:

@@ -18,9 +18,9 @@ from bus_schema.runtime.clock import TickGrid
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
 from controller.reference import Reference
-from deploy.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
+from deploy.scenario.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -93,6 +93,12 @@ class Setup:
     def ticks(self) -> int:
         return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
 
+    @property
+    def answer_every(self) -> int:
+        """Ticks from one state that the controller answers to the next."""
+        controller = self.scenario.controller
+        return 1 if controller.process is None else controller.every
+
     def control_task(self) -> ControlTask:
         """Return a new task for a controller."""
         controller = self.scenario.controller
@@ -153,6 +159,7 @@ class Setup:
             lockstep=lockstep,
             seed=self.scenario.seed,
             takes_targets=self.drive.is_active,
+            answer_every=self.answer_every,
             faults=plant_faults(self.scenario.faults),
             process_actions=process_actions,
             watch=partial(FunnelCounter, self.reference, self.funnel),

@@ -21,8 +21,6 @@ from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointR
 
 logger = logging.getLogger(__name__)
 
-_MOST_BYTES = 8
-
 
 class DriveBank:
     """The drives of a robot, in the order of its joints.
@@ -40,6 +38,7 @@ class DriveBank:
     def __init__(
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
+        self._protocol = protocol
         self._drives = [protocol(each, send) for each in settings]
         self._routes: dict[int, list[Drive]] = {}
         for drive in self._drives:
@@ -167,8 +166,9 @@ class DriveBank:
         return "not for these drives"
 
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
-        is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
-        if is_strange or len(frame.data) > _MOST_BYTES:
+        is_strange = frame.is_extended and not self._protocol.takes_extended
+        is_strange |= frame.is_fd and not self._reads_fd
+        if is_strange or len(frame.data) > self._protocol.most_bytes:
             raise InvalidMessageError("no_classical_frame", f"drives do not use {frame}")
         concerned = self._routes.get(frame.identifier)
         if concerned is None:

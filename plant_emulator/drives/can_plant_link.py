@@ -68,6 +68,7 @@ class CanPlantLink(PlantLink):
         # Each tick comes a little before it is asked for, so that what is sampled is fresh.
         self._lead_ns = round(_LEAD * run.grid.period_ns)
         self._phase = SyncPhase(run.grid.period_ns, self._lead_ns)
+        self._sampling_began: tuple[int, bool] | None = None  # when, and whether it was awaited
         self._heard_ns = 0
         self._waiting: deque[CanFrame] = deque()
         self._arrivals: deque[CommandArrival] = deque()
@@ -208,12 +209,21 @@ class CanPlantLink(PlantLink):
             self._drives.advance(now_ns)
 
     def _serve(self, clock: Clock, until_ns: int) -> None:
-        """Process frames as they arrive, until an instant."""
-        while (left_ns := until_ns - clock.now_ns()) > 0:
-            frame = self._next_frame(left_ns * 1e-9)
-            if frame is not None:
-                self._take(frame)
+        """Process frames as they arrive, until an instant.
+
+        One that is read after it has to wait, as what happens at the instant comes first: else a
+        request would be answered with the state before a tick that has passed.
+        """
+        while clock.now_ns() < until_ns:
+            frame = self._next_frame(0.0)
+            was_awaited = frame is None
+            if was_awaited:
+                frame = self._next_frame(max(0.0, (until_ns - clock.now_ns()) * 1e-9))
             self._heard_ns = clock.now_ns()
+            if frame is not None and self._heard_ns >= until_ns:
+                self._waiting.appendleft(frame)
+            elif frame is not None:
+                self._take(frame, was_awaited=was_awaited)
 
     def _catch_up(self, clock: Clock) -> None:
         """Process waiting frames for at most one period, because a flood may not end."""
@@ -236,9 +246,11 @@ class CanPlantLink(PlantLink):
     def _next_frame(self, timeout_s: float) -> CanFrame | None:
         return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
 
-    def _take(self, frame: CanFrame) -> None:
+    def _take(self, frame: CanFrame, *, was_awaited: bool = False) -> None:
         """Pass a frame to the drives, and publish the result."""
         now_ns = self._clock.now_ns()
+        if self._sampling_began is None and self._codec.is_sampling(frame):
+            self._sampling_began = now_ns, was_awaited
         if self._drives.delay_ns and self._is_sampled and not self._codec.is_sampling(frame):
             self._drives.handle_later(frame, now_ns)
         else:
@@ -251,7 +263,9 @@ class CanPlantLink(PlantLink):
         samplings = self._drives.bank.samplings
         if samplings != self._samplings:
             self._samplings, self._is_sampled = samplings, True
-            self._clock.put_forward(self._phase.correction_ns(now_ns))
+            began_ns, was_awaited = self._sampling_began or (now_ns, was_awaited)
+            self._sampling_began = None
+            self._clock.put_forward(self._phase.correction_ns(began_ns, was_awaited=was_awaited))
             self._publish_state()
         if self._is_commanded(commanded):
             self._is_sampled = False

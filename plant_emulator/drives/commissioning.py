@@ -26,6 +26,7 @@ DRIVES: Registry[Drive] = Registry(
         "cansimple": "plant_emulator.drives.cansimple.drive:CanSimpleDrive",
         "mit": "plant_emulator.drives.mit.drive:MitDrive",
         "damiao": "plant_emulator.drives.damiao.drive:DamiaoDrive",
+        "moteus": "plant_emulator.drives.moteus.drive:MoteusDrive",
     },
 )
 """The drives of each protocol of `bus_schema.can.protocol.PROTOCOLS`."""

@@ -121,6 +121,13 @@ class DriveFault(StrEnum):
     OVER_TEMPERATURE = "over-temperature"
     """The motor is too hot."""
 
+    ENCODER = "encoder"
+    """The encoder cannot be read: position and velocity as with a frozen one; the drive notices."""
+
+
+_LASTING = (DriveFault.ENCODER, DriveFault.OVER_TEMPERATURE)
+"""Faults that a drive notices, and that no reset removes while their cause remains."""
+
 
 @dataclass(frozen=True)
 class DriveSettings:
@@ -196,7 +203,11 @@ class Drive(ABC):
         on_set_up: called when `heard` has become another one.
         is_silent: its bus connection is cut.
         targets_taken: targets that the bank has counted.
+        most_bytes: of a frame that it may take.
+        takes_extended: it takes frames with 29-bit identifiers, too.
     """
+
+    most_bytes, takes_extended = 8, False
 
     heard: Collection[int]
 
@@ -204,7 +215,8 @@ class Drive(ABC):
         self._settings, self._send = settings, send
         self.on_set_up: Callable[[], None] = _ignore
         self._reading = JointReading()
-        self._is_hot = self._is_off_bus = self._is_frozen = self.is_silent = False
+        self._is_off_bus = self.is_silent = False
+        self._causes: set[DriveFault] = set()
         self.targets_taken = 0
 
     @property
@@ -249,31 +261,34 @@ class Drive(ABC):
 
     def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
         """Return what the encoder measures of a motion."""
-        if self._is_frozen:
+        if not self._causes.isdisjoint((DriveFault.ENCODER_FROZEN, DriveFault.ENCODER)):
             return self._reading.position_rad, 0.0
         return position_rad, velocity_rad_s
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         """Inject a fault."""
-        self._set(fault, is_there=True)
-        if fault in (DriveFault.DRIVE, DriveFault.OVER_TEMPERATURE):
+        self._causes.add(fault)
+        self.is_silent = DriveFault.SILENT in self._causes
+        if fault is DriveFault.DRIVE or fault in _LASTING:
             self._fail(fault, now_ns)
 
     def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
         """Remove a lasting fault's cause; its consequences stay until they are reset."""
-        self._set(fault, is_there=False)
+        self._causes.discard(fault)
+        self.is_silent = DriveFault.SILENT in self._causes
 
-    def _set(self, fault: DriveFault, *, is_there: bool) -> None:
-        if fault is DriveFault.SILENT:
-            self.is_silent = is_there
-        elif fault is DriveFault.ENCODER_FROZEN:
-            self._is_frozen = is_there
-        elif fault is DriveFault.OVER_TEMPERATURE:
-            self._is_hot = is_there
+    @property
+    def _is_hot(self) -> bool:
+        return DriveFault.OVER_TEMPERATURE in self._causes
+
+    @property
+    def _lasting_fault(self) -> DriveFault | None:
+        """What a reset cannot remove yet; None if nothing."""
+        return next((fault for fault in _LASTING if fault in self._causes), None)
 
     @abstractmethod
     def _fail(self, fault: DriveFault, now_ns: int) -> None:
-        """React to ``DRIVE`` or ``OVER_TEMPERATURE``, the faults that a drive notices."""
+        """React to ``DRIVE`` or a fault of `_LASTING`, those that a drive notices."""
 
     def lose_bus(self, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
         """The drive's CAN controller went bus-off. Most drives notice by their timeout only."""

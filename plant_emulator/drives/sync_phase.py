@@ -18,7 +18,8 @@ class SyncPhase:
 
     A sampling is only ever read late. So of the first ones, one that seems to come early shows that
     the clock was set too late: the sampling it was set by was held up. Later on, the middle one of
-    a window shows how the two clocks drift apart.
+    a window shows how the two clocks drift apart. The window has only samplings for which the plant
+    waited: one that had to wait itself says how busy the plant was, not when it came.
 
     Args:
         period_ns: of the cycle.
@@ -31,13 +32,20 @@ class SyncPhase:
         self._count = 0
         self._late_ns: list[int] = []
 
-    def correction_ns(self, now_ns: int) -> int:
-        """Return the clock correction after a sampling that was read at this clock time."""
+    def correction_ns(self, now_ns: int, *, was_awaited: bool) -> int:
+        """Return the clock correction after a sampling.
+
+        Args:
+            now_ns: clock time at which the first frame of it was read.
+            was_awaited: it was read as it came.
+        """
         period_ns = self._period_ns
         late_ns = now_ns - self._lead_ns - self._count * period_ns
         if self._count < _COUNTED:
             self._count += 1
             return max(0, -late_ns)
+        if not was_awaited:
+            return 0
         self._late_ns.append((late_ns + period_ns // 2) % period_ns - period_ns // 2)
         if len(self._late_ns) < _WINDOW:
             return 0

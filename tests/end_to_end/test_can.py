@@ -43,6 +43,37 @@ def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> 
     assert "identical" in funnel_hil_here("replay", str(run.folder), out=None).output
 
 
+def test_runs_at_the_same_time_do_not_meet(tmp_path: Path) -> None:
+    """The shipped scenario names no bus; the drives of both runs have the same addresses."""
+    patient = settings(link__can__answer_timeout_s=ANSWER_TIMEOUT_S)
+    endless = settings(duration_s=3600.0, controller__law="smc")
+    with started("run", "openarm", *patient, *endless, out=tmp_path / "other") as other:
+        with Watcher(other.plant_endpoint()) as watcher:
+            watcher.await_time(0.1, other)
+            run = funnel_hil(
+                "run", "openarm", *patient, *settings(duration_s=0.4), out=tmp_path / "run"
+            )
+            watcher.await_time(watcher.last_stamp_ns * 1e-9 + 0.1, other)  # it went on meanwhile
+        other.send(signal.SIGINT)
+        ended = other.end()
+    assert run.code == 0, run.output
+    alone = load_setup("openarm", ["duration_s=0.4", "link.can.interface=virtual"])
+    assert run.digest == simulate(alone).data().digest
+    assert run.summary["verdict"] == "kept"
+    # in each of 200 cycles, from each of 7 motors, answers to a request and to a command
+    counts = run.summary["transport"]["can"]["frames_by_identifier"]
+    motors = range(1, 8)
+    feedback = {f"{0x10 + node:03X}": 400 for node in motors}
+    assert counts == {"7FF": 1400} | feedback | {f"{node:03X}": 200 for node in motors}
+    assert (ended.code, ended.summary["faults"]) == (130, [])
+    counts = ended.summary["transport"]["can"]["frames_by_identifier"]
+    assert counts["7FF"] == 7 * len(ended.data.tables["joint_states"])
+    assert all(
+        counts[f"{0x10 + node:03X}"] == counts["7FF"] // 7 + counts[f"{node:03X}"]
+        for node in motors
+    )
+
+
 def test_interrupted_run_blames_no_drive(tmp_path: Path) -> None:
     patient = settings(
         plant__command_timeout_ms=30_000.0,

@@ -56,6 +56,23 @@ def test_in_lockstep_it_gives_the_same_bits_again_under_delay_too(tmp_path: Path
     assert first.summary["timing"]["round_trip_us"]["p50"] == 1000.0
 
 
+def test_torques_for_the_next_ticks_in_one_command_give_the_bits_of_one_command_for_each(
+    tmp_path: Path,
+) -> None:
+    client = [sys.executable, "-m", "tests.end_to_end.chunk_client"]
+    each = run(tmp_path / "each", **LOCKSTEP, controller__process=[*client, "each"])
+    rows = run(
+        tmp_path / "rows", **LOCKSTEP, controller__process=[*client, "rows"], controller__every=4
+    )
+    assert rows.code == each.code == 0, rows.output
+    assert each.summary["transport"]["downlink"]["delivered"] == 200
+    assert rows.summary["transport"]["downlink"]["delivered"] == 50
+    assert rows.summary["timing"]["deadline_misses"] == 0
+    for quantity in ("torque", "position", "velocity"):
+        truths = [ended.data.tables["plant_truth"][quantity] for ended in (each, rows)]
+        assert (truths[0] == truths[1]).all()
+
+
 @pytest.mark.parametrize(
     ("process", "first"),
     [

@@ -65,7 +65,10 @@ REJECTIONS = [
     (payload(6, names=("yaw", "shoulder", "wrist")), "wrong_names"),
     (payload(6, (1.0, 2.0), NAMES[:2]), "wrong_names"),
     (foreign(NAMES, (1.0, 2.0)), "wrong_size"),
+    (foreign(NAMES, np.ones(7)), "wrong_size"),
+    (foreign(NAMES, np.ones(3 * 3000)), "oversized"),
     (foreign(NAMES, ()), "not_finite"),
+    (foreign(NAMES, (1.0, 2.0, 3.0, 4.0, np.nan, 6.0)), "not_finite"),
     (payload(6, (np.nan, 0.0, 0.0)), "not_finite"),
     (payload(6, (0.0, 0.0, -np.inf)), "not_finite"),
     (payload(NEWEST_NS + 1), "from_the_future"),
@@ -227,3 +230,17 @@ def test_who_takes_over_begins_with_numbers_of_its_own():
     assert bench.admit(payload(6), sequence=1, sender=b"second") is not None
     assert bench.admit(payload(7), sequence=2, sender=b"second") is not None
     assert bench.gate.second_source is None
+
+
+def test_rows_for_the_following_ticks_come_in_the_order_of_the_plants_joints():
+    bench = Bench(takes_targets=True)
+    names = ("elbow", "yaw", "shoulder")
+    numbers = np.arange(6.0)
+    command = bench.admit(foreign(names, numbers, 5, numbers + 10.0, numbers + 20.0))
+    assert command.torque_nm.tolist() == [1.0, 2.0, 0.0]
+    assert command.target.tolist() == [[11.0, 12.0, 10.0], [21.0, 22.0, 20.0]]
+    assert command.later.torques_nm.tolist() == [[4.0, 5.0, 3.0]]
+    assert command.later.targets.tolist() == [[[14.0, 15.0, 13.0], [24.0, 25.0, 23.0]]]
+    assert bench.admit(foreign(NAMES, (1.0, 2.0, 3.0), 6)).later is None
+    assert bench.admit(foreign(NAMES, numbers, 7, numbers[:3], numbers)) is None
+    assert bench.rejected == {"wrong_size": 1}

@@ -14,9 +14,11 @@ from bus_schema.runtime.clock import VirtualClock
 from deploy.scenario.scenario import load_setup
 from plant_emulator.exchange import Watchdog
 from plant_emulator.plant_loop import PlantLoop
+from tests.joint_states import joint_state
 
 MS = 1_000_000
 SUBSTEP_NS = 250_000
+NAMES = ("base_yaw", "shoulder", "elbow")
 
 
 class Station(PlantLink):
@@ -65,7 +67,7 @@ def run():
     """Runs a plant for 20 ms; the station, and (start of a substep, torque of joint 1) of each."""
     arms = []
 
-    def start(*overrides, expected=(), awake_ns=0, stall_ns=None):
+    def start(*overrides, expected=(), arrivals=(), awake_ns=0, stall_ns=None):
         setup = load_setup("paper_arm", ["duration_s=0.02", *overrides])
         clock, arm = VirtualClock(), setup.arm()
         clock.awake_ns = awake_ns
@@ -74,6 +76,7 @@ def run():
         station.stall_ns = stall_ns or {}
         for stamp_ns, arrival_ns in expected:
             station.expect(stamp_ns, arrival_ns)
+        station.to_come += arrivals
         in_force, steps = [0.0], []
         command, advance = arm.command, arm.advance
 
@@ -146,6 +149,25 @@ def test_command_is_in_force_from_the_substep_after_arrival_and_delay(run):
 def test_command_that_comes_while_a_tick_is_under_way_is_not_late_for_its_last_substep(run):
     _, steps = run(expected=[(3 * MS, 4_600_000)])
     assert first_under(steps, 3.0) == 4_750_000
+
+
+def test_rows_of_a_command_act_tick_by_tick_and_the_last_one_stays(run):
+    """Rows of 1, 2 and 3 Nm answer the state of 4 ms; the command comes 1.3 ms late."""
+    rows = joint_state(NAMES, effort=np.repeat([1.0, 2.0, 3.0], 3), stamp_ns=4 * MS)
+    _, steps = run(arrivals=[CommandArrival(rows, 1, b"", 5_300_000)])
+    torques_nm = dict(steps)
+    assert [torques_nm[at] for at in (5 * MS, 5_250_000)] == [0.0, 0.0]
+    assert [torques_nm[at] for at in (5_500_000, 5_750_000)] == [2.0, 2.0]  # the row for 5 ms
+    assert {nm for at, nm in steps if at >= 6 * MS} == {3.0}
+
+
+def test_a_newer_command_ends_the_rows_of_the_one_before(run):
+    rows = joint_state(NAMES, effort=np.repeat([1.0, 2.0, 3.0, 4.0], 3), stamp_ns=4 * MS)
+    newer = joint_state(NAMES, effort=[9.0, 9.0, 9.0], stamp_ns=6 * MS)
+    arrivals = [CommandArrival(rows, 1, b"", 4_100_000), CommandArrival(newer, 2, b"", 6_300_000)]
+    _, steps = run(arrivals=arrivals)
+    by_tick = [{nm for at, nm in steps if k * MS < at < (k + 1) * MS} for k in range(4, 9)]
+    assert by_tick == [{1.0}, {2.0}, {3.0, 9.0}, {9.0}, {9.0}]
 
 
 def test_command_waits_for_its_playout(run):

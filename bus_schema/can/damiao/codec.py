@@ -58,6 +58,8 @@ class Status(IntEnum):
 
     DISABLED = 0x0
     ENABLED = 0x1
+    SENSOR_ERROR = 0x5
+    PARAMETER_ERROR = 0x6
     OVER_VOLTAGE = 0x8
     UNDER_VOLTAGE = 0x9
     OVER_CURRENT = 0xA

@@ -11,11 +11,13 @@ reply to that, which nobody uses.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
@@ -46,6 +48,7 @@ class MitError(IntEnum):
     NONE = 0
     OVER_TEMPERATURE = 1
     OVER_CURRENT = 2
+    ENCODER = 5
 
 
 class MitRanges(NamedTuple):
@@ -176,7 +179,42 @@ def is_reply(frame: CanFrame) -> bool:
     return any(is_data(frame, length) for length in REPLY_BYTES)
 
 
-class MitCodec:
+class RequestCodec(CanCodec, ABC):
+    """Frames of a cycle in which drives answer requests with their states, see `CanCodec`.
+
+    Args:
+        node_ids: addresses of the drives, one for each joint.
+        sampling: the requests.
+    """
+
+    def __init__(self, node_ids: Sequence[int], sampling: Sequence[CanFrame]) -> None:
+        self._node_ids, self._sampling = tuple(node_ids), sampling
+        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
+
+    @abstractmethod
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:
+        """A special frame to each drive, which answers with its state."""
+
+    @abstractmethod
+    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+        """Joint and content of a reply, None for any other frame."""
+
+    def sampling_frames(self) -> Sequence[CanFrame]:
+        return self._sampling
+
+    def is_sampling(self, frame: CanFrame) -> bool:
+        return frame in self._sampling
+
+    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
+        found = self.reply(frame)
+        if found is None:
+            return None
+        joint, reply = found
+        position[joint], velocity[joint] = reply.position_rad, reply.velocity_rad_s
+        return joint
+
+
+class MitCodec(RequestCodec):
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
@@ -198,40 +236,23 @@ class MitCodec:
         reply_bytes: int,
         gains: DriveGains | None = None,
     ) -> None:
-        self._gains = gains
-        self._node_ids, self.ranges = tuple(node_ids), tuple(ranges)
-        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
+        requests = [CanFrame(node_id, special(Special.ENABLE)) for node_id in node_ids]
+        super().__init__(node_ids, requests)
+        self._gains, self.ranges = gains, tuple(ranges)
         self._reply_identifier = reply_identifier
-        self._sampling = self.special_frames(Special.ENABLE)
         self.cycle = CycleFrames(
             (), (8, reply_bytes, 8, reply_bytes),
             f"{{n}} × (request 8 bytes + command 8 bytes + 2 replies of {reply_bytes} bytes)",
         )  # fmt: skip
 
-    def sampling_frames(self) -> Sequence[CanFrame]:
-        return self._sampling
-
     def special_frames(self, kind: int) -> Sequence[CanFrame]:
-        """A special frame to each drive."""
         return [CanFrame(node_id, special(kind)) for node_id in self._node_ids]
 
-    def is_sampling(self, frame: CanFrame) -> bool:
-        return frame in self._sampling
-
     def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
-        """Joint and content of a reply, None for any other frame."""
         if frame.identifier != self._reply_identifier or not is_reply(frame):
             return None
         joint = self._joint_of.get(frame.data[0])
         return None if joint is None else (joint, reply_of(frame.data, self.ranges[joint]))
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        found = self.reply(frame)
-        if found is None:
-            return None
-        joint, reply = found
-        position[joint], velocity[joint] = reply.position_rad, reply.velocity_rad_s
-        return joint
 
     def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
         torques = torque_nm.tolist()

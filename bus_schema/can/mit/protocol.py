@@ -9,7 +9,7 @@ from typing import NamedTuple
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.can.master import POLL_S, CanMaster, DriveError
-from bus_schema.can.mit.codec import MitCodec, MitRanges, Special
+from bus_schema.can.mit.codec import MitCodec, MitRanges, RequestCodec, Special
 from bus_schema.can.protocol import DriveProtocol
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains
@@ -29,10 +29,10 @@ class MitMaster(CanMaster):
     the commands that each drive has yet to reply to. Only replies to requests are states.
     """
 
-    _codec: MitCodec
+    _codec: RequestCodec
 
     def __init__(
-        self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: MitCodec
+        self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: RequestCodec
     ) -> None:
         super().__init__(bus, can, node_ids, codec)
         self._owed = [0] * len(node_ids)

@@ -12,9 +12,9 @@ import typer
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
 from deploy.cli.network.trace import Unit
-from deploy.measure.latency import find_latency
-from deploy.measure.mcap_series import read_series
-from deploy.measure.trace_import import UNITS_MS
+from deploy.run.measure.latency import find_latency
+from deploy.run.measure.mcap_series import read_series
+from deploy.run.measure.trace_import import UNITS_MS
 
 _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 

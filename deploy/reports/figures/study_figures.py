@@ -27,6 +27,8 @@ _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
 _HEADROOM = 1.1
 _EFFECT_PX, _FRAME_PX = 26, 110
+_MOST_UPRIGHT = 14
+"""Bars whose figures have room side by side; those of more are turned."""
 
 
 Runs = Mapping[str, Any]
@@ -101,11 +103,12 @@ class Curve:
     """One line over a swept value.
 
     Attributes:
-        name: its name in the legend.
+        name: its name.
         colour: number of its colour.
         dash: number of its dash pattern.
         points: values with their runs.
         is_hollow: whether its points are hollow.
+        key: names of its colour and of its pattern, where the legend has these instead.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Curve:
     dash: int
     points: Sequence[tuple[Any, Runs]]
     is_hollow: bool = False
+    key: tuple[str, str] | None = None
 
 
 def curves(
@@ -124,7 +128,7 @@ def curves(
         _add_curve(figure, study, line, quantity)
     if not any(value is not None for trace in figure.data for value in trace.y):
         return None
-    _add_legend(figure, [line.name for line in lines])
+    _add_legend(figure, _name_in_legend(figure, lines))
     if quantity.is_log:
         style.log_axis(figure, ticks=4)
     else:
@@ -148,10 +152,11 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
         figure.add_bar(
             x=[style.plain(case["law"]) for case in members],
             y=[case["margin"] or 0.0 for case in members],
-            text=list(map(margin_figure, members)),  # the axis has the unit
+            text=[margin_figure(case).replace("none", "–") for case in members],
             name=group or "as the scenario has it",
             textposition="outside", cliponaxis=False,
-            constraintext="none", textangle=0, textfont={"size": 10},
+            constraintext="none", textangle=0 if len(cases) <= _MOST_UPRIGHT else -90,
+            textfont={"size": 10},
             customdata=list(map(study.rerun_worst, decided)), hovertemplate="%{x}: %{text}",
             marker={"color": style.palette(index) if len(groups) > 1 else own},
         )  # fmt: skip
@@ -233,7 +238,8 @@ def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: Stud
         values = (quantity.value(runs, which) for _, runs in line.points)
         return [None if v is None or (quantity.is_log and v <= 0.0) else v for v in values]
 
-    colour, group = style.palette(line.colour), style.plain(line.name)
+    colour = style.palette(line.colour)
+    group = style.plain(line.key[0] if line.key else line.name)
     x = [value for value, _ in line.points]
     ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
     known = [end for end in ends if end[1] is not None]
@@ -245,12 +251,36 @@ def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: Stud
             hoverinfo="skip", showlegend=False, legendgroup=group,
         )  # fmt: skip
     figure.add_scatter(
-        x=x, y=drawn("mean"), name=group, legendgroup=group, mode="lines+markers",
-        line={"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
-        marker={"size": 7, "symbol": "circle-open" if line.is_hollow else "circle"},
+        x=x, y=drawn("mean"), name=style.plain(line.name), legendgroup=group,
         customdata=[study.rerun_worst(runs) for _, runs in line.points],
-        hovertemplate="%{x}: %{y:.3g}",
+        hovertemplate="%{x}: %{y:.3g}", **_looks(line, colour),
     )  # fmt: skip
+
+
+def _looks(line: Curve, colour: str) -> dict[str, Any]:
+    return {
+        "mode": "lines+markers",
+        "line": {"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
+        "marker": {"size": 7, "symbol": "circle-open" if line.is_hollow else "circle"},
+    }
+
+
+def _name_in_legend(figure: go.Figure, lines: Sequence[Curve]) -> list[str]:
+    """Give each line its entry; where all have keys, each colour and each pattern instead."""
+    keys = [line.key for line in lines if line.key]
+    if len(keys) < len(lines):
+        return [line.name for line in lines]
+    figure.update_traces(showlegend=False)
+    colours = {line.key[0]: line for line in lines if line.key}
+    patterns = {line.key[1]: line for line in lines if line.key}
+    for name, line in colours.items():
+        figure.add_scatter(
+            x=[None], y=[None], name=style.plain(name), legendgroup=style.plain(name), mode="lines",
+            line={"color": style.palette(line.colour), "width": 4},
+        )  # fmt: skip
+    for name, line in patterns.items():
+        figure.add_scatter(x=[None], y=[None], name=style.plain(name), **_looks(line, style.MUTED))
+    return [*colours, *patterns]
 
 
 def _pale(colour: str) -> str:

@@ -218,10 +218,12 @@ def _require_private(folder: Path) -> None:
 
 def _listening_in(folder: Path, name: str) -> tuple[socket.socket, Path]:
     made = _new_socket()
-    place = folder / f"{name}-{os.getpid()}-{made.fileno()}"
+    own = f"{name}-{os.getpid()}-{made.fileno()}"
+    place, unready = folder / own, folder / f".{own}"
     try:
-        made.bind(str(place))
+        made.bind(str(unready))
         made.listen()
+        unready.rename(place)  # until it listens, it looks like one of a dead process
     except OSError:
         made.close()
         raise
@@ -237,7 +239,7 @@ def _folder() -> Path:
 
 def _clear(folder: Path) -> None:
     """Remove the files of killed processes."""
-    for place in folder.iterdir():
+    for place in (each for each in folder.iterdir() if not each.name.startswith(".")):
         with _new_socket() as probe:
             try:
                 probe.connect(str(place))

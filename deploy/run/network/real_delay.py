@@ -135,7 +135,9 @@ def _knowing_real_delay(setup: Setup, round_trip_ms: float) -> LinkConfiguration
     uplink: Channel[Any] = open_uplink(link, scenario.seed)
     downlink = open_downlink(link, scenario.seed)
     mean_ns = uplink.mean_delay_ns + downlink.mean_delay_ns + round(round_trip_ms * 1e6)
-    deadline_ns = link.deadline_ns(setup.grid.period_ns, max(mean_ns, link.playout_ns))
+    deadline_ns = link.deadline_ns(
+        setup.answer_every * setup.grid.period_ns, max(mean_ns, link.playout_ns)
+    )
     return link.model_copy(update={"deadline_ms": deadline_ns * 1e-6})
 
 

@@ -62,6 +62,7 @@ def program_variables(setup: Setup, scenario: Path, plant_endpoint: str) -> dict
         "FUNNEL_HIL_COMMAND_GID": endpoint_gid(token).hex(),
         "FUNNEL_HIL_CLOCK": setup.scenario.clock,
         "FUNNEL_HIL_RATE_HZ": repr(setup.scenario.rate_hz),
+        "FUNNEL_HIL_EVERY": str(setup.scenario.controller.every),
         "FUNNEL_HIL_DURATION_S": repr(setup.scenario.duration_s),
         "FUNNEL_HIL_SCENARIO": str(scenario.resolve()),
         "FUNNEL_HIL_URDF": str(setup.robot.path),

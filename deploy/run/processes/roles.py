@@ -21,7 +21,6 @@ from bus_schema.runtime.realtime import raise_priority, use_batch_scheduling
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.errors import ControllerError
-from deploy.link_kinds.kind import LinkRun
 from deploy.run.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.run.live.feed import LiveFeed
 from deploy.run.network.links import check_link, require_keys, require_own_controller
@@ -36,6 +35,7 @@ from deploy.run.processes.status import StatusReporter
 from deploy.run.recording import SCENARIO_ATTACHMENT
 from deploy.run.stop_signals import StopRequest, ignore_stops
 from deploy.scenario.effective import agreement_of
+from deploy.scenario.link_kinds.kind import LinkRun
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_actions

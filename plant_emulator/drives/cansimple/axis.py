@@ -40,12 +40,21 @@ class AxisError(IntFlag):
     """The errors this axis can have."""
 
     NONE = 0
+    MISSING_ESTIMATE = 0x8
     BAD_CONFIG = 0x10
     DRV_FAULT = 0x20
     MOTOR_OVER_TEMP = 0x2000
     VELOCITY_LIMIT_VIOLATION = 0x8000
     WATCHDOG_TIMER_EXPIRED = 0x100_0000
     ESTOP_REQUESTED = 0x200_0000
+
+
+_ERRORS = {
+    None: AxisError.NONE,
+    DriveFault.DRIVE: AxisError.DRV_FAULT,
+    DriveFault.OVER_TEMPERATURE: AxisError.MOTOR_OVER_TEMP,
+    DriveFault.ENCODER: AxisError.MISSING_ESTIMATE,
+}
 
 
 class ProcedureResult(IntEnum):
@@ -153,7 +162,7 @@ class Axis(Drive):
 
     def clear_errors(self) -> None:
         """Clear errors whose causes are gone."""
-        self._errors = AxisError.MOTOR_OVER_TEMP if self._is_hot else AxisError.NONE
+        self._errors = _ERRORS[self._lasting_fault]
         self._disarm_reason = self._errors
 
     def reboot(self, action: int) -> None:
@@ -163,8 +172,7 @@ class Axis(Drive):
         self._start()
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        is_hot = fault is DriveFault.OVER_TEMPERATURE
-        self._disarm(AxisError.MOTOR_OVER_TEMP if is_hot else AxisError.DRV_FAULT)
+        self._disarm(_ERRORS[fault])
 
     def advance(self, now_ns: int) -> None:
         """Disarm if the watchdog has expired."""

@@ -28,6 +28,11 @@ _NMT = 0x000
 _NMT_BYTES = 2
 _ALL_NODES = 0
 _LAST_OBJECT = 0xFFFF
+_ERRORS = {
+    DriveFault.DRIVE: ErrorCode.SHORT_CIRCUIT,
+    DriveFault.OVER_TEMPERATURE: ErrorCode.OVER_TEMPERATURE,
+    DriveFault.ENCODER: ErrorCode.ENCODER,
+}
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
 
 
@@ -105,8 +110,8 @@ class Cia402Drive(Drive):
             self._set_up()
             if self.state is State.NOT_READY_TO_SWITCH_ON:
                 self._motor.automaton.power_on()
-                if self._is_hot:
-                    self._fail(DriveFault.OVER_TEMPERATURE, now_ns)
+                if (fault := self._lasting_fault) is not None:
+                    self._fail(fault, now_ns)
         if self._network.advance():
             self._lose_master(ErrorCode.HEARTBEAT_LOST, lasting=True)
             self._send_events()
@@ -118,17 +123,16 @@ class Cia402Drive(Drive):
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:
         self._node.now_ns = now_ns
-        is_hot = fault is DriveFault.OVER_TEMPERATURE
-        code = ErrorCode.OVER_TEMPERATURE if is_hot else ErrorCode.SHORT_CIRCUIT
-        self._motor.fail(code, power_off=not is_hot)
-        self._errors.note(code, lasting=is_hot)
+        code = _ERRORS[fault]
+        self._motor.fail(code, power_off=fault is not DriveFault.OVER_TEMPERATURE)
+        self._errors.note(code, lasting=fault is not DriveFault.DRIVE)
         self._send_events()
 
     def clear(self, fault: DriveFault, now_ns: int) -> None:
         super().clear(fault, now_ns)
-        if fault is DriveFault.OVER_TEMPERATURE:
+        if fault in _ERRORS:
             self._looked_ns = None
-            self._errors.cause_gone(ErrorCode.OVER_TEMPERATURE)
+            self._errors.cause_gone(_ERRORS[fault])
 
     def lose_bus(self, now_ns: int) -> None:
         self._node.now_ns = now_ns

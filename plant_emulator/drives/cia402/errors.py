@@ -21,6 +21,7 @@ class ErrorCode(IntEnum):
     NONE = 0x0000
     SHORT_CIRCUIT = 0x2320
     OVER_TEMPERATURE = 0x4310
+    ENCODER = 0x7305
     STOPPED = 0x8100
     HEARTBEAT_LOST = 0x8130
     BUS_OFF = 0x8140
@@ -34,6 +35,7 @@ class ErrorCode(IntEnum):
 SENTENCES = {
     ErrorCode.SHORT_CIRCUIT: "short circuit in the power stage",
     ErrorCode.OVER_TEMPERATURE: "over-temperature",
+    ErrorCode.ENCODER: "encoder cannot be read",
     ErrorCode.STOPPED: "stopped by the network master",
     ErrorCode.HEARTBEAT_LOST: "heartbeat of the master lost",
     ErrorCode.BUS_OFF: "bus-off",

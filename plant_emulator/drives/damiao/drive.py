@@ -1,7 +1,8 @@
 """A Damiao motor: special frames, commands of four modes, registers, feedback, errors, timeout.
 
 States and errors are those of the manual of the DM-J8009P-2EC, V1.0: the error of a feedback frame
-is 1 in the enabled state and 0 in the disabled one, and every fault leaves the enabled state.
+is 1 in the enabled state and 0 in the disabled one, and every fault leaves the enabled state. Error
+5 is that of the manual of the DM-S3519-1EC, V1.1.
 """
 
 from __future__ import annotations
@@ -37,6 +38,12 @@ from plant_emulator.drives.damiao.registers import Registers
 from plant_emulator.drives.drive import DriveFault, DriveSettings, JointLoop, Send
 from plant_emulator.drives.mit.drive import LoopDrive
 
+_ERRORS = {
+    None: Status.DISABLED,
+    DriveFault.DRIVE: Status.OVER_CURRENT,
+    DriveFault.OVER_TEMPERATURE: Status.COIL_HOT,
+    DriveFault.ENCODER: Status.SENSOR_ERROR,
+}
 _RESTARTING = {Register.CTRL_MODE, Register.ESC_ID, Register.MST_ID}
 
 
@@ -87,8 +94,7 @@ class DamiaoDrive(LoopDrive):
             self._rest(Status.LOST_COMMUNICATION)
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        is_hot = fault is DriveFault.OVER_TEMPERATURE
-        self._rest(Status.COIL_HOT if is_hot else Status.OVER_CURRENT)
+        self._rest(_ERRORS[fault])
 
     def describe(self, frame: CanFrame) -> str | None:
         mode, is_whole = self._modes.get(frame.identifier), len(frame.data) == COMMAND_BYTES
@@ -154,7 +160,7 @@ class DamiaoDrive(LoopDrive):
         elif kind is Special.DISABLE and is_enabled:
             self._rest(Status.DISABLED)
         elif kind is Special.CLEAR_ERROR and not is_enabled:
-            self._error = Status.COIL_HOT if self._is_hot else Status.DISABLED
+            self._error = _ERRORS[self._lasting_fault]
 
     def _loop_for(self, command: MitCommand | Target) -> JointLoop | CascadeLoop:
         values, is_velocity = self._registers, self._mode is Mode.VEL

@@ -28,6 +28,7 @@ from plant_emulator.drives.drive import (
     DriveSettings,
     JointDemand,
     JointLoop,
+    Loop,
     Send,
     following,
 )
@@ -35,6 +36,12 @@ from plant_emulator.drives.drive import (
 _MS = 1_000_000
 _USUAL_C, _HOT_C = 25, 110
 _TURN_RAD = 2.0 * math.pi
+_ERRORS = {
+    None: MitError.NONE,
+    DriveFault.DRIVE: MitError.OVER_CURRENT,
+    DriveFault.OVER_TEMPERATURE: MitError.OVER_TEMPERATURE,
+    DriveFault.ENCODER: MitError.ENCODER,
+}
 
 
 class LoopDrive(Drive):
@@ -46,7 +53,7 @@ class LoopDrive(Drive):
         super().__init__(settings, send)
         self._step_rad = _TURN_RAD / settings.counts_per_turn
         self._zero_rad = 0.0
-        self._loop: JointLoop | CascadeLoop | None = None
+        self._loop: Loop | None = None
         self._heard_ns = 0
 
     @property
@@ -67,7 +74,7 @@ class LoopDrive(Drive):
         """Define the present position as zero; a command in force refers to the new zero."""
         moved_rad = self.position_rad
         self._zero_rad += moved_rad
-        if self._loop is not None:
+        if isinstance(self._loop, JointLoop | CascadeLoop):
             self._loop = self._loop._replace(target_rad=self._loop.target_rad + moved_rad)
 
     def _mit_loop(self, command: MitCommand, most_nm: float) -> JointLoop:
@@ -126,8 +133,7 @@ class MitDrive(LoopDrive):
             self._rest()
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        hot, short = MitError.OVER_TEMPERATURE, MitError.OVER_CURRENT
-        self._error = hot if fault is DriveFault.OVER_TEMPERATURE else short
+        self._error = _ERRORS[fault]
         self._rest()
 
     def describe(self, frame: CanFrame) -> str | None:
@@ -158,7 +164,7 @@ class MitDrive(LoopDrive):
         self._is_timed_out = False
         if kind is Special.DISABLE:
             self._rest()
-            self._error = MitError.OVER_TEMPERATURE if self._is_hot else MitError.NONE
+            self._error = _ERRORS[self._lasting_fault]
         elif self._error is MitError.NONE:
             self._is_in_motor_mode = True
 

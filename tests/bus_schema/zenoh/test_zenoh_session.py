@@ -6,6 +6,7 @@ import os
 import socket
 import struct
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -102,7 +103,10 @@ def sockets() -> dict[str, bool]:
     """The sockets of this process, and whether closing each may wait."""
     found = {}
     for entry in filter(Path.is_socket, Path("/dev/fd").iterdir()):
-        with socket.fromfd(int(entry.name), socket.AF_INET, socket.SOCK_STREAM) as one:
+        with (
+            suppress(OSError),  # a thread of an earlier session has closed it meanwhile
+            socket.fromfd(int(entry.name), socket.AF_INET, socket.SOCK_STREAM) as one,
+        ):
             option = one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)
             found[entry.name] = bool(struct.unpack("ii", option)[0])
     return found

@@ -94,13 +94,14 @@ def test_a_question_has_what_the_protocol_says(tmp_path):
     law = program(
         tmp_path, ECHO + "row = 0\nwhile True:\n    q = asked()\n"
         "    say(0.0, *q[8 + 3 * row:11 + 3 * row]) if row < 8 else say(0.0, *q[:3]) if row == 8"
-        " else say(0.0, *q[3:6])\n    row += 1\n",
+        " else say(0.0, *q[3:6]) if row == 9 else say(0.0, *q[5:8])\n    row += 1\n",
     )  # fmt: skip
     tracking = situation()
     expected = [
         tracking.position, tracking.velocity, tracking.reference_position,
         tracking.reference_velocity, tracking.reference_acceleration, tracking.upper_bound,
         tracking.lower_bound, LIMITS, [1.0, 1.0, 3.0], [0.25, 0.001, 0.0],
+        [0.0, 1.0, 0.0],  # horizon; one row, no targets
     ]  # fmt: skip
     assert tracking.reference_acceleration.any()
     for row in expected:

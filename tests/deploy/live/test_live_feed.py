@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from deploy.run.live.feed import FeedReceiver, LiveFeed
+from deploy.run.live.feed import FeedReceiver, LiveFeed, clear_left_behind
 from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
 NAMES = ("base_yaw", "shoulder", "elbow")
@@ -66,6 +66,24 @@ def test_the_newest_of_each_topic_is_shown_and_every_event_and_every_deadline_co
     ]  # fmt: skip
     assert [m.payload for m in messages[2:]] == [b"event 0", b"event 1", b"event 2"]
     assert sampler.snapshot() is None
+
+
+def test_another_recorder_that_clears_up_meanwhile_leaves_a_socket_that_is_about_to_listen(
+    folder, tmp_path, monkeypatch
+):
+    listen = socket.socket.listen
+
+    def clear_up_and_listen(made):
+        clear_left_behind()
+        listen(made)
+
+    monkeypatch.setattr(socket.socket, "listen", clear_up_and_listen)
+    feed, receiver = LiveFeed(ENDPOINT, tmp_path / "scenario.yaml", NAMES), FeedReceiver(ENDPOINT)
+    meet(feed, receiver)
+    assert receiver.scenario == tmp_path / "scenario.yaml"
+    receiver.close()
+    feed.close()
+    assert not folder.exists()
 
 
 def test_who_asks_is_told_the_scenario_and_gets_what_is_recorded(feed, receiver, tmp_path):

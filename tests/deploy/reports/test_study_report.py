@@ -9,6 +9,8 @@ import pytest
 from rich.console import Console
 
 from deploy.cli.study.studies import show_study
+from deploy.reports.figures.study_figures import DrawnStudy
+from deploy.reports.margin_reports import margin_page
 from deploy.reports.study_report import write_study_report
 
 HOSTILE = "</script><script>alert(1)</script>"
@@ -106,12 +108,30 @@ def test_the_headline_tells_a_running_loop_from_one_that_starts(margin, page_of)
     margin["cases"].append({**margin["cases"][0], "running": True, "margin": 64.0})
     page, text = page_of(margin), " ".join(shown(margin).split())
     for said in (
-        "my_arm, a loop that already runs: the largest margin is 64 ms, of pid with compensation,"
-        " running.",
+        "my_arm, a loop that already runs: the largest margin is 64 ms, of pid with compensation.",
         "my_arm: the largest margin is 4 ms, of pid with compensation.",
     ):
         assert said in page
         assert said in text
+
+
+def test_the_headline_names_all_laws_of_the_largest_margin(margin, page_of):
+    first = margin["cases"][0]
+    margin["cases"] += [{**first, "law": "smc"}, {**first, "law": "tsmc", "compensation": False}]
+    said = "the largest margin is 4 ms, of pid and smc with compensation; of tsmc without"
+    assert said in page_of(margin)
+
+
+def test_many_lines_share_a_legend_of_laws_and_settings(margin):
+    """Ten entries for eight laws with and without compensation, not sixteen."""
+    first, laws = margin["cases"][0], [f"law_{number}" for number in range(8)]
+    margin["cases"] = [
+        {**first, "law": law, "compensation": has_it} for law in laws for has_it in (False, True)
+    ]
+    study = DrawnStudy(margin, str)
+    lines = next(panel for panel in margin_page(study).panels if panel.id == "rms-my_arm")
+    entries = [trace.name for trace in lines.draw(study).data if trace.showlegend is not False]
+    assert entries == [*laws, "without compensation", "with compensation"]
 
 
 def test_terminal_and_report_tell_the_same_numbers(margin, page_of):

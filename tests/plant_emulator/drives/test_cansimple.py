@@ -21,6 +21,7 @@ HEARTBEAT, ESTOP, GET_ERROR, SET_STATE, ESTIMATES, SET_MODE, SET_TORQUE, LIMITS 
 )  # fmt: skip
 GET_IQ, TEMPERATURE, REBOOT, BUS, CLEAR, TORQUES, POWERS = 0x14, 0x15, 0x16, 0x17, 0x18, 0x1C, 0x1D
 IDLE, CLOSED_LOOP, CALIBRATION = 1, 8, 3
+MISSING_ESTIMATE = 0x8
 WATCHDOG, ESTOPPED, DRV_FAULT, BAD_CONFIG, OVER_TEMP, TOO_FAST = (
     0x1000000, 0x2000000, 0x20, 0x10, 0x2000, 0x8000,
 )  # fmt: skip
@@ -158,7 +159,11 @@ def test_limits(axis):
 
 @pytest.mark.parametrize(
     ("fault", "error"),
-    [(DriveFault.DRIVE, DRV_FAULT), (DriveFault.OVER_TEMPERATURE, OVER_TEMP)],
+    [
+        (DriveFault.DRIVE, DRV_FAULT),
+        (DriveFault.OVER_TEMPERATURE, OVER_TEMP),
+        (DriveFault.ENCODER, MISSING_ESTIMATE),
+    ],
 )
 def test_faults_disarm_and_are_cleared_when_their_cause_is_gone(axis, fault, error):
     axis.drive.inject(fault, 0)

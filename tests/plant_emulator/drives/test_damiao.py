@@ -93,6 +93,22 @@ def test_states_are_in_the_high_half_of_the_first_byte_and_temperatures_in_the_l
     assert bench.drive.demand() == AT_REST
 
 
+def test_encoder_that_cannot_be_read_is_error_5_until_it_can_be_read_and_is_cleared():
+    bench = Bench()
+    bench.at(1.25)
+    bench.hear(ENABLE)
+    bench.hear(command(t=1.0, ranges=DM4310))
+    bench.drive.inject(DriveFault.ENCODER, 0)
+    assert bench.drive.demand() == AT_REST
+    assert bench.drive.fault == "SENSOR_ERROR (error 0x5)"
+    bench.at(*bench.drive.seen(2.0, 3.0))
+    assert bench.state(CLEAR) == (5, NODE, 25, 25, 1.25)  # the last position that was read
+    bench.drive.clear(DriveFault.ENCODER, 0)
+    assert bench.state(ENABLE)[0] == 5
+    assert bench.state(CLEAR)[0] == 0
+    assert bench.state(ENABLE)[0] == 1
+
+
 def test_refresh_gives_the_state_and_changes_nothing():
     bench = Bench()
     bench.at(-0.5)

@@ -155,15 +155,19 @@ def test_the_last_command_stays_in_force_unless_a_timeout_is_set(watchdog_ms):
     assert bench.drive.demand() == AT_REST
 
 
-def test_errors_are_told_and_latched_until_motor_mode_is_left():
+@pytest.mark.parametrize(
+    ("fault", "temperature_c", "error"),
+    [(DriveFault.OVER_TEMPERATURE, 110, 1), (DriveFault.ENCODER, 25, 5)],
+)
+def test_errors_are_told_and_latched_until_motor_mode_is_left(fault, temperature_c, error):
     bench = Bench()
     bench.say(ENTER)
     bench.say(command(t=1.0))
-    bench.drive.inject(DriveFault.OVER_TEMPERATURE, 0)
+    bench.drive.inject(fault, 0)
     assert bench.drive.demand() == AT_REST
-    assert list(bench.say(ENTER).data[6:]) == [110 + 40, 1]
-    assert bench.say(EXIT).data[7] == 1  # still hot
-    bench.drive.clear(DriveFault.OVER_TEMPERATURE, 0)
+    assert list(bench.say(ENTER).data[6:]) == [temperature_c + 40, error]
+    assert bench.say(EXIT).data[7] == error  # its cause is still there
+    bench.drive.clear(fault, 0)
     assert bench.say(EXIT).data[7] == 0
     bench.drive.inject(DriveFault.DRIVE, 0)
     assert bench.say(ENTER).data[7] == 2

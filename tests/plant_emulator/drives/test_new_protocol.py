@@ -161,7 +161,7 @@ def test_loop_closes_over_it() -> None:
         ("rate_hz=2000", r"takes sample \+ 3 × \(state 8 bytes \+ torque 4 bytes\) = up to"),
         (
             "link.can.protocol=semaphore",
-            r"'semaphore': must be 'cia402', 'cansimple', 'mit', 'damiao' or 'toy'",
+            r"'semaphore': must be 'cia402', 'cansimple', 'mit', 'damiao', 'moteus' or 'toy'",
         ),
     ],
 )

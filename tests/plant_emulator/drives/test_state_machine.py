@@ -123,12 +123,16 @@ def test_fault_reset_is_a_rising_edge():
     assert bench.state == "SWITCH_ON_DISABLED"
 
 
-def test_fault_reset_waits_for_the_cause_to_be_gone():
+@pytest.mark.parametrize(
+    ("fault", "code"), [(DriveFault.OVER_TEMPERATURE, 0x4310), (DriveFault.ENCODER, 0x7305)]
+)
+def test_fault_reset_waits_for_the_cause_to_be_gone(fault, code):
     bench = reach("SWITCH_ON_DISABLED")
-    bench.drive.inject(DriveFault.OVER_TEMPERATURE, bench.now_ns)
+    bench.drive.inject(fault, bench.now_ns)
     bench.control(FAULT_RESET)
     assert bench.state == "FAULT"
-    bench.drive.clear(DriveFault.OVER_TEMPERATURE, bench.now_ns)
+    assert bench.read(0x603F) == code
+    bench.drive.clear(fault, bench.now_ns)
     bench.control(0)
     bench.control(FAULT_RESET)
     assert bench.state == "SWITCH_ON_DISABLED"

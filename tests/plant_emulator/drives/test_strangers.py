@@ -16,8 +16,8 @@ from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, Role, layout
 from bus_schema.runtime.clock import HostLateness, VirtualClock
-from deploy.link_kinds import can as can_kind
-from deploy.link_kinds.can import CanKind
+from deploy.scenario.link_kinds import can as can_kind
+from deploy.scenario.link_kinds.can import CanKind
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.strangers import Strangers

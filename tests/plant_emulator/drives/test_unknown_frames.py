@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
+import numpy as np
 import pytest
 
 from bus_schema.can.damiao.motors import MOTORS
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.mit.codec import MitCommand, MitRanges, ending_of, packed_command
 from bus_schema.can.mit.protocol import MitProtocol
+from bus_schema.can.moteus.codec import MoteusCodec
 from bus_schema.link.can_configuration import CanConfiguration
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive, load_database
@@ -17,6 +20,7 @@ from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.damiao.drive import DamiaoDrive
 from plant_emulator.drives.drive import DriveSettings
 from plant_emulator.drives.mit.drive import MitDrive
+from plant_emulator.drives.moteus.drive import MoteusDrive
 from tests.arms import PAPER_ARM
 
 NODE, LIMIT_NM = 5, 9.0
@@ -166,6 +170,39 @@ def test_cia402_aborts_every_sdo_command_that_it_does_not_have():
             assert bank.hear(0x600 + NODE, bytes([specifier << 5 | rest]) + b"\xff" * 7)
             assert [frame.data[0] for frame in bank.sent] == [0x80]
             assert float(bank.bank.torque_nm[0]) == bank.torque_nm
+
+
+def moteus():
+    ready = MoteusCodec([NODE], 1.0, has_gains=False).command_frames(np.array([1.0]))[0]
+    return Bank(MoteusDrive, (NODE, ready.data)), ready.data
+
+
+def test_moteus_refuses_subframes_that_it_does_not_have_and_commands_cut_short():
+    bank, command = moteus()
+    starts = {place for place in range(256) if place & 0xF0 in (0x00, 0x10)} | {0x50}
+    for kind in sorted(set(range(256)) - starts):
+        bank.assert_refused(NODE, bytes([kind]) + bytes(11))
+    whole = {0, 3, 26, 32}  # nothing, the mode alone, and what has all its floats
+    for length in sorted(set(range(len(command))) - whole):
+        bank.assert_refused(NODE, command[:length])
+    for number in (math.nan, math.inf, -math.inf):
+        data = command.replace(struct.pack("<f", 1.0), struct.pack("<f", number), 1)
+        bank.assert_refused(NODE, data)
+    for mode in set(range(256)) - {0, 10, 12}:
+        bank.assert_refused(NODE, bytes([0x01, 0x00, mode]))
+    bank.assert_refused(NODE, is_remote=True)
+
+
+def test_no_random_frame_gets_more_torque_from_a_moteus_than_it_has():
+    bank, command = moteus()
+    random = np.random.default_rng(1)
+    for _ in range(5000):
+        data = bytearray(command if random.random() < 0.5 else random.bytes(random.integers(64)))
+        if data:
+            data[random.integers(len(data))] = random.integers(256)
+        bank.hear(NODE, bytes(data))
+        assert abs(bank.bank.torque_nm[0]) <= LIMIT_NM
+        assert not (bank.bank.braked[0] and bank.bank.torque_nm[0])
 
 
 @pytest.mark.parametrize("protocol", [mit, damiao, cansimple, cia402])

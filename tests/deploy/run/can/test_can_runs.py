@@ -108,6 +108,7 @@ def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
         ("paper_arm_mit", "silent:2@500ms", "no answer from drive 2", None),
         ("openarm", "drive:2@500ms", "node 2: OVER_CURRENT (error 0xa)", None),
         ("openarm", "over-temperature:3@500ms", "node 3: COIL_HOT (error 0xc)", None),
+        ("openarm", "encoder:2@500ms", "node 2: SENSOR_ERROR (error 0x5)", None),
         ("openarm", "silent:2@500ms", "no answer from drive 2", None),
     ],
 )

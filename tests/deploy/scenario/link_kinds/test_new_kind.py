@@ -13,9 +13,9 @@ from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.runtime.clock import Clock
 from deploy.judge.run_data import RunData
-from deploy.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun, shared_bus
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
+from deploy.scenario.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun, shared_bus
 from deploy.scenario.scenario import load_setup
 from plant_emulator.arm_plant import ArmPlant
 

@@ -181,9 +181,9 @@ def shared_bus(run: LinkRun) -> InProcessBus:
 LINK_KINDS: Registry[LinkKind[Any]] = Registry(
     "link.kind",
     {
-        "zenoh": "deploy.link_kinds.kind:ZenohKind",
-        "in_process": "deploy.link_kinds.kind:InProcessKind",
-        "can": "deploy.link_kinds.can:CanKind",
+        "zenoh": "deploy.scenario.link_kinds.kind:ZenohKind",
+        "in_process": "deploy.scenario.link_kinds.kind:InProcessKind",
+        "can": "deploy.scenario.link_kinds.can:CanKind",
     },
 )
 """Each is imported when a scenario names it, as CAN's libraries are slow. Add new kinds here."""

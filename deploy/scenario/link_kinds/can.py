@@ -28,7 +28,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
 from bus_schema.zenoh.link import open_telemetry
-from deploy.link_kinds.kind import LinkKind, LinkRun
+from deploy.scenario.link_kinds.kind import LinkKind, LinkRun
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission

@@ -1,0 +1,1 @@
+"""moteus controllers (mjbots): their cyclic frames, registers and master."""

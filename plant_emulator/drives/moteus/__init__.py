@@ -1,0 +1,1 @@
+"""moteus controllers: multiplex frames, modes, watchdog, faults."""

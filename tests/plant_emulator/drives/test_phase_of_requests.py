@@ -1,0 +1,154 @@
+"""The plant's ticks in real time stay ahead of requests, also where its host is slow.
+
+Time is the test's: frames come on the master's grid, and each one that is read costs time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from bus_schema.can.frame import CanFrame
+from bus_schema.link.in_process import InProcessBus, InProcessNode
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, Role, layout
+from bus_schema.runtime.clock import VirtualClock
+from deploy.scenario.link_kinds import can as can_kind
+from deploy.scenario.link_kinds.can import CanKind
+from deploy.scenario.scenario import load_setup
+
+MS = 1_000_000
+PERIOD_NS = 2 * MS
+LEAD_NS = 300_000
+REQUESTS = [
+    CanFrame(0x7FF, bytes([node, 0, 0xCC, 0, 0, 0, 0, 0]), is_fd=True) for node in range(1, 8)
+]
+
+
+class MastersTime(VirtualClock):
+    """The plant's clock over a time that the master shares.
+
+    Attributes:
+        master_ns: the master's time.
+        ahead_ns: how far the plant's clock is ahead of it.
+    """
+
+    def __init__(self) -> None:
+        self.master_ns = self.ahead_ns = 0
+
+    def start(self) -> None:
+        """Time began with the anchor."""
+
+    def anchor(self, ago_ns: int) -> None:
+        self.ahead_ns = (
+            LEAD_NS - self.master_ns
+        )  # the wall time since the first one does not count here
+
+    def now_ns(self) -> int:
+        return self.master_ns + self.ahead_ns
+
+    def put_forward(self, by_ns: int) -> None:
+        self.ahead_ns += by_ns
+
+    def wait_until(self, instant_ns: int) -> int:
+        self.master_ns = max(self.master_ns, instant_ns - self.ahead_ns)
+        return 0
+
+
+class MastersBus:
+    """Requests of all seven drives every 2 ms, each of which takes its reader some time.
+
+    Attributes:
+        answers: how many were sent.
+    """
+
+    def __init__(self, clock: MastersTime, read_ns: int, wakes_late_ns: int) -> None:
+        self._clock, self._read_ns, self._wakes_late_ns = clock, read_ns, wakes_late_ns
+        self._next = self.answers = 0
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        tick, joint = divmod(self._next, len(REQUESTS))
+        comes_ns, until_ns = tick * PERIOD_NS, self._clock.master_ns + round(timeout_s * 1e9)
+        if comes_ns > until_ns and timeout_s > 0.0:
+            until_ns += self._wakes_late_ns
+        self._clock.master_ns = max(self._clock.master_ns, min(comes_ns, until_ns))
+        if comes_ns > until_ns:
+            return None
+        self._next += 1
+        self._clock.master_ns += self._read_ns
+        return REQUESTS[joint]
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        self.answers += len(frames)
+
+    def dropped(self) -> int | None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class Motors:
+    """The plant's link to the motors of `openarm`, whose time is a `MastersTime`."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, read_ns: int, wakes_late_ns: int = 0
+    ) -> None:
+        setup = load_setup("openarm", ["duration_s=20", "clock=realtime", "rate_hz=500"])
+        self.clock, self._arm = MastersTime(), setup.arm()
+        self.bus = MastersBus(self.clock, read_ns, wakes_late_ns)
+        telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
+        monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
+        monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
+        run = setup.link_run(lockstep=False)
+        self._link = CanKind().open_plant(run, self._arm, self.clock)
+        self._link.await_controller(60.0)
+        names = setup.robot.joint_names
+        self._state = Record(layout(JOINT_STATES, names)).payload()
+        self._status = layout(PLANT_STATUS, names).template
+
+    def reach(self, tick: int) -> None:
+        self._link.wait_until(self.clock, tick * PERIOD_NS)
+
+    def measure(self) -> None:
+        self._link.send_state(self._state, self._status)
+
+    def close(self) -> None:
+        self._link.close()
+        self._arm.close()
+
+
+@pytest.mark.parametrize(
+    ("read_ns", "busy_ns"), [(45_000, 0), (70_000, 150_000), (45_000, 450_000)]
+)
+def test_ticks_stay_ahead_of_requests_on_a_slow_host(
+    monkeypatch: pytest.MonkeyPatch, read_ns: int, busy_ns: int
+) -> None:
+    """Seven requests take 0.3 ms to read, and more: that is no sign of a late master.
+
+    Else the clock would be set back until requests come before the tick, and are answered with the
+    state before it.
+    """
+    motors = Motors(monkeypatch, read_ns)
+    for tick in range(1, 2000):
+        motors.reach(tick)
+        motors.measure()
+        motors.clock.master_ns += busy_ns
+    assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=read_ns + 10_000)
+    motors.close()
+
+
+def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A request that was sent after the tick is there when the host wakes up for it."""
+    motors = Motors(monkeypatch, read_ns=5_000, wakes_late_ns=LEAD_NS + 100_000)
+    answers_before_tick = []
+    for tick in range(1, 50):
+        motors.reach(tick)
+        answers_before_tick.append(motors.bus.answers)
+        motors.measure()
+    # At the first one, no joint was measured yet; before each other, one set of requests per tick.
+    assert answers_before_tick == [0, *(len(REQUESTS) * tick for tick in range(2, 50))]
+    motors.close()
