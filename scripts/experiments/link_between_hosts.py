@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -83,6 +84,7 @@ def measure(
 def main() -> None:
     """Print the table."""
     print("| protocol | direction | injected | measured p50, p99, ms | lost, 95 % interval |")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # it removes the hosts, too
     try:
         with two_hosts() as hosts:
             for protocol, delay_ms, loss in _CASES:

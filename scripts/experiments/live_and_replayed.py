@@ -226,6 +226,7 @@ def main(first: int, last: int, scale: float = 1.0) -> None:
         "| seed | uplink p50, p99, max, ms | live | RMS live per joint, µrad"
         " | replay of the run's own delays | of `link` beside | of `link` before |"
     )
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # it removes the hosts, too
     try:
         with two_hosts() as hosts:
             for seed in range(first, last + 1):

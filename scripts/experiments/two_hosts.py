@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 _CLONE_NEWNET = 0x40000000  # <linux/sched.h>
-_ADDRESSES = ("192.0.2.10", "192.0.2.11")
+ADDRESSES = ("192.0.2.10", "192.0.2.11")
 _END_S = 20.0
 
 
@@ -83,7 +83,7 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
         raise FileNotFoundError("network namespaces need the program ip (iproute2)")
     first, second = hosts = tuple(
         Host(f"funnel-hil-{os.getpid()}-{number}", address)
-        for number, address in enumerate(_ADDRESSES)
+        for number, address in enumerate(ADDRESSES)
     )
     with contextlib.ExitStack() as stack:
         for host in hosts:

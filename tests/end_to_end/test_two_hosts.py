@@ -4,49 +4,34 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 from running import Finished, funnel_hil_here, outputs_of, settings
 
 from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.run.network.keys import create_authority, issue
+from scripts.experiments.link_between_hosts import measure
+from scripts.experiments.two_hosts import ADDRESSES, Host, two_hosts
 from tests.warm_process import WarmProcess
 
-PLANT_HOST, CONTROLLER_HOST = "192.0.2.10", "192.0.2.11"
+PLANT_HOST, CONTROLLER_HOST = ADDRESSES
 RUN = ["paper_arm", *settings(clock="lockstep", duration_s=1)]
 
 
-def ip(*words: str) -> None:
-    ended = subprocess.run(["ip", *words], capture_output=True, text=True, check=False)
-    if ended.returncode:
-        pytest.skip(f"network namespaces cannot be made here: {ended.stderr.strip()}")
-
-
 @pytest.fixture
-def hosts() -> Iterator[dict[str, str]]:
-    """Two namespaces joined by a cable: names by address."""
-    if shutil.which("ip") is None:
-        pytest.skip("iproute2 is not installed")
-    names = {address: f"funnel-hil-{os.getpid()}-{address.rpartition('.')[2]}"
-             for address in (PLANT_HOST, CONTROLLER_HOST)}  # fmt: skip
-    try:
-        for name in names.values():
-            ip("netns", "add", name)
-        first, second = names.values()
-        ip("-n", first, "link", "add", "eth0", "type", "veth", "peer", "name", "eth0",
-           "netns", second)  # fmt: skip
-        for address, name in names.items():
-            ip("-n", name, "address", "add", f"{address}/24", "dev", "eth0")
-            ip("-n", name, "link", "set", "eth0", "up")
-            ip("-n", name, "link", "set", "lo", "up")
-        yield names
-    finally:
-        for name in names.values():
-            subprocess.run(["ip", "netns", "delete", name], capture_output=True, check=False)
+def hosts() -> Iterator[tuple[Host, Host]]:
+    """Hosts of the plant and of the controller."""
+    with ExitStack() as stack:
+        try:
+            made = stack.enter_context(two_hosts())
+        except OSError as error:
+            pytest.skip(str(error))
+        yield made
 
 
 def hand_out(keys: KeyFolder, folder: Path, *roles: Role) -> Path:
@@ -57,7 +42,7 @@ def hand_out(keys: KeyFolder, folder: Path, *roles: Role) -> Path:
     return folder
 
 
-def start(host: str, verb: str, keys: Path, *words: str) -> WarmProcess:
+def start(host: Host, verb: str, keys: Path, *words: str) -> WarmProcess:
     secured = settings(
         link__security__enabled=True, link__security__folder=str(keys),
         link__plant_endpoint=f"tcp/{PLANT_HOST}:7451",
@@ -66,11 +51,13 @@ def start(host: str, verb: str, keys: Path, *words: str) -> WarmProcess:
     )  # fmt: skip
     return WarmProcess(
         verb, *RUN, *secured, *words,
-        main="tests.end_to_end.at_host:main", environment={**os.environ, "HOST": host},
+        main="tests.end_to_end.at_host:main", environment={**os.environ, "HOST": host.namespace},
     )  # fmt: skip
 
 
-def test_plant_and_controller_on_two_hosts_under_tls(hosts: dict[str, str], tmp_path: Path) -> None:
+def test_plant_and_controller_on_two_hosts_under_tls(
+    hosts: tuple[Host, Host], tmp_path: Path
+) -> None:
     keys = KeyFolder.at(tmp_path / "authority")
     create_authority(keys, 1)
     issue(keys, Role.PLANT, [PLANT_HOST], 1)
@@ -80,9 +67,9 @@ def test_plant_and_controller_on_two_hosts_under_tls(hosts: dict[str, str], tmp_
     at_controller = hand_out(keys, tmp_path / "controller_host", Role.CONTROLLER)
     out = tmp_path / "run"
     processes = [
-        start(hosts[PLANT_HOST], "record", at_plant, "--out", str(out)),
-        start(hosts[PLANT_HOST], "plant", at_plant, "--await-recorder"),
-        start(hosts[CONTROLLER_HOST], "controller", at_controller, "--await-recorder"),
+        start(hosts[0], "record", at_plant, "--out", str(out)),
+        start(hosts[0], "plant", at_plant, "--await-recorder"),
+        start(hosts[1], "controller", at_controller, "--await-recorder"),
     ]
     outputs = outputs_of(processes)
     assert [process.returncode for process in processes] == [0, 0, 0], outputs
@@ -91,3 +78,14 @@ def test_plant_and_controller_on_two_hosts_under_tls(hosts: dict[str, str], tmp_
     assert run.summary["recorder"]["lost"] == 0
     simulation = funnel_hil_here("simulate", *RUN, out=tmp_path / "simulation")
     assert run.digest == simulation.digest
+
+
+def test_injected_delay_and_loss_are_measured_between_two_hosts(hosts: tuple[Host, Host]) -> None:
+    for found in measure(hosts, "udp", 5.0, 0.05, 1.0).values():
+        assert found.delays_ms.min() >= 5.0
+        # A busy machine delays some messages more; the quickest show what the relay does.
+        assert np.quantile(found.delays_ms, 0.05) == pytest.approx(5.0, abs=0.5)
+        least, most = found.loss_interval
+        assert least < 0.075
+        assert most > 0.025
+        assert found.lost > 0
