@@ -157,7 +157,7 @@ def build_run_data(
         link=link,
         tables={
             topic.name: topics.layout(topic, names, has_targets=setup.drive.is_active).tabulate(
-                payloads.get(topic.name, ())
+                payloads.get(topic.name, ()), setup.grid.period_ns
             )
             for topic in topics.TOPICS
             if topic is not topics.RUN_EVENTS

@@ -68,6 +68,9 @@ def test_torques_for_the_next_ticks_in_one_command_give_the_bits_of_one_command_
     assert each.summary["transport"]["downlink"]["delivered"] == 200
     assert rows.summary["transport"]["downlink"]["delivered"] == 50
     assert rows.summary["timing"]["deadline_misses"] == 0
+    # The rows of the last command reach beyond the run.
+    commanded = [ended.data.tables["joint_commands"]["effort"][:200] for ended in (each, rows)]
+    assert (commanded[0] == commanded[1]).all()
     for quantity in ("torque", "position", "velocity"):
         truths = [ended.data.tables["plant_truth"][quantity] for ended in (each, rows)]
         assert (truths[0] == truths[1]).all()

@@ -23,7 +23,7 @@ _FEWEST_ROWS = 50
 _DEAD_TIMES, _LAGS = 40, 10
 _SHORTEST_LAG_S, _FINEST_S = 1e-5, 1e-6
 _LEAST_EXPLAINED = 0.5
-_WIDEST_S, _WIDEST_SHARE = 2e-3, 0.1
+_WIDEST_S, _WIDEST_SHARE, _WIDEST_PERIODS = 2e-3, 0.1, 0.55
 _Z_95 = 1.96
 _SURELY_WORSE = _Z_95**2
 """By how much the deviance of a model exceeds that of the best, if it is one of 20 that do."""
@@ -140,9 +140,6 @@ def find_latency(
     if np.ptp(command) == 0.0 or np.ptp(fit.response) == 0.0:
         raise ValueError("command or response never changes: the motion does not excite the system")
     best = _best(fit, longest_s, period_s)
-    most = best.cost * (1.0 + _SURELY_WORSE / len(fit.response)) + _NOTHING
-    places = [best, *(_end(fit, best, most, longest_s, sign * period_s) for sign in (-1, 1))]
-    lags_s = [_lag_end(fit, place, most, ratio) for place in places for ratio in (0.5, 2.0)]
     dead_time_s, lag_s = best.dead_time_s, best.lag_s
     (gain, _), residuals = fit.solve(dead_time_s, lag_s)
     explained = 1.0 - float(residuals.var() / fit.response.var())
@@ -152,16 +149,29 @@ def find_latency(
         raise ValueError(f"dead time or lag reach the end of the search range, {longest_s:g} s")
     covariance = _covariance(fit, dead_time_s, lag_s, residuals)
     half = _Z_95 * np.sqrt(np.diag(covariance)) + _FINEST_S
-    sum_s = dead_time_s + lag_s
-    if not max(half[:2]) <= _WIDEST_S + _WIDEST_SHARE * sum_s:
+    dead_time, lag = _intervals(fit, best, half, longest_s, period_s)
+    widest_s = max(_WIDEST_S + _WIDEST_SHARE * (dead_time_s + lag_s), _WIDEST_PERIODS * period_s)
+    if not max(dead_time[1], lag[1]) <= widest_s:
         of_sum = _Z_95 * math.sqrt(max(0.0, covariance[:2, :2].sum()))
         raise ValueError(
             "the motion does not excite the system enough to separate dead time and lag; together"
-            f" they are {1e3 * sum_s:.2f} ± {1e3 * of_sum:.2f} ms"
+            f" they are {1e3 * (dead_time_s + lag_s):.2f} ± {1e3 * of_sum:.2f} ms"
         )
-    dead_time = _interval(dead_time_s, half[0], [place.dead_time_s for place in places])
-    lag = _interval(lag_s, half[1], lags_s)
     return Latency(dead_time, lag, (float(gain), half[2]), explained)
+
+
+def _intervals(
+    fit: _Fit, best: _Place, half_s: Vector, longest_s: float, period_s: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Intervals of dead time and lag, of at least these halves, with all that fits as well."""
+    most = best.cost * (1.0 + _SURELY_WORSE / len(fit.response)) + _NOTHING
+    places = [best, *(_end(fit, best, most, longest_s, sign * period_s) for sign in (-1, 1))]
+    lags_s = [_lag_end(fit, place, most, ratio) for place in places for ratio in (0.5, 2.0)]
+    dead_times_s = [place.dead_time_s for place in places]
+    return (
+        _interval(best.dead_time_s, float(half_s[0]), dead_times_s),
+        _interval(best.lag_s, float(half_s[1]), lags_s),
+    )
 
 
 def _interval(best_s: float, half_s: float, ends_s: list[float]) -> tuple[float, float]:

@@ -161,3 +161,35 @@ def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
     found = find_latency(*rows, 0.1, is_held=True)
     assert 8.0 <= 1e3 * found.dead_time_s[0] <= 9.0  # states of 1 kHz leave one tick open
     assert found.gain[0] == pytest.approx(1.0)
+
+
+def delayed_rows(seed: int, dead_s: float, lag_s: float) -> tuple[np.ndarray, ...]:
+    """Held commands at 30 Hz, and responses between them, exactly but for 5 % of noise."""
+    random, times_s = np.random.default_rng(seed), np.arange(600) / 30.0
+    commands = np.repeat(random.standard_normal(75), 8)
+    responses, state, reached_s = [], 0.0, -dead_s
+    for time_s in times_s:
+        when_s = time_s - dead_s
+        while reached_s < when_s:
+            index = math.floor(reached_s * 30.0 + 1e-9)
+            until_s = min((index + 1) / 30.0, when_s)
+            held = commands[index] if index >= 0 else 0.0
+            decay = math.exp(-(until_s - reached_s) / lag_s) if lag_s else 0.0
+            state, reached_s = held + (state - held) * decay, until_s
+        responses.append(0.9 * state + 0.05 * random.standard_normal())
+    return times_s, commands, np.array(responses)
+
+
+@pytest.mark.parametrize("lag_ms", [0.0, 2.0])
+def test_interval_of_a_response_that_ends_between_two_rows_has_the_true_dead_time(
+    lag_ms: float,
+) -> None:
+    """Rows 33 ms apart do not tell when in between: 95 % of intervals hold it, so 18 of 20 do."""
+    inside = []
+    for seed in range(20):
+        dead_s = np.random.default_rng(seed).uniform(0.004, 0.080)
+        found = find_latency(*delayed_rows(seed, dead_s, 1e-3 * lag_ms), 0.3, is_held=True)
+        inside.append(abs(found.dead_time_s[0] - dead_s) <= found.dead_time_s[1])
+        assert abs(found.lag_s[0] - 1e-3 * lag_ms) <= found.lag_s[1] + 1e-3
+        assert found.dead_time_s[1] < 0.55 / 30
+    assert sum(inside) >= 18
