@@ -23,11 +23,11 @@ _FEWEST_ROWS = 50
 _DEAD_TIMES, _LAGS = 40, 10
 _SHORTEST_LAG_S, _FINEST_S = 1e-5, 1e-6
 _LEAST_EXPLAINED = 0.5
-_WIDEST_S, _WIDEST_SHARE, _WIDEST_PERIODS = 2e-3, 0.1, 0.55
+_WIDEST_S, _WIDEST_SHARE, _WIDEST_PERIODS = 2e-3, 0.1, 0.6
 _Z_95 = 1.96
 _SURELY_WORSE = _Z_95**2
 """By how much the deviance of a model exceeds that of the best, if it is one of 20 that do."""
-_NOTHING = 1e-15
+_NOTHING, _SHORT = 1e-15, 0.1
 _HALVINGS, _FINEST_RATIO = 8, 1e-4
 
 
@@ -149,6 +149,8 @@ def find_latency(
         raise ValueError(f"dead time or lag reach the end of the search range, {longest_s:g} s")
     covariance = _covariance(fit, dead_time_s, lag_s, residuals)
     half = _Z_95 * np.sqrt(np.diag(covariance)) + _FINEST_S
+    if lag_s < _SHORT * period_s:  # nothing changes gradually from row to row: no slopes tell
+        half[:2] = _FINEST_S
     dead_time, lag = _intervals(fit, best, half, longest_s, period_s)
     widest_s = max(_WIDEST_S + _WIDEST_SHARE * (dead_time_s + lag_s), _WIDEST_PERIODS * period_s)
     if not max(dead_time[1], lag[1]) <= widest_s:
