@@ -33,6 +33,9 @@ from bus_schema.messages.types import (
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Limit far above all our messages; larger payloads are refused before they are parsed."""
 
+MOST_ROWS = 1000
+"""Of one message, if it may have several."""
+
 
 class Record:
     """One message with fields by name; its memory is the wire format.
@@ -215,7 +218,7 @@ class MessageLayout:
             rows = max(1, *(values[name].size // length for name, length in lengths.items()))
         for name, length in lengths.items():
             size = values[name].size
-            if size not in (0, rows * length):
+            if size not in (0, rows * length) or rows > MOST_ROWS:
                 raise InvalidMessageError(
                     "wrong_size", f"{name} has {size} entries where {rows * length} are expected"
                 )
