@@ -68,7 +68,9 @@ class CanPlantLink(PlantLink):
         # Each tick comes a little before it is asked for, so that what is sampled is fresh.
         self._lead_ns = round(_LEAD * run.grid.period_ns)
         self._phase = SyncPhase(run.grid.period_ns, self._lead_ns)
-        self._sampling_began: tuple[int, bool] | None = None  # when, and whether it was awaited
+        # When the first request of a sampling was read, and how long it may have waited.
+        self._request_ns, self._waited_ns = -run.grid.period_ns, 0
+        self._empty_ns = 0  # when nothing more was to be read
         self._heard_ns = 0
         self._waiting: deque[CanFrame] = deque()
         self._arrivals: deque[CommandArrival] = deque()
@@ -216,14 +218,15 @@ class CanPlantLink(PlantLink):
         """
         while clock.now_ns() < until_ns:
             frame = self._next_frame(0.0)
-            was_awaited = frame is None
-            if was_awaited:
+            if was_awaited := frame is None:
                 frame = self._next_frame(max(0.0, (until_ns - clock.now_ns()) * 1e-9))
             self._heard_ns = clock.now_ns()
+            if was_awaited:
+                self._empty_ns = self._heard_ns
             if frame is not None and self._heard_ns >= until_ns:
                 self._waiting.appendleft(frame)
             elif frame is not None:
-                self._take(frame, was_awaited=was_awaited)
+                self._take(frame)
 
     def _catch_up(self, clock: Clock) -> None:
         """Process waiting frames for at most one period, because a flood may not end."""
@@ -246,11 +249,11 @@ class CanPlantLink(PlantLink):
     def _next_frame(self, timeout_s: float) -> CanFrame | None:
         return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
 
-    def _take(self, frame: CanFrame, *, was_awaited: bool = False) -> None:
+    def _take(self, frame: CanFrame) -> None:
         """Pass a frame to the drives, and publish the result."""
         now_ns = self._clock.now_ns()
-        if self._sampling_began is None and self._codec.is_sampling(frame):
-            self._sampling_began = now_ns, was_awaited
+        if self._codec.is_sampling(frame):
+            self._note_request(now_ns)
         if self._drives.delay_ns and self._is_sampled and not self._codec.is_sampling(frame):
             self._drives.handle_later(frame, now_ns)
         else:
@@ -263,14 +266,19 @@ class CanPlantLink(PlantLink):
         samplings = self._drives.bank.samplings
         if samplings != self._samplings:
             self._samplings, self._is_sampled = samplings, True
-            began_ns, was_awaited = self._sampling_began or (now_ns, was_awaited)
-            self._sampling_began = None
-            self._clock.put_forward(self._phase.correction_ns(began_ns, was_awaited=was_awaited))
+            self._note_request(now_ns)
+            self._clock.put_forward(self._phase.correction_ns(self._request_ns, self._waited_ns))
+            self._request_ns = -self._run.grid.period_ns
             self._publish_state()
         if self._is_commanded(commanded):
             self._is_sampled = False
             self._publish_command()
             self._drives.medium.catch_up()  # now that until the next tick nobody waits
+
+    def _note_request(self, now_ns: int) -> None:
+        """Note when the sampling under way was asked for, if the known time is of another one."""
+        if now_ns - self._request_ns > self._run.grid.period_ns // 2:
+            self._request_ns, self._waited_ns = now_ns, now_ns - self._empty_ns
 
     def _is_commanded(self, joint: int | None) -> bool:
         """Whether all drives have or will have a torque, after one was sent to a joint."""

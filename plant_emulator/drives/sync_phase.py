@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from statistics import median_low
-
 _COUNTED = 25
 """Samplings of the start, whose numbers are those of the ticks they belong to."""
 
-_WINDOW = 20
+_WINDOW, _EARLY = 20, 2
 _MOST_OF_PERIOD = 0.01
 """What a window may move the clock by: 500 ppm, more than two clocks ever drift apart, and so
 little that no run of samplings read late, and no second master, turns it far."""
@@ -17,9 +15,9 @@ class SyncPhase:
     """Estimates the clock's phase error from the times at which samplings were read.
 
     A sampling is only ever read late. So of the first ones, one that seems to come early shows that
-    the clock was set too late: the sampling it was set by was held up. Later on, the middle one of
-    a window shows how the two clocks drift apart. The window has only samplings for which the plant
-    waited: one that had to wait itself says how busy the plant was, not when it came.
+    the clock was set too late: the sampling it was set by was held up. Later on, an early one of a
+    window shows how the two clocks drift apart. One that had to wait for a busy plant came at an
+    unknown instant: it counts as in time, if that is possible.
 
     Args:
         period_ns: of the cycle.
@@ -32,22 +30,21 @@ class SyncPhase:
         self._count = 0
         self._late_ns: list[int] = []
 
-    def correction_ns(self, now_ns: int, *, was_awaited: bool) -> int:
+    def correction_ns(self, now_ns: int, waited_ns: int = 0) -> int:
         """Return the clock correction after a sampling.
 
         Args:
-            now_ns: clock time at which the first frame of it was read.
-            was_awaited: it was read as it came.
+            now_ns: clock time at which its first frame was read.
+            waited_ns: the longest that this frame may have waited to be read.
         """
         period_ns = self._period_ns
         late_ns = now_ns - self._lead_ns - self._count * period_ns
         if self._count < _COUNTED:
             self._count += 1
             return max(0, -late_ns)
-        if not was_awaited:
-            return 0
-        self._late_ns.append((late_ns + period_ns // 2) % period_ns - period_ns // 2)
+        late_ns = (late_ns + period_ns // 2) % period_ns - period_ns // 2
+        self._late_ns.append(min(late_ns, max(0, late_ns - waited_ns)))
         if len(self._late_ns) < _WINDOW:
             return 0
-        usual_ns, self._late_ns = median_low(self._late_ns), []
-        return min(max(-usual_ns, -self._most_ns), self._most_ns)
+        early_ns, self._late_ns = sorted(self._late_ns)[_EARLY], []
+        return min(max(-early_ns, -self._most_ns), self._most_ns)

@@ -5,6 +5,7 @@ Time is the test's: frames come on the master's grid, and each one that is read 
 
 from __future__ import annotations
 
+import random
 from collections.abc import Sequence
 
 import pytest
@@ -21,6 +22,7 @@ from deploy.scenario.scenario import load_setup
 MS = 1_000_000
 PERIOD_NS = 2 * MS
 LEAD_NS = 300_000
+TICKS = 2000
 REQUESTS = [
     CanFrame(0x7FF, bytes([node, 0, 0xCC, 0, 0, 0, 0, 0]), is_fd=True) for node in range(1, 8)
 ]
@@ -59,17 +61,36 @@ class MastersTime(VirtualClock):
 class MastersBus:
     """Requests of all seven drives every 2 ms, each of which takes its reader some time.
 
+    Args:
+        clock: time of master and plant.
+        read_ns: what it takes to read one.
+        wakes_late_ns: how late a reader wakes up who waits in vain.
+        jitter_ns: by how much the master's cycle may begin late.
+
     Attributes:
         answers: how many were sent.
     """
 
-    def __init__(self, clock: MastersTime, read_ns: int, wakes_late_ns: int) -> None:
+    def __init__(
+        self, clock: MastersTime, read_ns: int, wakes_late_ns: int, jitter_ns: int
+    ) -> None:
         self._clock, self._read_ns, self._wakes_late_ns = clock, read_ns, wakes_late_ns
-        self._next = self.answers = 0
+        self._next = self.answers = self._stray_ns = 0
+        self._frames = REQUESTS
+        random_ns = random.Random(1)
+        self._begin_ns = [
+            tick * PERIOD_NS + random_ns.randint(0, jitter_ns) for tick in range(TICKS + 1)
+        ]
+
+    def join(self, stray_ns: int) -> None:
+        """Another master joins, which asks the first drive so long after each tick."""
+        self._next = -(-self._next // len(REQUESTS)) * (len(REQUESTS) + 1)
+        self._frames, self._stray_ns = [*REQUESTS, REQUESTS[0]], stray_ns
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        tick, joint = divmod(self._next, len(REQUESTS))
-        comes_ns, until_ns = tick * PERIOD_NS, self._clock.master_ns + round(timeout_s * 1e9)
+        tick, place = divmod(self._next, len(self._frames))
+        comes_ns, until_ns = self._begin_ns[tick], self._clock.master_ns + round(timeout_s * 1e9)
+        comes_ns += self._stray_ns if place == len(REQUESTS) else 0
         if comes_ns > until_ns and timeout_s > 0.0:
             until_ns += self._wakes_late_ns
         self._clock.master_ns = max(self._clock.master_ns, min(comes_ns, until_ns))
@@ -77,7 +98,7 @@ class MastersBus:
             return None
         self._next += 1
         self._clock.master_ns += self._read_ns
-        return REQUESTS[joint]
+        return self._frames[place]
 
     def send_all(self, frames: Sequence[CanFrame]) -> None:
         self.answers += len(frames)
@@ -93,11 +114,15 @@ class Motors:
     """The plant's link to the motors of `openarm`, whose time is a `MastersTime`."""
 
     def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, read_ns: int, wakes_late_ns: int = 0
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        read_ns: int,
+        wakes_late_ns: int = 0,
+        jitter_ns: int = 0,
     ) -> None:
         setup = load_setup("openarm", ["duration_s=20", "clock=realtime", "rate_hz=500"])
         self.clock, self._arm = MastersTime(), setup.arm()
-        self.bus = MastersBus(self.clock, read_ns, wakes_late_ns)
+        self.bus = MastersBus(self.clock, read_ns, wakes_late_ns, jitter_ns)
         telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
         monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
         monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
@@ -120,22 +145,23 @@ class Motors:
 
 
 @pytest.mark.parametrize(
-    ("read_ns", "busy_ns"), [(45_000, 0), (70_000, 150_000), (45_000, 450_000)]
+    ("read_ns", "busy_ns", "jitter_ns"),
+    [(45_000, 0, 0), (70_000, 150_000, 0), (45_000, 450_000, 0), (20_000, 350_000, 200_000)],
 )
 def test_ticks_stay_ahead_of_requests_on_a_slow_host(
-    monkeypatch: pytest.MonkeyPatch, read_ns: int, busy_ns: int
+    monkeypatch: pytest.MonkeyPatch, read_ns: int, busy_ns: int, jitter_ns: int
 ) -> None:
     """Seven requests take 0.3 ms to read, and more: that is no sign of a late master.
 
     Else the clock would be set back until requests come before the tick, and are answered with the
-    state before it.
+    state before it. Requests that come after the plant's work are no sign of one either.
     """
-    motors = Motors(monkeypatch, read_ns)
-    for tick in range(1, 2000):
+    motors = Motors(monkeypatch, read_ns, jitter_ns=jitter_ns)
+    for tick in range(1, TICKS):
         motors.reach(tick)
         motors.measure()
         motors.clock.master_ns += busy_ns
-    assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=read_ns + 10_000)
+    assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=read_ns + 10_000 + jitter_ns // 4)
     motors.close()
 
 
@@ -151,4 +177,18 @@ def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(
         motors.measure()
     # At the first one, no joint was measured yet; before each other, one set of requests per tick.
     assert answers_before_tick == [0, *(len(REQUESTS) * tick for tick in range(2, 50))]
+    motors.close()
+
+
+def test_a_second_master_that_asks_one_drive_turns_the_clock_little(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its request comes after the sampling of each tick, and begins no other one."""
+    motors = Motors(monkeypatch, read_ns=5_000)
+    for tick in range(1, 600):
+        if tick == 50:
+            motors.bus.join(stray_ns=400_000)
+        motors.reach(tick)
+        motors.measure()
+    assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=15_000)
     motors.close()

@@ -28,7 +28,7 @@ def error_after(read_ns: Iterable[int], off_ns: int = 0, drift: float = 0.0) -> 
     for now_ns in read_ns:
         behind_ns += round(drift * (now_ns - at_ns))
         at_ns = now_ns
-        behind_ns -= phase.correction_ns(now_ns + LEAD_NS - behind_ns, was_awaited=True)
+        behind_ns -= phase.correction_ns(now_ns + LEAD_NS - behind_ns)
     return behind_ns
 
 
