@@ -176,7 +176,9 @@ class Setup:
         """Return the link's inputs for the run; the arguments are those of `LinkRun`."""
         task = self.plant_task(lockstep=lockstep)
         drive = self.drive if self.drive.is_active else None
-        return LinkRun(**vars(task), bus=bus, can_log=can_log, drive=drive)
+        return LinkRun(
+            **vars(task), bus=bus, can_log=can_log, drive=drive, tuned_drive=self.tuned_drive
+        )
 
     def arm(self) -> ArmPlant:
         """Return a new arm at its start, of the type that the link needs."""

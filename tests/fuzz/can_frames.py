@@ -7,6 +7,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 
@@ -22,11 +23,13 @@ from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.damiao.drive import DamiaoDrive
 from plant_emulator.drives.drive import DriveSettings
 from plant_emulator.drives.mit.drive import MitDrive
+from plant_emulator.drives.moteus.drive import MoteusDrive
 
 NODES = (1, 2, 3)
 RATED_NM, LIMIT_NM = 20.0, 60.0
 PROTOCOLS = {
-    "cia402": Cia402Drive, "cansimple": CanSimpleDrive, "mit": MitDrive, "damiao": DamiaoDrive
+    "cia402": Cia402Drive, "cansimple": CanSimpleDrive, "mit": MitDrive, "damiao": DamiaoDrive,
+    "moteus": MoteusDrive,
 }  # fmt: skip
 _FROM_MASTER = {
     "cia402": re.compile(r"^(000|080|77F|[236]0[123])#"),
@@ -34,6 +37,7 @@ _FROM_MASTER = {
     "cansimple": re.compile(r"^\w{3}#R|^(0[246][7BE]|[035]\w8)#"),
     "mit": re.compile(r"^00[123]#"),  # replies have identifier 0
     "damiao": re.compile(r"^(00[123]|7FF)#"),
+    "moteus": re.compile(r"^(0000800|00)[123]#"),
 }
 _MS, _TRUE_FRAMES = 1_000_000, 4
 _FLAGS = ("is_extended", "is_remote", "is_error", "is_fd")
@@ -51,6 +55,8 @@ class CanTarget:
 
     def __init__(self, protocol: str, seed: int, folder: Path) -> None:
         self._protocol, self._torque_in = PROTOCOLS[protocol], _TORQUES[protocol]
+        self._is_fd = protocol == "moteus"
+        self._most_bytes = 64 if self._is_fd else 8
         self._mutator = Mutator(seed)
         self._corpus = frames_of_master(protocol, folder)
         self._script: Iterator[CanFrame] = cycle(self._corpus)
@@ -75,7 +81,8 @@ class CanTarget:
 
     def _switch_on(self) -> None:
         self.reasons.update(self._bank.rejections.counts if self._now_ns else {})
-        drives = [DriveSettings(node, RATED_NM, LIMIT_NM, watchdog_ms=50) for node in NODES]
+        settings = DriveSettings(0, RATED_NM, LIMIT_NM, watchdog_ms=50, fd_process_data=self._is_fd)
+        drives = [replace(settings, node_id=node) for node in NODES]
         self._bank = DriveBank(self._protocol, drives, self._sent.append)
         self._bank.advance(self._now_ns)
 
@@ -86,21 +93,21 @@ class CanTarget:
         self._now_ns += _MS // 10
         self._bank.advance(self._now_ns)
         self._bank.describe(frame)
-        assert all(len(sent.data) <= 8 for sent in self._sent)
+        assert all(len(sent.data) <= self._most_bytes for sent in self._sent)
         self._sent.clear()
 
     def _check(self, frame: CanFrame, before_nm: np.ndarray, *, is_mutated: bool) -> None:
         after_nm = self._bank.torque_nm
         assert np.abs(after_nm).max() <= LIMIT_NM
         assert not after_nm[self._bank.braked].any()
-        if self._bank.closes_loops and self._protocol not in (MitDrive, DamiaoDrive):
+        if self._bank.closes_loops and self._protocol in (Cia402Drive, CanSimpleDrive):
             return  # a mutation has switched a drive to position: torques are its own
         changed = np.flatnonzero((after_nm != before_nm) & (after_nm != 0.0))
         if changed.size == 0:
             return
-        is_plain = not any(getattr(frame, flag) for flag in _FLAGS)
-        assert is_plain, f"no torque may come of {frame}"
-        assert len(frame.data) <= 8
+        flags = {flag for flag in _FLAGS if getattr(frame, flag)}
+        assert flags <= ({"is_fd", "is_extended"} if self._is_fd else set()), f"torque of {frame}"
+        assert len(frame.data) <= self._most_bytes
         meant_nm = self._torque_in(frame)
         if meant_nm is not None:
             (joint,) = changed
@@ -157,19 +164,36 @@ def _of_damiao(frame: CanFrame) -> float | None:
     return _of_mit(frame, 30.0, 10.0, 7.0) if frame.identifier in NODES else None
 
 
-_TORQUES = {"cia402": _of_cia402, "cansimple": _of_cansimple, "mit": _of_mit, "damiao": _of_damiao}
+def _of_moteus(frame: CanFrame) -> float | None:
+    """Of what the master sends: position mode without gains, five floats from 0x020 on."""
+    if len(frame.data) != 32 or not frame.data.startswith(bytes.fromhex("01000a0c0520")):
+        return None
+    _, _, torque_nm, kp_scale, kd_scale = struct.unpack_from("<fffff", frame.data, 6)
+    is_plain = kp_scale == kd_scale == 0.0 and frame.data[26:28] == bytes.fromhex("0d27")
+    return float(torque_nm) if is_plain else None
+
+
+_TORQUES = {
+    "cia402": _of_cia402, "cansimple": _of_cansimple, "mit": _of_mit, "damiao": _of_damiao,
+    "moteus": _of_moteus,
+}  # fmt: skip
 
 
 def frames_of_master(protocol: str, folder: Path) -> list[CanFrame]:
     """What a master sends in a short run: all that enables the drives, and some cycles."""
     log = folder / f"{protocol}.log"
     values = ["duration_s=0.1", "link.can.interface=virtual", f"link.can.protocol={protocol}"]
+    if protocol == "moteus":
+        fd = ("fd=true", "fd_process_data=true", "data_bitrate=5000000")
+        values += [f"link.can.{each}" for each in fd]
     simulate(load_setup("paper_arm_can", values), can_log=log)
     contents = [line.split()[2] for line in log.read_text().splitlines()]
     frames = []
     for content in filter(_FROM_MASTER[protocol].match, contents):
-        identifier, data = content.split("#")
+        is_fd = "##" in content
+        identifier, data = content.replace("##1", "#").split("#")
         is_remote = data == "R"
         given = b"" if is_remote else bytes.fromhex(data)
-        frames.append(CanFrame(int(identifier, 16), given, is_remote=is_remote))
+        is_long = len(identifier) > 3
+        frames.append(CanFrame(int(identifier, 16), given, is_long, is_remote, is_fd=is_fd))
     return frames

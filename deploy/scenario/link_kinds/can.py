@@ -108,7 +108,9 @@ class CanKind(LinkKind[DrivenArm]):
         drives = DrivesOnBus(
             bus,
             [parse_fault(text, node_ids) for text in can.faults.drives],
-            lambda send: build_bank(can, robot, run.plant, send, polled=True, tuned=run.drive),
+            lambda send: build_bank(
+                can, robot, run.plant, send, polled=True, tuned=run.tuned_drive
+            ),
             CanMedium(can, run.seed, log),
             run.link.downlink.delay_ns,
         )

@@ -30,12 +30,14 @@ class LinkRun(PlantTask):
         bus: bus of both sides inside one process; None between processes.
         can_log: file for the frames of a CAN bus; None for no log.
         drive: gains of the drives' own loops; None if they follow torques alone.
+        tuned_drive: gains to which drives are tuned, whatever they follow.
         agreement: values that the run's processes must agree on; None inside one process.
     """
 
     bus: InProcessBus | None = None
     can_log: Path | None = None
     drive: DriveGains | None = None
+    tuned_drive: DriveGains | None = None
     agreement: Agreement | None = None
 
 

@@ -6,9 +6,14 @@ import asyncio
 import importlib
 import math
 
+import numpy as np
 import pytest
 
-from plant_emulator.drives.drive import DriveFault
+from bus_schema.can.frame import CanFrame
+from bus_schema.can.moteus.codec import MoteusCodec
+from plant_emulator.drives.cascade import UNTUNED
+from plant_emulator.drives.drive import DriveFault, DriveSettings, JointReading
+from plant_emulator.drives.moteus.drive import MoteusDrive
 from tests.plant_emulator.drives.damiao_clients import fetch_wheel
 from tests.plant_emulator.drives.test_clients import JOINT, PATIENCE_S, START, Rig, until
 
@@ -103,3 +108,53 @@ def test_a_motor_that_is_not_there_shows_as_a_client_that_waits(moteus):
 
     with Rig("moteus", **FD) as rig, pytest.raises(asyncio.TimeoutError):
         talk(moteus, rig, conversation, node_id=99, patience_s=0.5)
+
+
+def test_commands_of_our_master_are_those_that_the_client_packs(moteus):
+    controller = moteus.Controller(id=5)
+    torque_nm, timeout_s = 1.5, 0.05
+    for gains, target in ((0.0, None), (1.0, (0.25, -0.5))):
+        turns, turns_s = (math.nan, math.nan) if target is None else target
+        theirs = controller.make_position(
+            position=turns, velocity=turns_s, feedforward_torque=torque_nm,
+            kp_scale=gains, kd_scale=gains, watchdog_timeout=timeout_s,
+        )  # fmt: skip
+        codec = MoteusCodec([5], timeout_s, has_gains=target is not None)
+        rows = None if target is None else np.array(target)[:, None] * TURN_RAD
+        (ours,) = codec.command_frames(np.array([torque_nm]), rows)
+        assert ours.data == theirs.data
+    assert codec.stop_frames()[0].data == controller.make_stop().data
+
+
+@pytest.mark.parametrize(
+    ("form", "position", "torque_nm"),
+    # steps of 0.01, 0.0001 and 0.00001 turns, cut off; what no integer holds is the nearest one
+    [("INT8", 1.27, 4.0), ("INT16", 1.4005, 4.12), ("INT32", 1.40056, 4.123)],
+)
+def test_client_reads_integers_in_the_steps_of_its_registers(moteus, form, position, torque_nm):
+    sent = []
+    drive = MoteusDrive(DriveSettings(5, 1.0, 9.0), sent.append)
+    drive.measure(JointReading(8.8, 0.0, 4.1235))  # 1.400563 turns
+    register, resolution = moteus.Register, getattr(moteus, form)
+    asked = dict.fromkeys(
+        (register.POSITION, register.TORQUE, register.COMMAND_POSITION_MAX_TORQUE), resolution
+    )
+    command = moteus.Controller(id=5).make_custom_query(asked)
+    assert drive.receive(CanFrame(0x8705, command.data, is_extended=True, is_fd=True), 0)
+    assert (sent[0].identifier, sent[0].is_extended, sent[0].is_fd) == (0x507, False, True)
+    values = command.parse(moteus.transport_device.Frame(0x507, sent[0].data)).values
+    assert values[register.POSITION] == pytest.approx(position)
+    assert values[register.TORQUE] == pytest.approx(torque_nm)
+    assert math.isnan(values[register.COMMAND_POSITION_MAX_TORQUE])  # the lowest integer
+
+
+def test_target_moves_at_its_velocity_up_to_where_it_is_to_stop(moteus):
+    drive = MoteusDrive(DriveSettings(5, 1.0, 9000.0), lambda _: None)
+    command = moteus.Controller(id=5).make_position(
+        position=0.0, velocity=1.0, stop_position=0.5, kd_scale=0.0
+    )
+    assert drive.receive(CanFrame(5, command.data, is_fd=True), 0)
+    loop = drive.demand().loop
+    stiffness = UNTUNED.position_1_s * UNTUNED.velocity_nm_s
+    torques = [loop.torque_nm(0.0, 0.0, 0.2) / stiffness / TURN_RAD for _ in range(4)]
+    assert torques == pytest.approx([0.2, 0.4, 0.5, 0.5], abs=1e-6)

@@ -1,0 +1,97 @@
+"""Runs over CAN with emulated moteus controllers."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from deploy.scenario.yaml_files import ScenarioError
+from tests.deploy.run.can.can_runs import FEEDBACK, CanRun, run_over_can
+
+MOTEUS = "link.can.protocol=moteus"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> CanRun:
+    folder = tmp_path_factory.mktemp("moteus")
+    return run_over_can("iiwa_can", MOTEUS, "duration_s=0.6", folder=folder)
+
+
+def test_loop_is_a_query_a_state_and_a_command_for_each_drive(run: CanRun) -> None:
+    assert run.summary["faults"] == []
+    assert run.summary["verdict"] == "kept"
+    counts = run.summary["transport"]["can"]["frames_by_identifier"]
+    nodes = range(1, 8)
+    assert counts == {
+        name: 300
+        for node in nodes
+        for name in (f"{0x8000 | node:08X}", f"{node << 8:03X}", f"{node:03X}")
+    }
+    assert run.summary["transport"]["can"]["rejected"] == {}
+
+
+def test_torques_are_those_in_the_frames(run: CanRun) -> None:
+    """By the reference's book: MODE 10, five floats from 0x020 on, of which 0x022 is torque."""
+    written = [
+        bytes.fromhex(each.split("##1")[1]) for each in run.logged if each.startswith("002#")
+    ]
+    torques = [
+        struct.unpack_from("<f", data, 14)[0]
+        for data in written
+        if data[:6].hex() == "01000a0c0520"
+    ]
+    given = run.data.tables["joint_commands"]["effort"][:, 1]
+    assert torques == np.float32(given).tolist()
+    assert written[-1] == bytes(2).join((b"\x01", b""))  # a master leaves them stopped
+
+
+def test_cia402_drives_are_followed_as_well(run: CanRun) -> None:
+    """What differs is rounding."""
+    cia402 = run_over_can("iiwa_can", "duration_s=0.6")
+    np.testing.assert_allclose(run.data.true_errors_rad, cia402.data.true_errors_rad, atol=5e-4)
+
+
+@pytest.mark.parametrize("more", [FEEDBACK, "link.uplink.delay_ms=4"], ids=["targets", "delay"])
+def test_bounds_are_kept_with_targets_and_with_a_compensated_delay(more: str) -> None:
+    compensated = "controller.delay_compensation.enabled=true"
+    over_can = run_over_can("iiwa_can", MOTEUS, "duration_s=0.6", more, compensated)
+    assert over_can.summary["faults"] == []
+    assert over_can.summary["verdict"] == "kept"
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("drive:2@300ms", "drive 2: error 33"),
+        ("encoder:2@300ms", "drive 2: error 35"),
+        ("over-temperature:3@300ms", "drive 3: error 38"),
+    ],
+)
+def test_all_axes_come_to_rest_when_one_drive_fails(fault: str, reason: str) -> None:
+    faults = f"link.can.faults.drives=['{fault}']", "link.can.answer_timeout_s=2"
+    run = run_over_can("iiwa_can", MOTEUS, "duration_s=0.8", *faults)
+    assert reason in run.faults
+    run.assert_stopped()
+
+
+def test_drive_that_its_master_gave_up_damps_its_joint_while_the_others_rest() -> None:
+    """It has no brake command, so it goes on damping; a stop is all that ends that."""
+    faults = "link.can.faults.drives=['silent:2@300ms']", "link.can.answer_timeout_s=2"
+    run = run_over_can("iiwa_can", MOTEUS, "duration_s=0.8", *faults)
+    assert "no answer from drive 2" in run.faults
+    assert np.flatnonzero(run.data.tables["plant_truth"]["torque"][-1]).tolist() == [1]
+    assert run.speed[-1] < 0.5
+
+
+def test_drives_that_lose_their_master_time_out_and_damp_their_joints() -> None:
+    """Light joints too: with gains that nobody tuned they would turn at 60 rad/s."""
+    run = run_over_can("iiwa_can", MOTEUS, "duration_s=1", "link.can.faults.bus_off_s=0.3")
+    assert "node 7: command timeout (mode 11)" in run.faults
+    assert run.speed[-1] < 0.5
+
+
+def test_classical_frames_are_refused() -> None:
+    with pytest.raises(ScenarioError, match="must be true with moteus, whose frames are longer"):
+        run_over_can("iiwa_can", MOTEUS, "link.can.fd_process_data=false")
