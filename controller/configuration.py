@@ -337,8 +337,9 @@ class ControllerConfiguration(StrictModel):
         between = self.between_answers
         if between != "hold" and not (is_slow and self.drive_feedback.enabled):
             allowed = (
-                "must be hold, unless controller.drive_feedback.enabled is true, and"
-                " controller.every above 1 or controller.inference_ms above 0"
+                "must be hold, unless controller.drive_feedback.enabled is true, and one of"
+                " controller.every and controller.external.rows above 1 or"
+                " controller.inference_ms above 0"
             )
             raise ConfigurationError("controller.between_answers", between, allowed)
         if not is_slow:

@@ -22,13 +22,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.types import (
-    ENCAPSULATION_BYTES,
-    NANOSEC,
-    NANOSECONDS,
-    TYPESTORE,
-    with_stamp,
-)
+from bus_schema.messages.types import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS, TYPESTORE
 
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Limit far above all our messages; larger payloads are refused before they are parsed."""
@@ -154,13 +148,10 @@ class MessageLayout:
             raise InvalidMessageError("malformed", "its stamp is not a valid time")
         return into.sec[0] * NANOSECONDS + nanosec
 
-    def tabulate(self, payloads: Sequence[bytes], period_ns: int = 0) -> NDArray[np.void]:
+    def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
         """Return messages as rows of a table, shape (messages,); skip what `decode` rejects.
 
-        Args:
-            payloads: the messages.
-            period_ns: time between rows of a message with several. Those before the next message
-                are in the table, each with its own stamp.
+        Of a message with several rows, the first is in the table.
         """
         if set(map(len, payloads)) <= {self.size}:
             joined = b"".join(payloads)
@@ -171,21 +162,17 @@ class MessageLayout:
             is_ours = (block[:, fixed] == template[fixed]).all()
             if is_ours and (table[NANOSEC] < NANOSECONDS).all():
                 return table
-        return np.frombuffer(b"".join(self._decodable(payloads, period_ns)), self.dtype)
+        return np.frombuffer(b"".join(self._decodable(payloads)), self.dtype)
 
-    def _decodable(self, payloads: Iterable[bytes], period_ns: int) -> Iterator[bytes]:
-        """Yield the rows of payloads that can be decoded, each in this layout."""
-        record, later = Record(self), list[tuple[int, bytes]]()
+    def _decodable(self, payloads: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the payloads that can be decoded, each in this layout."""
+        record = Record(self)
         for payload in payloads:
             try:
-                stamp_ns = self.decode(payload, record)
+                self.decode(payload, record)
             except InvalidMessageError:
                 continue
-            yield from (with_stamp(row, at_ns) for at_ns, row in later if at_ns < stamp_ns)
             yield record.payload()
-            rows = () if record.later is None else record.later
-            later = [(stamp_ns + r * period_ns, row.tobytes()) for r, row in enumerate(rows, 1)]
-        yield from (with_stamp(row, at_ns) for at_ns, row in later)
 
     def _decode_foreign(self, payload: bytes, into: Record) -> None:
         message = parse(payload, self.type_name)
@@ -218,10 +205,12 @@ class MessageLayout:
             rows = max(1, *(values[name].size // length for name, length in lengths.items()))
         for name, length in lengths.items():
             size = values[name].size
-            if size not in (0, rows * length) or rows > MOST_ROWS:
+            if size not in (0, rows * length):
                 raise InvalidMessageError(
                     "wrong_size", f"{name} has {size} entries where {rows * length} are expected"
                 )
+        if rows > MOST_ROWS:
+            raise InvalidMessageError("wrong_size", f"{rows} rows, at most {MOST_ROWS} are read")
         return rows
 
     def _numpy_type(self, message: Any) -> np.dtype[np.void]:

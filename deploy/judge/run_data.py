@@ -18,7 +18,9 @@ from bus_schema.errors import InvalidMessageError
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
+from bus_schema.messages.types import stamps_ns
 from controller.reference import sample_positions
+from deploy.judge.command_rows import tabulate_by_tick
 from deploy.judge.reported_values import ReportedValues, reported_values
 from deploy.scenario.setup import Setup
 
@@ -151,17 +153,21 @@ def build_run_data(
     states, commands = (
         payloads.get(topic.name, ()) for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS)
     )
+    layouts = {
+        topic.name: topics.layout(topic, names, has_targets=setup.drive.is_active)
+        for topic in topics.TOPICS
+        if topic is not topics.RUN_EVENTS
+    }
+    tables = {name: each.tabulate(payloads.get(name, ())) for name, each in layouts.items()}
+    if setup.answer_every > 1:
+        name, truth = topics.JOINT_COMMANDS.name, tables[topics.PLANT_TRUTH.name]
+        end_ns = int(stamps_ns(truth)[-1]) if len(truth) else -1
+        tables[name] = tabulate_by_tick(layouts[name], commands, setup.grid.period_ns, end_ns)
     return RunData(
         setup=setup,
         clock=clock,
         link=link,
-        tables={
-            topic.name: topics.layout(topic, names, has_targets=setup.drive.is_active).tabulate(
-                payloads.get(topic.name, ()), setup.grid.period_ns
-            )
-            for topic in topics.TOPICS
-            if topic is not topics.RUN_EVENTS
-        },
+        tables=tables,
         events=sorted(
             _events(payloads.get(topics.RUN_EVENTS.name, ())), key=lambda event: event.stamp_ns
         ),

@@ -156,6 +156,11 @@ def _check_sides(setup: Setup) -> None:
     elif scenario.link.kind != "zenoh":
         allowed = "must be zenoh, because controller.process communicates over Zenoh"
         raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
+    most = int(scenario.plant.command_timeout_ms * 1e6 // setup.grid.period_ns)
+    if setup.answer_every > max(1, most):
+        allowed = f"at most {most}, else plant.command_timeout_ms passes between two answers"
+        also = ["controller.process", "plant.command_timeout_ms"]
+        raise ConfigurationError("controller.every", setup.answer_every, allowed, also)
     setup.link_kind.check(setup.link_run(lockstep=scenario.clock == "lockstep"))
     if not are_left_out():  # a scenario that is only viewed needs no physics engine
         ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)

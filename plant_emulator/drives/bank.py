@@ -173,7 +173,8 @@ class DriveBank:
         concerned = self._routes.get(frame.identifier)
         if concerned is None:
             concerned = [each for each in self._drives if frame.identifier in each.heard]
-            self._routes[frame.identifier] = concerned
+            if concerned:  # of 29-bit identifiers there are too many to keep those of nobody
+                self._routes[frame.identifier] = concerned
         understood = False
         for drive in concerned:
             if not drive.is_silent and drive.receive(frame, now_ns):

@@ -26,7 +26,7 @@ _LEAST_EXPLAINED = 0.5
 _WIDEST_S, _WIDEST_SHARE, _WIDEST_PERIODS = 2e-3, 0.1, 0.6
 _Z_95 = 1.96
 _SURELY_WORSE = _Z_95**2
-"""By how much the deviance of a model exceeds that of the best, if it is one of 20 that do."""
+"""A model whose deviance exceeds that of the best one by this is rejected at 95 %."""
 _NOTHING, _SHORT = 1e-15, 0.1
 _HALVINGS, _FINEST_RATIO = 8, 1e-4
 
@@ -166,7 +166,9 @@ def _intervals(
     fit: _Fit, best: _Place, half_s: Vector, longest_s: float, period_s: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Intervals of dead time and lag, of at least these halves, with all that fits as well."""
-    most = best.cost * (1.0 + _SURELY_WORSE / len(fit.response)) + _NOTHING
+    responses = len(fit.response)
+    most = best.cost * (1.0 + _SURELY_WORSE / responses)
+    most += _NOTHING * responses * float(fit.response.var())
     places = [best, *(_end(fit, best, most, longest_s, sign * period_s) for sign in (-1, 1))]
     lags_s = [_lag_end(fit, place, most, ratio) for place in places for ratio in (0.5, 2.0)]
     dead_times_s = [place.dead_time_s for place in places]

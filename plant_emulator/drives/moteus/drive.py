@@ -113,13 +113,12 @@ class MoteusDrive(LoopDrive):
             self._write(written, now_ns, asks_reply=asks_reply)
         if asks_reply:
             read = [each for each in asked if each.operation == Operation.READ]
-            self.samplings += any(Register.POSITION in each.registers for each in read)
             data = packed_reply(read, self._registers())
             data += b"" if refused is None else packed_error(WRITE_ERROR, refused)
-            if len(data) > self.most_bytes:
-                raise InvalidMessageError("too_long", f"an answer of {len(data)} bytes")
-            receiver = frame.identifier >> 8 & 0x7F
-            self._transmit(moteus_frame(self._settings.node_id << 8 | receiver, data))
+            if len(data) <= self.most_bytes:  # no frame holds more
+                self.samplings += any(Register.POSITION in each.registers for each in read)
+                receiver = frame.identifier >> 8 & 0x7F
+                self._transmit(moteus_frame(self._settings.node_id << 8 | receiver, data))
         if refused is not None:
             raise InvalidMessageError("not_there", f"register {refused:#x} cannot get its value")
         return True

@@ -114,7 +114,8 @@ TOGETHER = [
         (f"{PROCESS} & controller.inference_jitter_ms=5", "controller.inference_jitter_ms = 5"),
         ("controller.between_answers=linear & controller.every=5",
          "between_answers = 'linear': must be hold, unless controller.drive_feedback.enabled"),
-        (f"controller.between_answers=linear & {FEEDBACK}", "controller.every above 1 or"),
+        (f"controller.between_answers=linear & {FEEDBACK}", "controller.external.rows above 1 or"),
+        (f"{PROCESS} & controller.every=201", "controller.every = 201: at most 200, else plant"),
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
     *[("paper_arm_can", setting, said) for setting, said in (
         ("link.can.interface=nope", "'nope': must be an interface of python-can"),
