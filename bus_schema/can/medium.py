@@ -28,7 +28,7 @@ _ERROR_DELIMITER_AND_SPACE_BITS = 8 + 3
 _LOAD_WINDOW_NS = 100_000_000
 _MOST_NAMES = 1000
 _OTHERS, _NOBODY = -1, -2
-_WORTHWHILE, _MOST_WAITING = 64, 1024
+_MOST_WAITING = 1024
 _ERROR_FLAG, _IDENTIFIER = 0x2000_0000, 0x1FFF_FFFF
 _MOST_BYTES = 64
 
@@ -117,9 +117,9 @@ class CanMedium:
             if len(self._frames) >= _MOST_WAITING:
                 self.settle()
 
-    def catch_up(self) -> None:
-        """Settle, if it pays by now: nobody waits at the moment."""
-        if len(self._frames) >= _WORTHWHILE:
+    def catch_up(self, at_least: int = 128) -> None:
+        """Settle, if so many frames are there: nobody waits at the moment."""
+        if len(self._frames) >= at_least:
             self.settle()
 
     def settle(self) -> None:

@@ -32,7 +32,7 @@ def tabulate_by_tick(
 def _valid(
     layout: MessageLayout, payloads: Sequence[bytes], end_ns: int
 ) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield the stamp of each valid command, ns, and its rows as messages of their own."""
+    """Yield the stamp of each valid command, ns, with one message for each of its rows."""
     record, newest_ns = Record(layout), -1
     for payload in payloads:
         try:

@@ -38,7 +38,7 @@ class DriveBank:
     def __init__(
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
-        self._protocol = protocol
+        self._most_bytes, self._takes_extended = protocol.most_bytes, protocol.takes_extended
         self._drives = [protocol(each, send) for each in settings]
         self._routes: dict[int, list[Drive]] = {}
         for drive in self._drives:
@@ -166,9 +166,8 @@ class DriveBank:
         return "not for these drives"
 
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
-        is_strange = frame.is_extended and not self._protocol.takes_extended
-        is_strange |= frame.is_fd and not self._reads_fd
-        if is_strange or len(frame.data) > self._protocol.most_bytes:
+        is_strange = frame.is_extended and not self._takes_extended
+        if is_strange or (frame.is_fd and not self._reads_fd) or len(frame.data) > self._most_bytes:
             raise InvalidMessageError("no_classical_frame", f"drives do not use {frame}")
         concerned = self._routes.get(frame.identifier)
         if concerned is None:

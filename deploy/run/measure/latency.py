@@ -165,7 +165,15 @@ def find_latency(
 def _intervals(
     fit: _Fit, best: _Place, half_s: Vector, longest_s: float, period_s: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Intervals of dead time and lag, of at least these halves, with all that fits as well."""
+    """Return the intervals of dead time and lag, with every value that fits as well as the best.
+
+    Args:
+        fit: the model.
+        best: dead time and lag.
+        half_s: of the narrowest intervals.
+        longest_s: of a dead time.
+        period_s: of the rows.
+    """
     responses = len(fit.response)
     most = best.cost * (1.0 + _SURELY_WORSE / responses)
     most += _NOTHING * responses * float(fit.response.var())

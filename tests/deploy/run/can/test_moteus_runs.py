@@ -77,7 +77,7 @@ def test_all_axes_come_to_rest_when_one_drive_fails(fault: str, reason: str) -> 
 
 
 def test_drive_that_its_master_gave_up_damps_its_joint_while_the_others_rest() -> None:
-    """It has no brake command, so it goes on damping; a stop is all that ends that."""
+    """moteus has no brake command: the drive damps the joint until it is stopped."""
     faults = "link.can.faults.drives=['silent:2@300ms']", "link.can.answer_timeout_s=2"
     run = run_over_can("iiwa_can", MOTEUS, "duration_s=0.8", *faults)
     assert "no answer from drive 2" in run.faults
