@@ -192,3 +192,20 @@ def test_a_second_master_that_asks_one_drive_turns_the_clock_little(
         motors.measure()
     assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=15_000)
     motors.close()
+
+
+def test_requests_that_are_read_in_a_row_after_a_hold_up_keep_their_own_times(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Four cycles have waited for the plant until 7.5 ms, and the fifth comes at 8 ms.
+
+    Timed by the first, the fifth would seem to come 0.5 ms early, and put the clock forward.
+    """
+    motors = Motors(monkeypatch, read_ns=10_000)
+    motors.measure()
+    motors.clock.master_ns = 7_500_000
+    for tick in range(4, 30):
+        motors.reach(tick)
+        motors.measure()
+    assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=20_000)
+    motors.close()
