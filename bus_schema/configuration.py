@@ -65,7 +65,7 @@ LARGEST = 1e12
 def _not_boolean(value: Any) -> Any:
     """Reject booleans, which pydantic accepts as 0 and 1."""
     if isinstance(value, bool):
-        raise ValueError("a number, not true or false")  # noqa: TRY004 (pydantic takes these alone)
+        raise ValueError("a number, not true or false (in YAML also yes, no, on, off)")  # noqa: TRY004 (pydantic takes these alone)
     return value
 
 

@@ -5,7 +5,10 @@ Importing it takes a tenth of a second, so import this module where it is used, 
 
 from __future__ import annotations
 
-import mujoco
+from bus_schema.safe_path import safe_path
+
+with safe_path():  # its glfw starts a Python of its own
+    import mujoco
 
 __all__ = ["mujoco"]
 

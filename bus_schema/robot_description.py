@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number, joint_ends
+from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.drive_values import DriveValues, drive_values
+from bus_schema.urdf.implausible import mass_warnings
 from bus_schema.urdf.inertia import judge_inertias
-from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
+from bus_schema.urdf.inertia_estimate import estimate_inertias, estimated_links
+from bus_schema.urdf.joints import OF_GRIPPERS, Follower, HeldJoint, drop_empty_ranges, joint_roles
+from bus_schema.urdf.link_tree import LinkTree
 from bus_schema.urdf.resolved import (
+    attach_mount,
     attach_payload,
     drop_shapes,
     long_axes,
@@ -26,6 +31,7 @@ from bus_schema.urdf.resolved import (
     name_meshes,
     resolve_inertias,
     resolve_joints,
+    write_plainly,
 )
 from bus_schema.urdf.xacro_files import expanded, is_xacro
 from bus_schema.user_files import read_text
@@ -47,12 +53,15 @@ class RobotDescription:
         velocity_limits_rad_s: largest speed of each joint (inf where the URDF has none).
         lower_rad: lower end of each joint's range (-inf for continuous joints).
         upper_rad: upper end of each joint's range (inf for continuous joints).
-        tip_link: the last link of the longest chain, which carries the payload.
+        tip_link: the last link behind most driven joints, which carries the payload.
         slides: whether each joint is prismatic.
         drives: motor and gear values of the file.
         followers: mimic joints, each moved by a driven joint.
         held: movable joints that are held fixed, and why.
         warnings: accepted but suspicious contents of the file, a sentence each.
+        base_rpy_rad: roll, pitch and yaw of the mounted base; None for an upright one.
+        reading: how the file is read, as in the section ``robot`` of a scenario.
+        estimated: what of its inertias is ESTIMATED; an empty text for nothing.
     """
 
     path: Path
@@ -68,6 +77,9 @@ class RobotDescription:
     followers: tuple[Follower, ...] = ()
     held: tuple[HeldJoint, ...] = ()
     warnings: tuple[str, ...] = field(default=(), compare=False)
+    base_rpy_rad: tuple[float, float, float] | None = None
+    reading: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    estimated: str = ""
 
     @property
     def joints(self) -> int:
@@ -95,7 +107,7 @@ class RobotDescription:
         return ET.tostring(root, encoding="unicode")
 
     def resolved_urdf(self, payload_kg: float = 0.0, shapes: Shapes = "named") -> str:
-        """Return the URDF with every joint revolute, prismatic or fixed, with unit axes.
+        """Return the mounted arm, with every joint revolute, prismatic or fixed, with unit axes.
 
         Args:
             payload_kg: point mass fixed to the origin of the tip link.
@@ -103,11 +115,16 @@ class RobotDescription:
                 path; the ``drawable`` ones; or ``none``, as for physics.
         """
         root = ET.fromstring(self.text)
+        write_plainly(root)
         resolve_joints(root, set(self.joint_names), {each.name for each in self.followers})
+        if self.base_rpy_rad is not None:
+            attach_mount(root, self.base_rpy_rad)
         resolve_inertias(root)
+        if shapes == "none":
+            drop_shapes(root, but_drawable=False)
         name_meshes(root, self.path.parent)
-        if shapes != "named":
-            drop_shapes(root, but_drawable=shapes == "drawable")
+        if shapes == "drawable":
+            drop_shapes(root, but_drawable=True)
         if payload_kg > 0.0:
             attach_payload(root, self.tip_link, payload_kg)
         ET.indent(root)  # Bullet splits lines of more than 8192 characters
@@ -115,7 +132,14 @@ class RobotDescription:
 
 
 def load_robot(
-    path: Path, driven: Sequence[str] | None = None, *, repair: bool = False
+    path: Path,
+    driven: Sequence[str] | None = None,
+    *,
+    repair: bool = False,
+    arguments: Mapping[str, str] = MappingProxyType({}),
+    include: Sequence[Path] = (),
+    mass_kg: float | None = None,
+    hold_grippers: bool = False,
 ) -> RobotDescription:
     """Read a URDF file, or an MJCF file as a URDF.
 
@@ -123,33 +147,61 @@ def load_robot(
         path: the file.
         driven: joints to drive; None for all with a motor, see `joint_roles`.
         repair: replace all impossible inertias, even those far off.
+        arguments: values of the arguments of a xacro file, by name.
+        include: folders with files that it refers to, besides its own and ROS packages.
+        mass_kg: mass of the whole arm, where its file gives no inertias; None for an estimate.
+        hold_grippers: hold the joints of grippers and hands, if `driven` is None.
 
     Raises:
         RobotDescriptionError: it cannot be read, or has no joint to drive.
     """
-    text, root = _parse(path)
+    text, root = _parse(path, arguments, include)
     left_out: list[str] = []
     try:
         if root.tag == "mujoco":
             from bus_schema.urdf.from_mjcf import urdf_from_mjcf  # which imports MuJoCo: 0.15 s
 
-            root, left_out = urdf_from_mjcf(root)
+            root, left_out = urdf_from_mjcf(root, path, driven, include)
             text = ET.tostring(root, encoding="unicode")
-        robot = _described(path, text, root, driven, repair=repair)
-        return replace(robot, warnings=(*left_out, *robot.warnings))
+        wanted = (driven, hold_grippers)
+        robot = _described(
+            path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg
+        )
+        is_chosen = driven is not None or any(each.reason in OF_GRIPPERS for each in robot.held)
+        reading = {
+            "joints": list(robot.joint_names) if is_chosen else [],
+            "repair": repair,
+            "xacro": dict(arguments),
+            "include": [str(each) for each in include],
+            "mass_kg": mass_kg,
+        }
+        reading = {key: value for key, value in reading.items() if value}
+        return replace(robot, warnings=(*left_out, *robot.warnings), reading=reading)
     except RobotDescriptionError as error:
         raise type(error)(f"{path}: {error}") from error
 
 
 def _described(
-    path: Path, text: str, root: ET.Element, driven: Sequence[str] | None, *, repair: bool
+    path: Path,
+    root: ET.Element,
+    wanted: tuple[Sequence[str] | None, bool],
+    text: str,
+    *,
+    repair: bool,
+    include: Sequence[Path],
+    mass_kg: float | None,
 ) -> RobotDescription:
     if not any(joint.get("type") in MOVING_TYPES for joint in root.findall("joint")):
         raise RobotDescriptionError("has no revolute, continuous or prismatic joint")
     check_urdf(root)
-    roles = joint_roles(root, driven)
+    no_ranges = drop_empty_ranges(root)
+    text = ET.tostring(root, encoding="unicode") if no_ranges else text
+    roles = joint_roles(root, *wanted)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
+    if estimate_inertias(root, path.parent, moving, include, mass_kg):
+        text = ET.tostring(root, encoding="unicode")
     warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
+    warnings += [*no_ranges, *mass_warnings(root, moving)]
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)
@@ -161,7 +213,8 @@ def _described(
         velocity_limits_rad_s=_limits(joints, "velocity", math.inf),
         lower_rad=lower,
         upper_rad=upper,
-        tip_link=_tip_link(root),
+        tip_link=_tip_link(root, roles.driven),
+        estimated=estimated_links(root),
         slides=tuple(joint.get("type") == "prismatic" for joint in joints),
         drives=drive_values(root, roles.driven),
         followers=roles.followers,
@@ -194,10 +247,18 @@ def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
     return said
 
 
-def _parse(path: Path) -> tuple[str, ET.Element]:
+def _parse(
+    path: Path, arguments: Mapping[str, str], include: Sequence[Path]
+) -> tuple[str, ET.Element]:
+    if arguments and not is_xacro(path):
+        shown = " ".join(f"{name}:={value}" for name, value in arguments.items())
+        raise RobotDescriptionError(f"{path}: {shown}: only a .xacro file has arguments")
     try:
-        text = expanded(path) if is_xacro(path) and path.is_file() else read_text(path)
+        is_there = is_xacro(path) and path.is_file()
+        text = expanded(path, arguments, include) if is_there else read_text(path)
         root = ET.fromstring(text)
+        if include and name_meshes(root, path.parent, include):
+            text = ET.tostring(root, encoding="unicode")
     except FileNotFoundError as error:
         raise RobotDescriptionError(f"{path} does not exist") from error
     except (OSError, ET.ParseError) as error:
@@ -224,10 +285,12 @@ def _limits(joints: list[ET.Element], attribute: str, missing: float) -> Vector:
     return np.array(values)
 
 
-def _tip_link(root: ET.Element) -> str:
-    parents = {child: parent for parent, child in map(joint_ends, root.findall("joint"))}
+def _tip_link(root: ET.Element, driven: Sequence[str]) -> str:
+    """Return the last link behind most of the driven joints."""
+    tree = LinkTree(root)
 
-    def depth(link: str) -> int:
-        return 1 + depth(parents[link]) if link in parents else 0
+    def depth(link: str) -> tuple[int, int]:
+        names = [joint.get("name") for joint in tree.above(link)]
+        return sum(name in driven for name in names), len(names)
 
-    return max(parents, key=depth)
+    return max(tree.joints, key=depth)

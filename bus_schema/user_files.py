@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import os
 from pathlib import Path
+from typing import Any
 
 MOST_BYTES = 20_000_000
+_MOST_VALUES = 40_000_000
+"""Ten million rows of four columns."""
 
 
 class UserFileError(OSError):
@@ -52,3 +55,25 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES, *, newline: str | None =
         return io.TextIOWrapper(content, encoding="utf-8", newline=newline).read()
     except UnicodeDecodeError as error:
         raise UserFileError(f"is no text in UTF-8: {error}") from error
+
+
+def open_parquet(source: Any, **options: Any) -> Any:
+    """Return a `pyarrow.parquet.ParquetFile` of limited size: a small file can hold gigabytes.
+
+    Args:
+        source: a path, or a file of Arrow.
+        options: of `ParquetFile`.
+
+    Raises:
+        UserFileError: it has too many values, by its metadata; none has been read.
+        pyarrow.ArrowException: it is no Parquet.
+    """
+    from pyarrow import parquet  # heavy, and needed by few commands
+
+    file = parquet.ParquetFile(source, **options)
+    about = file.metadata
+    # Not by column: Arrow ends the process where the metadata of one is damaged.
+    values = about.num_rows * about.num_columns
+    if values > _MOST_VALUES:
+        raise UserFileError(f"has {values:,} values, and at most {_MOST_VALUES:,} are read")
+    return file

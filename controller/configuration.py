@@ -33,9 +33,9 @@ from bus_schema.configuration import (
     expand_fields,
 )
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from controller.compensation.arm_belief import nominal_arm
+from controller.compensation.command_timeline import HorizonSettings
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
@@ -76,7 +76,9 @@ class DelayCompensationConfiguration(StrictModel):
         identify_model: whether inertia, payload, viscous friction and actuator lag are identified
             while the arm moves.
         expected_round_trip_ms: round trip to assume until the first command is in force; by default
-            ``delay_ms`` of both directions.
+            what the sections of both directions say. An automatic play-out never is below it.
+        bridge_ms: each command also holds predicted torques for this time after it acts; they act
+            while later commands are lost. Needs an automatic play-out.
     """
 
     enabled: bool = False
@@ -84,6 +86,7 @@ class DelayCompensationConfiguration(StrictModel):
     learn_friction: bool = True
     identify_model: bool = True
     expected_round_trip_ms: NonNegative | None = None
+    bridge_ms: NonNegative = 0.0
 
 
 class DriveFeedbackConfiguration(StrictModel):
@@ -133,6 +136,8 @@ class ControllerConfiguration(StrictModel):
         gains: gains by law. A law without an entry derives its gains from the arm's nominal
             inertia.
         external: the program of law ``external``.
+        model: URDF or MJCF file with the masses of the nominal model, for the same joints; by
+            default those of the arm.
         model_scale: factor on masses and inertias of the nominal model, including rotors.
         rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
@@ -141,6 +146,9 @@ class ControllerConfiguration(StrictModel):
         inference_ms: time that the law takes for an answer, while the loop continues.
         inference_jitter_ms: random change of that time, uniform within ± this
             value, drawn from the seed.
+        first_inference_ms: the same for the first question while the arm moves, which many policies
+            answer more slowly; by default like the others. The answer that releases the arm acts at
+            once.
         between_answers: targets for the drives until the next answer: ``hold`` them, or
             ``linear``: continue at their velocity.
     """
@@ -149,12 +157,14 @@ class ControllerConfiguration(StrictModel):
     process: Annotated[tuple[Word, ...] | None, Field(min_length=1, validate_default=True)] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     external: ExternalLawConfiguration | None = None
+    model: str | None = None
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     rotor_scale: NonNegative = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     every: Annotated[Whole, Field(ge=1, le=10_000)] = 1
     inference_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
+    first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
     between_answers: BetweenAnswers = "hold"
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
@@ -202,6 +212,7 @@ class ControllerConfiguration(StrictModel):
         "delay_compensation",
         "inference_ms",
         "inference_jitter_ms",
+        "first_inference_ms",
     )
     @classmethod
     def _takes_effect(cls, value: Any, info: ValidationInfo) -> Any:
@@ -291,7 +302,7 @@ class ControllerConfiguration(StrictModel):
         robot: RobotDescription,
         inertia_kg_m2: Vector,
         drive: DriveGains,
-        link: LinkConfiguration,
+        horizon: HorizonSettings,
         rotors_kg_m2: Vector | None = None,
     ) -> DelayCompensation | None:
         """Return the configured delay compensation; None if it is disabled.
@@ -300,7 +311,7 @@ class ControllerConfiguration(StrictModel):
             robot: the arm.
             inertia_kg_m2: nominal inertia that governs each joint, shape (joints,).
             drive: gains of the drives' own loops.
-            link: its play-out time is the shortest time from a state until its torque acts.
+            horizon: how the time from a state until its torque acts is chosen.
             rotors_kg_m2: as for `nominal_model`.
         """
         settings = self.delay_compensation
@@ -318,10 +329,7 @@ class ControllerConfiguration(StrictModel):
             ),
             drive,
             observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
-            least_horizon_ns=link.playout_ns,
-            first_horizon_ns=link.emulated_round_trip_ns
-            if settings.expected_round_trip_ms is None
-            else round(settings.expected_round_trip_ms * 1e6),
+            horizon=horizon,
         )
 
     def paced(self, law: ControlLaw, period_s: float, seed: int) -> ControlLaw:
@@ -333,7 +341,8 @@ class ControllerConfiguration(StrictModel):
             seed: of the scenario.
         """
         inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
-        is_slow = self.every > 1 or inference_s > 0.0 or jitter_s > 0.0 or self._rows > 1
+        first_s = inference_s if self.first_inference_ms is None else 1e-3 * self.first_inference_ms
+        is_slow = self.every > 1 or max(inference_s, jitter_s, first_s) > 0.0 or self._rows > 1
         between = self.between_answers
         if between != "hold" and not (is_slow and self.drive_feedback.enabled):
             allowed = (
@@ -344,7 +353,7 @@ class ControllerConfiguration(StrictModel):
             raise ConfigurationError("controller.between_answers", between, allowed)
         if not is_slow:
             return law
-        timing = AnswerTiming(self.every, inference_s, jitter_s, between, period_s, seed)
+        timing = AnswerTiming(self.every, inference_s, jitter_s, between, period_s, seed, first_s)
         return SlowLaw(law, timing)
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:

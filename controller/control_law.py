@@ -160,6 +160,14 @@ class Dynamics(Protocol):
     ) -> Vector:
         """Return M(q) a + C(q, q̇) v + G(q), N m, in a new array; v may differ from q̇."""
 
+    def inertial_parameters(self) -> Vector:
+        """Return the parameters of the links, dimensionless, shape (parameters,)."""
+
+    def regressor(
+        self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
+    ) -> Matrix:
+        """Return Y, N m per parameter, shape (joints, parameters), without rotors."""
+
 
 class ControlLaw(Protocol):
     """A control law; its state is private, and its time comes only from `Tracking`.

@@ -11,7 +11,10 @@ import json
 import logging
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError, Rejections
@@ -26,6 +29,7 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import own_kernel
 from bus_schema.runtime.compiled import all_finite, bind
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
+from bus_schema.runtime.randomness import is_seed_used
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
@@ -83,17 +87,29 @@ class ControlLoop:
         self._state = Record(self._state_layout)
         self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
         self._plant_status = Record(self._plant_status_layout)
+        announces = task.compensation is not None and task.compensation.announces
+        rows = 1 if task.compensation is None else task.compensation.rows
         self._command = Record(
-            topics.layout(topics.JOINT_COMMANDS, names, has_targets=task.sends_targets)
-        )
-        self._target = self._command.rows("position", "velocity") if task.sends_targets else None
+            topics.layout(
+                topics.JOINT_COMMANDS, names,
+                has_targets=task.sends_targets, has_acting_time=announces, rows=rows,
+            )
+        )  # fmt: skip
+        self._torques_nm = self._command.fields["effort"].reshape(rows, -1)
+        self._targets = np.zeros((2, *self._torques_nm.shape))
+        if task.sends_targets:
+            self._targets = self._command.rows("position", "velocity").reshape(2, rows, -1)
+        self._target = self._targets[:, 0] if task.sends_targets else None
+        self._bridge: Callable[[], None] | None = None
+        if task.compensation is not None and rows > 1:
+            self._bridge = task.compensation.bridge(self._torques_nm, self._targets, task.reference)
         self._status = ControlStatus(names, task.law, task.compensation)
         self.tracking = Tracking(
             task.robot.joints, self._state.rows("position", "velocity"), self._status.tracking_rows
         )
         self._is_finite = bind(all_finite, self.tracking.motion)
         self._guard = TorqueGuard(
-            task.law_name, task.limits, self.tracking.motion, self._command.fields["effort"]
+            task.law_name, task.limits, self.tracking.motion, self._torques_nm[0]
         )
         self._target_of_law = getattr(task.law, "target", None) if task.sends_targets else None
         self._start_ns = link.start_ns
@@ -154,9 +170,9 @@ class ControlLoop:
             return
         self._change_mode(Trigger.FAIL, "zero torque")
         self._command.stamp_ns = max(self.stamp_ns, 0)
-        self._command.fields["effort"][:] = 0.0
+        self._torques_nm[:] = 0.0
         if self._target is not None:
-            self._target[:] = math.nan  # without targets, or the drives would follow the last one
+            self._targets[:] = math.nan  # without targets, or the drives would follow the last one
         with contextlib.suppress(Exception):  # the bus may be the fault
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         self._change_mode(Trigger.STOPPED, "sends no more torques")
@@ -173,7 +189,7 @@ class ControlLoop:
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
             "limits": self._guard.counts.summary(), "kernel": own_kernel(),
-            "newest_cycle_s": 1e-9 * self._status.cycle_started_ns,
+            "newest_cycle_s": 1e-9 * self._status.cycle_started_ns, "seed_used": is_seed_used(),
         }  # fmt: skip
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()
@@ -217,7 +233,9 @@ class ControlLoop:
             else:
                 said = self._plant_status.scalars
                 start_ns = join_stamp(said.start_sec, said.start_nanosec)
-                self._feedback = CommandFeedback(said.command_sequence, said.command_delay_ns)
+                self._feedback = CommandFeedback(
+                    said.command_sequence, said.command_delay_ns, said.arrival_delay_ns
+                )
         return start_ns
 
     def _update(self) -> None:
@@ -261,11 +279,14 @@ class ControlLoop:
         self._command.stamp[:] = self._state.stamp
         if self._target is not None and self._target_of_law is None:
             self._write_target(self._target)
+        compensation = self._compensation
+        if compensation is not None and compensation.announces:
+            self._command.acts_after_ns = compensation.horizon_ns
+        if self._bridge is not None:
+            self._bridge()
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        if self._compensation is not None:
-            self._compensation.note_command(
-                sequence, self._command.stamp_ns, self._command.fields["effort"]
-            )
+        if compensation is not None:
+            compensation.note_command(sequence, self._command.stamp_ns, self._torques_nm[0])
         return sequence
 
     def _write_target(self, target: Matrix) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import cached_property
 from itertools import count, islice
 
 import numpy as np
@@ -87,6 +88,7 @@ except ImportError as error:  # as in pin 3.9.0; commands without a model still 
     _fault = f"pinocchio cannot be imported ({error}): pip install --upgrade pin"
 
 _POSITIONS = 500
+_THIN_M, _LIGHT_KG = 0.01, 1e-3
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
 
 
@@ -255,6 +257,77 @@ class ManipulatorModel:
         change = places.rates(along_velocity) - velocity
         return places.torques(torque + product(coriolis, change))
 
+    def inertial_parameters(self) -> Vector:
+        """Return the parameters of all bodies as `body_parameters` has them, but dimensionless.
+
+        In masses of the link, those times the arm's length scale, and its square.
+        """
+        return self.body_parameters().ravel() / self._parameter_scales
+
+    def regressor(
+        self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
+    ) -> Matrix:
+        """Return Y, N m per parameter, shape (joints, parameters), without rotors.
+
+        Y times `inertial_parameters` is what `torque_along` returns, less the torque of the rotors.
+        C(q, q̇) v is symmetric in q̇ and v: half of C(q, q̇ + v) (q̇ + v) − C(q, q̇) q̇ − C(q, v) v.
+        """
+        still = np.zeros(self.joints)
+
+        def torque(rate: Vector) -> Matrix:
+            return self._regressor(position, rate, still)
+
+        squares = torque(velocity + along_velocity) - torque(velocity) - torque(along_velocity)
+        full = self._regressor(position, still, acceleration) + 0.5 * (squares + torque(still))
+        return full * self._parameter_scales
+
+    @cached_property
+    def _parameter_scales(self) -> Vector:
+        """A size for each parameter: the link's mass, times a length of the arm, its square."""
+        own = self.body_parameters()
+        masses = own[:, :1]
+        length = math.sqrt(float(own[:, [4, 6, 9]].sum() / masses.sum()))
+        return np.ravel(masses * np.repeat([1.0, length, length**2], (1, 3, 6)))
+
+    def torque_regressors(
+        self, positions: Matrix, velocities: Matrix, accelerations: Matrix
+    ) -> NDArray[np.float64]:
+        """Return Y of τ = Y φ along a motion, shape (samples, joints, 10 × bodies).
+
+        φ are the parameters of `body_parameters`, one body after the other.
+
+        Args:
+            positions: of the driven joints, shape (samples, joints), rad.
+            velocities: same shape, rad/s.
+            accelerations: same shape, rad/s².
+        """
+        motions = zip(positions, velocities, accelerations, strict=True)
+        return np.array([self._regressor(*motion) for motion in motions])
+
+    def _regressor(self, position: Vector, velocity: Vector, acceleration: Vector) -> Matrix:
+        places = self._places
+        full = pinocchio.computeJointTorqueRegressor(
+            self._model, self._data,
+            places.positions(position), places.rates(velocity), places.rates(acceleration),
+        )  # fmt: skip
+        full = np.reshape(full, (self._model.nv, -1))  # one row comes as a vector
+        if places.couples:
+            return np.apply_along_axis(places.torques, 0, full)
+        return places.torques(full)  # the same for all columns at once
+
+    def body_parameters(self) -> Matrix:
+        """Return the parameters of each moving body, shape (bodies, 10).
+
+        Mass, mass times centre of mass (x, y, z) and inertia about the joint's origin (xx, xy, yy,
+        xz, yz, zz), in the frame of the joint that moves the body; with all links fixed to it.
+        """
+        return np.array([each.toDynamicParameters() for each in self._model.inertias[1:]])
+
+    @property
+    def body_joints(self) -> tuple[str, ...]:
+        """Names of the joints that move the bodies, in the order of `body_parameters`."""
+        return tuple(self._model.names)[1:]
+
     def energy(self, position: Vector, velocity: Vector) -> float:
         """Return kinetic plus potential energy, J."""
         places = self._places
@@ -307,6 +380,37 @@ class ManipulatorModel:
     def _place(self, name: str) -> int:
         """Return the index of a joint in pinocchio's lists."""
         return int(self._model.joints[self._model.getJointId(name)].idx_v)
+
+
+def log_cholesky(parameters: Matrix) -> Matrix:
+    """Return coordinates of bodies that may have any values, shape (bodies, 10).
+
+    α, d (3), s (3) and t (3) of the pseudo-inertia e²ᵅ U Uᵀ, where U has e^d on its diagonal: every
+    value belongs to a body that is physically possible. t is the centre of mass. After Rucker and
+    Wensing, "Smooth Parameterization of Rigid-Body Inertia", IEEE RA-L 7(2), 2022.
+
+    Args:
+        parameters: as `ManipulatorModel.body_parameters`; bodies without extent or mass, as in some
+            files, get little of both.
+    """
+    found = []
+    for each in parameters:
+        pseudo = pinocchio.PseudoInertia.FromDynamicParameters(each).toMatrix()
+        least = np.array([_THIN_M**2, _THIN_M**2, _THIN_M**2, 1.0]) * max(_LIGHT_KG, pseudo[3, 3])
+        if not (np.linalg.eigvalsh(pseudo) > 1e-6 * least.min()).all():
+            pseudo = pseudo + np.diag(least * [1.0, 1.0, 1.0, pseudo[3, 3] < _LIGHT_KG])
+        upper = np.linalg.cholesky(pseudo[::-1, ::-1])[::-1, ::-1]
+        scale = upper[3, 3]
+        u = upper / scale
+        shears = (u[0, 1], u[1, 2], u[0, 2])
+        found.append([np.log(scale), *np.log(np.diag(u)[:3]), *shears, *u[:3, 3]])
+    return np.array(found)
+
+
+def body_from_log_cholesky(coordinates: Vector) -> tuple[Vector, Matrix]:
+    """Return the parameters of a body, shape (10,), and their derivatives, shape (10, 10)."""
+    body = pinocchio.LogCholeskyParameters(coordinates)
+    return body.toDynamicParameters(), body.calculateJacobian()
 
 
 def _largest_eigenvalue(matrices: Iterable[Matrix], weights: Vector) -> float:

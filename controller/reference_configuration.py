@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
 from bus_schema.configuration import (
@@ -37,6 +39,16 @@ class _Timed(StrictModel):
 
     speed: Positive = 1.0
 
+    @property
+    def highest_hz(self) -> float:
+        """Highest frequency of its sinusoids; 0 for rest-to-rest moves, infinite if unknown."""
+        return 0.0
+
+
+def _highest_hz(frequency_rad_s: ArrayLike, amplitude: ArrayLike) -> float:
+    moves = np.not_equal(amplitude, 0.0)
+    return float(np.max(np.abs(frequency_rad_s) * moves)) / (2.0 * math.pi)
+
 
 class AxisConfiguration(StrictModel):
     """One Cartesian axis: offset + velocity t + amplitude sin(frequency t + phase)."""
@@ -60,6 +72,11 @@ class CartesianPathConfiguration(_Timed):
     x: AxisConfiguration
     y: AxisConfiguration
     z: AxisConfiguration
+
+    @property
+    def highest_hz(self) -> float:
+        axes = (self.x, self.y, self.z)
+        return self.speed * max(_highest_hz(a.frequency_rad_s, a.amplitude_m) for a in axes)
 
     def build(self, robot: RobotDescription) -> Reference:
         """Return the path on this arm.
@@ -85,6 +102,10 @@ class JointSinusoidsConfiguration(_Timed):
     kind: Literal["joint_sinusoids"]
     centre_rad: PerJoint
     terms: Annotated[list[SinusoidConfiguration], Field(min_length=1)]
+
+    @property
+    def highest_hz(self) -> float:
+        return self.speed * max(_highest_hz(t.frequency_rad_s, t.amplitude_rad) for t in self.terms)
 
     def build(self, robot: RobotDescription) -> Reference:
         """Return the trajectory for this arm.
@@ -150,6 +171,10 @@ class CsvConfiguration(_Timed):
     kind: Literal["csv"]
     file: Annotated[str, Field(min_length=1, max_length=1000)]
     beyond: Literal["refuse", "hold"] = "refuse"
+
+    @property
+    def highest_hz(self) -> float:
+        return math.inf
 
     def build(self, robot: RobotDescription) -> Reference:
         """Return the trajectory for this arm.

@@ -6,13 +6,13 @@ force once its inference time is over. An answer may be a chunk: rows for the ne
 
 from __future__ import annotations
 
-import random
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.runtime.randomness import plain_generator
 from controller.control_law import ControlLaw, Tracking
 
 BetweenAnswers = Literal["hold", "linear"]
@@ -30,6 +30,7 @@ class AnswerTiming:
         between: what targets do after an answer's last row: stay, or go on at their velocity.
         period_s: of the control loop; rows of a chunk are so far apart.
         seed: of the inference times drawn.
+        first_s: `inference_s` of the first question in motion, the second of a run.
     """
 
     every: int
@@ -38,6 +39,7 @@ class AnswerTiming:
     between: BetweenAnswers
     period_s: float
     seed: int
+    first_s: float
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,8 @@ class SlowLaw:
         return target
 
     def _forget(self) -> None:
-        self._random = random.Random(self._timing.seed)
-        self._states = 0
+        self._random = plain_generator(self._timing.seed)
+        self._states = self._asked = 0
         self._in_force = self._coming = None
 
     def _ask(self, tracking: Tracking) -> _Answer:
@@ -123,8 +125,11 @@ class SlowLaw:
             else self._own_target(tracking)
         )
         targets = checked_rows("targets", wanted, (2, joints))
-        jitter_s = self._random.uniform(-1.0, 1.0) * self._timing.jitter_s
-        ready_s = tracking.time_s + max(0.0, self._timing.inference_s + jitter_s)
+        jitter_s = self._timing.jitter_s
+        jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
+        inference_s = self._timing.first_s if self._asked == 1 else self._timing.inference_s
+        self._asked += 1
+        ready_s = tracking.time_s + max(0.0, inference_s + jitter_s)
         return _Answer(tracking.time_s, ready_s, torques, targets)
 
     def _row(self, now_s: float, rows: int) -> int:

@@ -16,6 +16,7 @@ from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow
+from bus_schema.runtime.randomness import generator
 from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
@@ -63,7 +64,7 @@ class ArmPlant:
     ) -> None:
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
-        randoms = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)]
+        randoms = [generator(child) for child in np.random.SeedSequence(seed).spawn(3)]
         self._stop_damping = _stop_damping(configuration, robot)
         gains = drive or no_drive_feedback(robot.joints)
         self.torques = JointTorques(

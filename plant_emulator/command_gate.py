@@ -83,6 +83,7 @@ class Command(NamedTuple):
         target: for the drives, as of that stamp: position, rad, and velocity, rad/s, as rows, shape
             (2, joints); None for none.
         later: rows for the following ticks; None for none.
+        acts_after_ns: time from that stamp until it acts; 0 for on arrival.
     """
 
     torque_nm: Vector
@@ -90,6 +91,7 @@ class Command(NamedTuple):
     stamp_ns: int
     target: Matrix | None = None
     later: LaterRows | None = None
+    acts_after_ns: int = 0
 
 
 class CommandGate:
@@ -106,8 +108,10 @@ class CommandGate:
         joint_names: names of the joints.
         has_left: whether a sender was on the bus and has left.
         takes_targets: whether commands may contain targets for the drives.
+        takes_acting_time: whether commands may say when they act.
 
     Attributes:
+        layout: of commands.
         rejections: the rejected commands.
         newest_ns: stamp of the state that the newest command answers; commands that answer older
             ones are rejected. -1 before the first.
@@ -121,9 +125,13 @@ class CommandGate:
         has_left: Callable[[bytes], bool] = lambda _: False,
         *,
         takes_targets: bool = False,
+        takes_acting_time: bool = False,
     ) -> None:
-        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names, has_targets=takes_targets)
-        self._record = Record(self._layout)
+        self.layout = topics.layout(
+            topics.JOINT_COMMANDS, joint_names,
+            has_targets=takes_targets, has_acting_time=takes_acting_time,
+        )  # fmt: skip
+        self._record = Record(self.layout)
         self._torque_nm = self._record.fields["effort"]
         self._target = self._record.rows("position", "velocity") if takes_targets else None
         self._is_finite = bind(all_finite, self._torque_nm)
@@ -167,7 +175,7 @@ class CommandGate:
         return self.commander is not None and self._has_left(self.commander)
 
     def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:
-        stamp_ns = self._layout.decode(arrival.payload, self._record)
+        stamp_ns = self.layout.decode(arrival.payload, self._record)
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
         target = None if self._target is None else _given(self._target)
@@ -186,7 +194,10 @@ class CommandGate:
         if arrival.sender != self.commander:
             self.commander, self._numbers = arrival.sender, SenderNumbers()
             self._numbers.is_new(arrival.sequence, arrival.payload)
-        return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target, later)
+        acts_after_ns = self._record.acts_after_ns
+        return Command(
+            self._torque_nm.copy(), arrival.sequence, stamp_ns, target, later, acts_after_ns
+        )
 
     def _later_rows(self, rows: NDArray[np.void]) -> LaterRows:
         torques_nm = rows["effort"]

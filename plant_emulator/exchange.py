@@ -39,6 +39,10 @@ class Watchdog:
         self._timeout_ns = timeout_ns
         self.expires_ns = first_command_ns
 
+    def await_first(self, acts_ns: int) -> None:
+        """Note when the first command says that it will take effect; until then, brakes hold."""
+        self.expires_ns = max(self.expires_ns, acts_ns + self._timeout_ns)
+
     def feed(self, now_ns: int) -> None:
         """Note that a valid command took effect."""
         self.expires_ns = now_ns + self._timeout_ns
@@ -139,6 +143,7 @@ class Exchange:
                 continue
             self._watchdog.feed(effective_ns)
             self._telemetry.round_trip_ns = effective_ns - command.stamp_ns
+            self._telemetry.allow(command.acts_after_ns)
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
             self._arm.command(command.torque_nm, command.target, command.stamp_ns)
@@ -153,7 +158,8 @@ class Exchange:
         if command is None or command.later is None:
             return
         torques_nm, targets = command.later
-        row = min((now_ns - command.stamp_ns) // self._period_ns, len(torques_nm))
+        since_ns = now_ns - command.stamp_ns - command.acts_after_ns
+        row = min(since_ns // self._period_ns, len(torques_nm))
         if row > 0:
             target = None if targets is None else targets[row - 1]
             stamp_ns = command.stamp_ns + row * self._period_ns
@@ -209,9 +215,13 @@ class Exchange:
             former = self._gate.commander
             command = self._gate.admit(arrival, self._newest_state_ns)
             if command is not None:
+                if former is None:
+                    self._watchdog.await_first(command.stamp_ns + command.acts_after_ns)
+                    self._telemetry.allow(command.acts_after_ns)
                 if arrival.sender != former:
                     words = _commander(arrival.sender, former)
                     self._supervisor.announce(EventKind.COMMANDER, words)
+                    self._link.note_commander(arrival.sender)
                 self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
         if arrivals and not self._second_source_is_told and (source := self._gate.second_source):
             self._second_source_is_told = True

@@ -44,7 +44,12 @@ class Instruments:
         self._payload = self._state.payload()
 
     def measure(
-        self, stamp_ns: int, command_sequence: int, command_age_ns: int, command_delay_ns: int
+        self,
+        stamp_ns: int,
+        command_sequence: int,
+        command_age_ns: int,
+        command_delay_ns: int,
+        arrival_delay_ns: int,
     ) -> Measurement:
         """Return the latest reading, with the current command.
 
@@ -53,6 +58,7 @@ class Instruments:
             command_sequence: number of the command in force, 0 without one.
             command_age_ns: age of the state that it answers; -1 without one.
             command_delay_ns: that age when the command came into force.
+            arrival_delay_ns: largest such age of the commands since the last state, at arrival.
         """
         status = self._status
         status.stamp[:] = self._state.stamp
@@ -61,4 +67,5 @@ class Instruments:
         scalars.command_sequence = command_sequence
         scalars.command_age_ns = command_age_ns
         scalars.command_delay_ns = command_delay_ns
+        scalars.arrival_delay_ns = arrival_delay_ns
         return Measurement(stamp_ns, self._payload, status.payload())

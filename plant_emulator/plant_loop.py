@@ -18,10 +18,12 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock, own_kernel
 from bus_schema.runtime.modes import COMMANDABLE
+from bus_schema.runtime.randomness import is_seed_used
 from bus_schema.runtime.realtime import stolen_ms
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
+from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import CommandGate
 from plant_emulator.exchange import Exchange, Watchdog
 from plant_emulator.faults.faulty_link import FaultyLink
@@ -37,6 +39,7 @@ class PlantLoop:
 
     Attributes:
         tick: ticks that have passed.
+        ended_early: it ended because the arm was lost, see `end_after_loss`.
     """
 
     def __init__(self, task: PlantTask, arm: ArmPlant, link: PlantLink, clock: Clock) -> None:
@@ -49,17 +52,22 @@ class PlantLoop:
         self._downlink = open_downlink(
             task.link, task.seed, channel_faults(task.faults, "downlink")
         )
-        gate = CommandGate(names, link.sender_has_left, takes_targets=task.takes_targets)
+        downlink = self._downlink
+        self._playout = downlink if isinstance(downlink, PlayoutBuffer) else None
+        gate = CommandGate(
+            names, link.sender_has_left,
+            takes_targets=task.takes_targets, takes_acting_time=task.link.plays_automatically,
+        )  # fmt: skip
         self._link = _with_faults(task, link, clock, gate)
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
         mean_ns = self._uplink.mean_delay_ns + self._downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
+        answered_ns = task.answer_every * self._grid.period_ns
         self._telemetry = PlantTelemetry(
-            names,
-            arm,
-            task.link.deadline_ns(task.answer_every * self._grid.period_ns, round_trip_ns),
-        )
+            names, arm, task.link.deadline_ns(answered_ns, round_trip_ns),
+            None if task.link.deadline_ms is not None else answered_ns,
+        )  # fmt: skip
         self._supervisor = Supervisor(
             arm, self._telemetry, task.plant, task.grid, task.ticks, lambda: self.tick
         )
@@ -71,6 +79,8 @@ class PlantLoop:
         )  # fmt: skip
         self._watch = None if task.watch is None else task.watch(arm.motion[0])
         self.tick = 0
+        self.ended_early = False
+        self._ticks_after_loss: int | None = None
         self._tick_ns = 0
         self._command_age_ns = -1
 
@@ -87,6 +97,10 @@ class PlantLoop:
     def request_stop(self) -> None:
         """End the run cleanly at the next tick; safe from signal handlers and other threads."""
         self._supervisor.stop_requested = True
+
+    def end_after_loss(self, after_s: float) -> None:
+        """End the run this long after its watch finds the arm lost and a command has acted."""
+        self._ticks_after_loss = round(1e9 * after_s / self._grid.period_ns)
 
     def run(self) -> PlantOutcome:
         """Run from tick 0 to the end, a fault or a request to stop."""
@@ -135,7 +149,11 @@ class PlantLoop:
     def _send_state(self) -> None:
         sequence, delay_ns = self._exchange.sequence, self._exchange.delay_ns
         measure = self._instruments.measure
-        self._exchange.send(measure(self._tick_ns, sequence, self._command_age_ns, delay_ns))
+        playout = self._playout
+        arrival_ns = -1 if playout is None else playout.take_longest_arrival()
+        self._exchange.send(
+            measure(self._tick_ns, sequence, self._command_age_ns, delay_ns, arrival_ns)
+        )
 
     def _go_to_next_tick(self) -> int:
         """Advance to the next tick in virtual time; return the lateness in ns."""
@@ -215,12 +233,21 @@ class PlantLoop:
         self._command_age_ns = self._exchange.age_ns(self._tick_ns)
 
     def _note_truth(self, *, was_skipped: bool) -> None:
-        if self._watch is not None:
-            self._watch.look(self._tick_ns)
+        if self._watch is not None and self._watch.look(self._tick_ns):
+            self._note_loss()
         self._telemetry.note_truth(
             self._tick_ns, self.tick, self._exchange.sequence, self._command_age_ns,
             was_skipped=was_skipped,
         )  # fmt: skip
+
+    def _note_loss(self) -> None:
+        """Set the end of the run at the first tick with a loss and an acting command."""
+        if self._ticks_after_loss is None or self._command_age_ns < 0:
+            return
+        end_tick = self.tick + self._ticks_after_loss
+        if end_tick < self._supervisor.end_tick:
+            self._supervisor.end_tick, self.ended_early = end_tick, True
+        self._ticks_after_loss = None
 
     def _report_end(self, outcome: PlantOutcome) -> None:
         supervisor, downlink = self._supervisor, self._downlink
@@ -228,6 +255,7 @@ class PlantLoop:
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
             "downlink": downlink.statistics().summary() | {"rejected": rejected},
+            **({} if self._playout is None else {"playout": self._playout.report()}),
             "limits": supervisor.limits.summary(),
         } | self._link.report()
         if supervisor.stop_requested:
@@ -235,7 +263,7 @@ class PlantLoop:
         supervisor.announce(EventKind.COUNTS, json.dumps(counts))
         ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
         ended |= {
-            "physics": self._arm.physics, "kernel": own_kernel(),
+            "physics": self._arm.physics, "kernel": own_kernel(), "seed_used": is_seed_used(),
             "start_s": 1e-9 * (time.monotonic_ns() - self._clock.now_ns()),
         }  # fmt: skip
         if self._watch is not None:
@@ -248,6 +276,5 @@ def _with_faults(task: PlantTask, link: PlantLink, clock: Clock, gate: CommandGa
     """Return the link, wrapped with the task's faults."""
     if not task.faults and not task.process_actions:
         return link
-    names = task.robot.joint_names
-    faulty = FaultyLink(link, clock, gate, names, task.faults, task.process_actions, task.seed)
+    faulty = FaultyLink(link, clock, gate, task.faults, task.process_actions, task.seed)
     return cast(PlantLink, faulty)

@@ -17,8 +17,8 @@ from plant_emulator.faults.fault import Fault, ScheduledAction
 class TruthWatch(Protocol):
     """Watch of the arm's true motion at every tick, for the judge of the run."""
 
-    def look(self, stamp_ns: int) -> None:
-        """Check the motion at this tick, at this instant."""
+    def look(self, stamp_ns: int) -> bool:
+        """Check the motion at this tick, at this instant; return whether it has ever been lost."""
 
     def counts(self) -> dict[str, Any]:
         """Return the results, ready for JSON."""

@@ -25,6 +25,8 @@ class PlantTelemetry:
         joint_names: names of the joints.
         arm: the arm.
         deadline_ns: largest age of the state that the command in force answers.
+        announced_for_ns: a command that says when it acts may be in force for so long after that,
+            if that is longer; None if `deadline_ns` applies to all commands.
 
     Attributes:
         deadline_misses: ticks at which the command in force was too old.
@@ -34,8 +36,15 @@ class PlantTelemetry:
         round_trip_ns: time from a state to the command that answered it since then; -1 for none.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
-        self._deadline_ns = deadline_ns
+    def __init__(
+        self,
+        joint_names: tuple[str, ...],
+        arm: ArmPlant,
+        deadline_ns: int,
+        announced_for_ns: int | None = None,
+    ) -> None:
+        self._deadline_ns = self._allowed_age_ns = deadline_ns
+        self._announced_for_ns = announced_for_ns
         self._truth = Record(topics.layout(topics.PLANT_TRUTH, joint_names))
         self._arm = arm
         # Views take a third of the time of NumPy's copies, at every tick.
@@ -66,6 +75,12 @@ class PlantTelemetry:
         self._step_ns = self.physics_ns + time.perf_counter_ns() - self._cycle_started_ns
         self.physics_ns = 0
 
+    def allow(self, acts_after_ns: int) -> None:
+        """Allow a command the time that it says it needs until it acts; 0 if it says nothing."""
+        if acts_after_ns and self._announced_for_ns is not None:
+            announced_ns = acts_after_ns + self._announced_for_ns
+            self._allowed_age_ns = max(self._deadline_ns, announced_ns)
+
     def note_truth(
         self,
         stamp_ns: int,
@@ -86,7 +101,7 @@ class PlantTelemetry:
         """
         # Before the first command, the age cannot exceed the run's own.
         age_ns = command_age_ns if command_age_ns >= 0 else stamp_ns
-        is_in_time = age_ns <= self._deadline_ns
+        is_in_time = age_ns <= self._allowed_age_ns
         self.deadline_misses += not is_in_time
         truth = self._truth
         truth.stamp_ns = stamp_ns

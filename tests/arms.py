@@ -26,6 +26,9 @@ needs_pybullet_data = pytest.mark.skipif(
 )
 INSTALLED = [name for name, engine in ENGINES.items() if engine.is_installed]
 """Names of the physics engines that this Python has."""
+needs_bullet = pytest.mark.skipif(
+    "bullet" not in INSTALLED, reason="needs Bullet: pip install 'funnel-hil[bullet]'"
+)
 
 
 def shipped_arm(name: str) -> RobotDescription:

@@ -18,6 +18,11 @@ from deploy.run.stop_signals import STOPS, stop_at_once
 # On a new machine any test may be the first to need a kernel: what it reads stays the same.
 os.environ["FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"] = "1"
 
+# What is printed depends on the terminal, which tests describe themselves.
+os.environ["TERM"] = "xterm"
+for variable in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE"):
+    os.environ.pop(variable, None)
+
 # A build is to judge the change, not the luck of the draw; and its machine may be slow.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")

@@ -19,12 +19,12 @@ class EdsDecoder:
     """Decodes the frames of drives that all have one EDS, with PDOs mapped as it says."""
 
     def __init__(self, eds: Path, node_ids: tuple[int, ...], master_id: int) -> None:
-        self._dictionaries, self._pdos = {}, {}
+        self._dictionary = canopen.import_od(str(eds))
+        self._node_ids, self._pdos = node_ids, {}
         self._heard_from = (*node_ids, master_id)
         network = canopen.Network()
         for node_id in node_ids:
             node = network.add_node(canopen.RemoteNode(node_id, str(eds)))
-            self._dictionaries[node_id] = node.object_dictionary
             for maps in (node.tpdo, node.rpdo):
                 maps.read(from_od=True)
                 self._pdos |= {pdo.cob_id: pdo for pdo in maps.values() if pdo.cob_id}
@@ -46,11 +46,13 @@ class EdsDecoder:
         if function == HEARTBEAT and node_id in self._heard_from:
             (state,) = data
             return {NMT_STATES[state]: state}
-        if node_id in self._dictionaries:
+        if node_id in self._node_ids:
             if function == EMCY and len(data) == _EMCY_BYTES:
                 return {"error": int.from_bytes(data[:2], "little")}
-            if function in (SDO_REQUEST, SDO_ANSWER) and len(data) == _SDO_BYTES:
-                return self._sdo(node_id, data)
+            if function == SDO_ANSWER and len(data) == _SDO_BYTES:
+                return self._sdo(data)
+        if function == SDO_REQUEST and len(data) == _SDO_BYTES:  # also to nodes that are absent
+            return self._sdo(data)
         raise ValueError(f"the EDS knows no frame {identifier:03X}#{data.hex()}")
 
     def _values(self, pdo: canopen.pdo.PdoMap, data: bytes) -> dict[str, float]:
@@ -60,11 +62,11 @@ class EdsDecoder:
         pdo.data = bytearray(data)
         return {variable.name: variable.raw for variable in pdo.map}
 
-    def _sdo(self, node_id: int, data: bytes) -> dict[str, float]:
+    def _sdo(self, data: bytes) -> dict[str, float]:
         specifier, index, subindex = _SDO.unpack_from(data)
         if specifier & 0xE0 not in _SDO_INITIATES:
             raise ValueError(f"no SDO that names an object: {data.hex()}")
-        entry = self._dictionaries[node_id].get_variable(index, subindex)
+        entry = self._dictionary.get_variable(index, subindex)
         if entry is None:
             raise ValueError(f"no object 0x{index:04X}:{subindex}")
         return {entry.name: int.from_bytes(data[4:], "little")}

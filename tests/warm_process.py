@@ -24,7 +24,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import IO, NoReturn, cast
+from typing import IO, Any, NoReturn, cast
 from unittest import mock
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -124,6 +124,11 @@ def here(*words: object, **environment: str) -> tuple[int, str]:
         with (
             mock.patch.object(sys, "argv", ["funnel-hil", *map(str, words)]),
             mock.patch.dict(os.environ, environment),
+            mock.patch("deploy.cli.watched.run_watched", _call),
+            mock.patch("deploy.cli.run_and_simulate.run_watched", _call),
+            mock.patch("os.nice"),  # `view` lowers its priority, and nothing can raise it again
+            # it also leaves the first and last CPU for good
+            mock.patch("os.sched_setaffinity", create=True),
             redirect_stdout(out),
             redirect_stderr(err),
         ):
@@ -150,6 +155,11 @@ def cold_python(*words: object, **environment: str) -> subprocess.CompletedProce
         env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400", **environment}, check=False,
         timeout=HANG_S,
     )  # fmt: skip
+
+
+def _call(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Stand in for `run_watched`: a child would write to other streams, and not know our mocks."""
+    return work()
 
 
 @contextmanager

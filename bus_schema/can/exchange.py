@@ -1,7 +1,7 @@
 """A CAN bus inside the process: what one node sends, all others receive, a batch at a time.
 
 Threads that wait for one another cost more than all frames of a cycle do. So one node may leave its
-turns to whoever waits for its frames: both then go on in one thread, one after the other.
+turns to the node that waits for its frames: both then run in one thread, one after the other.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class FrameExchange:
         self.guest: ExchangeNode | None = None
 
     def join(self) -> ExchangeNode:
-        """A new node, which hears what others send from now on."""
+        """Return a new node, which receives all frames that others send from now on."""
         node = ExchangeNode(self)
         self.nodes.append(node)
         return node
@@ -65,7 +65,7 @@ class ExchangeNode:
         if not self._received:
             guest = self._exchange.guest
             if guest is not None and guest is not self and timeout_s > 0.0:
-                self._turn_until_heard(guest, timeout_s)
+                self._turn_until_frame(guest, timeout_s)
                 timeout_s = timeout_s if guest._has_turned.is_set() else 0.0
             try:
                 self._received.extend(self.inbox.get(timeout=timeout_s))
@@ -81,14 +81,14 @@ class ExchangeNode:
             self._exchange.nodes.remove(self)
 
     def leave_turns(self, turns: Iterator[None]) -> None:
-        """Have the others make this node's turns when they wait for frames, and wait for the last.
+        """Let other nodes run this node's turns while they wait for frames; return after the last.
 
         Args:
-            turns: each ends where others have to send something. The first one is made here, and
-                so are all once there are no others any longer.
+            turns: each ends where others have to send something. This node runs the first one, and
+                the rest once it is alone on the bus.
 
         Raises:
-            Exception: whatever the turns raise.
+            Exception: any error of the turns.
         """
         self._turns = turns
         self._turn()
@@ -111,8 +111,8 @@ class ExchangeNode:
                 self._failure = error
                 self._has_turned.set()
 
-    def _turn_until_heard(self, guest: ExchangeNode, timeout_s: float) -> None:
-        """Make turns of a guest until one of them sends something or it takes too long."""
+    def _turn_until_frame(self, guest: ExchangeNode, timeout_s: float) -> None:
+        """Run turns of a guest until one of them sends something, or the timeout."""
         give_up_s = time.monotonic() + timeout_s
         while self.inbox.empty() and not guest._has_turned.is_set():
             guest._turn()

@@ -46,15 +46,15 @@ class CanBus(Protocol):
         """Send a frame."""
 
     def send_all(self, frames: Sequence[CanFrame]) -> None:
-        """Send frames one after the other; whoever waits for them may be woken once."""
+        """Send frames one after the other; a waiting receiver may wake up once for all."""
         for frame in frames:
             self.send(frame)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """The next frame that another node sent; None if none came within `timeout_s`."""
+        """Return the next frame of another node; None if none arrives within `timeout_s`."""
 
     def dropped(self) -> int | None:
-        """Frames that came too fast to be received so far; None where nobody counts them."""
+        """Return the number of frames lost by a slow receiver; None if they are not counted."""
 
     def close(self) -> None:
         """Leave the bus."""

@@ -4,7 +4,7 @@ SYNC (or its like) is the clock: each one is a tick, and the stamp of a state is
 since the start of the run times the period. In lockstep the next tick comes when the cycle is done;
 in real time, on an absolute grid, and a tick that is missed is skipped whole.
 
-Whatever happens, drives that were enabled are brought to rest before the link is done with them.
+In every case, the link brings enabled drives to rest before it ends.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock, HostLateness, TickGrid
 
@@ -67,9 +68,8 @@ class CanControllerLink(ControllerLink):
         master: master of the drives.
         bus: the bus it is on, which the link closes.
         clock: time of the run.
-        telemetry: where everything goes that is no state or torque.
-        take_turns: steps through what `spin` does, which pauses wherever drives are to answer;
-            the first step, to where the drives follow, it makes by itself.
+        telemetry: carries all messages but states and torques.
+        take_turns: runs the steps of `spin`, each of which ends where drives have to answer.
     """
 
     start_ns = 0  # a stamp is the time since then, also where the first ticks had no state in time
@@ -123,9 +123,9 @@ class CanControllerLink(ControllerLink):
         """Enable the drives, run all cycles, and bring the drives to rest.
 
         Raises:
-            DriveError: a drive did not come, failed, or fell silent.
+            DriveError: a drive did not answer, failed, or fell silent.
             BusError: the bus itself was lost.
-            Exception: whatever the handler of states raised.
+            Exception: any error of the handler of states.
         """
         self._take_turns(self._turns(is_stop_requested))
 
@@ -168,6 +168,10 @@ class CanControllerLink(ControllerLink):
         self.cycle_ns = self._run.grid.tick_ns(tick)
         self._sample(tick)
         is_complete = yield from self._read(tick, is_stop_requested)
+        while self._master.emergencies:
+            text = self._master.emergencies.pop(0)
+            event = RunEvent(self.cycle_ns, Role.CONTROLLER, EventKind.FAULT, text)
+            self._telemetry.publish(topics.RUN_EVENTS, event.encode())
         if not is_complete:
             return
         self._state.stamp_ns = self.cycle_ns
@@ -186,11 +190,11 @@ class CanControllerLink(ControllerLink):
     def _read(
         self, tick: int, is_stop_requested: Callable[[], bool], *, stopping: bool = False
     ) -> Generator[None, None, bool]:
-        """Read what all drives answer; false if this tick has to do without.
+        """Read the answers of all drives; return false if this tick has not all of them.
 
-        In lockstep those that do not in time end the run; while drives are `stopping`, they are
-        given up. One that only takes longer than a poll is waited for, else it would be left while
-        it moves. In real time nobody is waited for beyond the tick: the others need their torques.
+        In lockstep a missing answer ends the run; while drives are `stopping`, the master gives up
+        the drive. It waits for several polls, else it would leave a drive that moves. In real time
+        it never waits beyond the tick: the other drives need their torques.
         """
         position, velocity = self._state.fields["position"], self._state.fields["velocity"]
         yield
@@ -204,7 +208,7 @@ class CanControllerLink(ControllerLink):
             if is_stop_requested():
                 if not stopping:
                     return False
-                longest_s = min(longest_s, _LONGEST_STOP_S)  # there may be nobody left to answer
+                longest_s = min(longest_s, _LONGEST_STOP_S)  # perhaps no drive is left
             if waited_s >= longest_s:
                 nodes = self._master.missing()
                 self._master.give_up()
@@ -229,12 +233,12 @@ class CanControllerLink(ControllerLink):
         return following
 
     def _bring_to_rest(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
-        """Keep the cycle going until the drives have stopped: in lockstep it is what time is."""
+        """Continue the cycle until the drives have stopped: in lockstep, it makes the time."""
         try:
             self._master.begin_stop()
             self._torque[:] = 0.0
             last = tick + max(1, int(_LONGEST_STOP_S * 1e9 / self._run.grid.period_ns))
-            # What the last tick still owes.
+            # The pending answers of the last tick.
             yield from self._read(tick, is_stop_requested, stopping=True)
             while not self._master.is_stopped() and tick < last:
                 self._master.command(self._torque)

@@ -22,11 +22,11 @@ POLL_S = 0.05
 
 
 class DriveError(BusError):
-    """A drive is not what it should be, or no longer does what it must; the message says which."""
+    """A drive is not the expected one, or has failed; the message names it."""
 
 
 class SilentDriveError(DriveError):
-    """A drive gives no states while others do; without its states, none of them gets a torque."""
+    """A drive sends no states while others do; without its states, no drive gets a torque."""
 
     is_cause = True
 
@@ -41,7 +41,9 @@ class CanMaster(ABC):
         codec: the frames of a cycle.
 
     Attributes:
-        ask_again_s: time that drives have to answer before they are asked again.
+        ask_again_s: time to answer before a request is repeated.
+        emergencies: first error that each drive reported, in a sentence. If it stops the drive,
+            `read` raises `DriveError`.
     """
 
     ask_again_s = 0.3
@@ -52,13 +54,14 @@ class CanMaster(ABC):
         self._bus, self._can, self._codec = bus, can, codec
         self._node_ids = node_ids
         self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
-        # Joints whose drives have yet to answer since the last sampling, and those of drives that
-        # are no longer waited for.
+        # Joints whose drives have not answered the last sampling, and joints whose drives are no
+        # longer awaited.
         self._awaited: set[int] = set()
         self._silent: set[int] = set()
-        self._absent: set[int] = set()  # joints whose drives have not turned up yet
+        self._absent: set[int] = set()  # joints whose drives have not answered yet
         self._is_powered = [False] * len(node_ids)
         self._faults: list[str] = []
+        self.emergencies: list[str] = []
         self._is_stopping = False
         self._target: Matrix | None = None
         self._strangers: Counter[str] = Counter()
@@ -69,21 +72,28 @@ class CanMaster(ABC):
         self._last_answer_ns = [0] * len(node_ids)
         self._next_heartbeat_ns = 0
 
-    @abstractmethod
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        """Take all drives from power-on to where they follow torques; false if asked to stop.
+        """Take all drives from power-on to following torques; return false if asked to stop.
 
         Args:
-            timeout_s: how long to wait for the drives to turn up, wall time.
-            is_stop_requested: looked at while waiting.
+            timeout_s: longest wait for the drives to answer, wall time.
+            is_stop_requested: checked while waiting.
 
         Raises:
-            DriveError: a drive does not come, is another than expected, or does not follow.
+            DriveError: a drive does not answer, is not the expected one, or does not follow.
             BusError: the bus itself was lost.
         """
+        if not self._await_drives(timeout_s, is_stop_requested):
+            return False
+        self._set_up()
+        self._is_powered = [True] * len(self._node_ids)
+        return True
+
+    def _set_up(self) -> None:  # noqa: B027 (a protocol may have none)
+        """Check and configure the drives, which have all answered."""
 
     def _await_drives(self, timeout_s: float, must_end: Callable[[], bool]) -> bool:
-        """Ask the drives until all have turned up; false if it must end before.
+        """Repeat requests until all drives have answered; return false if it must end before.
 
         Raises:
             DriveError: some have not within `timeout_s`.
@@ -100,10 +110,10 @@ class CanMaster(ABC):
         return not self._absent
 
     def _ask(self) -> None:  # noqa: B027 (a protocol may enable drives in another way)
-        """Send what drives answer that have not turned up yet."""
+        """Send requests to the drives that have not answered yet."""
 
     def _listen(self) -> None:
-        """Wait a moment for answers, and note who has turned up: here, those with power on."""
+        """Wait briefly for answers, and note the drives that are ready: here, those with power."""
         frame = self._bus.receive(POLL_S)
         if frame is not None:
             self._handle(frame)
@@ -113,10 +123,10 @@ class CanMaster(ABC):
         return f"no answer from drive {self._addresses(self._absent)} within {timeout_s:g} s"
 
     def skip_late(self) -> None:
-        """Take in what has come meanwhile; states among it answer a sampling that is past.
+        """Process pending frames; states among them answer a past sampling.
 
-        One that is left would be taken for the answer to the next sampling, the answer to that one
-        for the one after it, and so on for the rest of the run.
+        A state left in the queue would count as the answer to the next sampling, and so on for the
+        rest of the run.
         """
         for _ in range(_MOST_LATE):  # on a flooded bus there is no end of them
             frame = self._bus.receive(0.0)
@@ -125,7 +135,7 @@ class CanMaster(ABC):
             self._take_in(frame, *self._skipped)
 
     def sample(self, now_ns: int) -> None:
-        """Have all drives sample their joints; `now_ns` is the time of the run."""
+        """Request the states of all drives; `now_ns` is the time of the run."""
         self._now_ns = now_ns
         if self._is_heartbeat_due():
             self._send_heartbeat()
@@ -135,15 +145,15 @@ class CanMaster(ABC):
         self._send(self._codec.sampling_frames())
 
     def read(self, timeout_s: float, position: Vector, velocity: Vector) -> bool:
-        """Read what the drives answer; false if some do not within `timeout_s`.
+        """Read the answers of all drives; return false if some are missing after `timeout_s`.
 
         Args:
             timeout_s: wall time.
-            position: where positions are written, rad, shape (joints,).
-            velocity: where velocities are written, rad/s, shape (joints,).
+            position: receives positions, rad, shape (joints,).
+            velocity: receives velocities, rad/s, shape (joints,).
 
         Raises:
-            SilentDriveError: one fell silent, while others give states.
+            SilentDriveError: a drive sends no states while others do.
             DriveError: a drive reports a fault, stopped following, or fell silent.
         """
         give_up_s = time.monotonic() + timeout_s
@@ -162,9 +172,9 @@ class CanMaster(ABC):
         return not self._awaited
 
     def _without_states(self) -> list[str]:
-        """One sentence for each drive that has given no state for long, if others have.
+        """Return a sentence for each drive without states for a long time, if others sent some.
 
-        Long is nearly the shortest time after which somebody acts on it.
+        Long is nearly the shortest timeout that depends on states.
         """
         long_ms = _NEARLY * min(self._can.command_timeout_ms, self._can.heartbeat_timeout_ms)
         ages_ms = [1e-6 * (self._now_ns - last_ns) for last_ns in self._last_answer_ns]
@@ -184,7 +194,7 @@ class CanMaster(ABC):
         return ", ".join(str(self._node_ids[joint]) for joint in sorted(joints))
 
     def strangers(self) -> str:
-        """Who else acts as master or drive, and drives with another frame format; may be empty."""
+        """Describe other masters and drives, and another frame format; empty if there are none."""
         sentences = [
             f"states came in {count} {format_} frames, and link.can.fd_process_data is"
             f" {str(self._can.fd_process_data).lower()}: drives and scenario must agree"
@@ -215,16 +225,16 @@ class CanMaster(ABC):
         self._target = None if np.isnan(target).any() else target
 
     def begin_stop(self) -> None:
-        """From now on drives are to come to rest, whatever torques say; faults are expected."""
+        """Bring the drives to rest from now on, in spite of torques; faults are expected."""
         self._is_stopping = True
 
     def give_up(self) -> None:
-        """Those that have not answered yet are not waited for any longer, and count as silent."""
+        """Stop waiting for the drives that have not answered; they count as silent."""
         self._silent |= self._awaited
         self._awaited = set()
 
     def is_stopped(self) -> bool:
-        """Whether no drive that still answers has its power stage on any longer."""
+        """Whether all drives that still answer have switched their power stages off."""
         return not any(
             is_powered and joint not in self._silent
             for joint, is_powered in enumerate(self._is_powered)
@@ -235,21 +245,21 @@ class CanMaster(ABC):
         """Leave the drives in the state in which they wait for a master."""
 
     def _send_heartbeat(self) -> None:  # noqa: B027 (a protocol may have none)
-        """Do what keeps drives and master aware of each other, every `heartbeat_ms`."""
+        """Send the heartbeat, which is due every `heartbeat_ms`."""
 
     def _only_master_sends(self, _frame: CanFrame) -> str | None:
-        """What a frame is called that a master alone sends to these drives; None for others."""
+        """Return the name of a frame that only a master sends to these drives; None for others."""
         return None
 
     def _handle_report(self, frame: CanFrame) -> None:  # noqa: B027 (a protocol may have none)
-        """Take in a data frame that is no state, and note the faults it reports."""
+        """Process a data frame that is no state, and note the faults it reports."""
 
     def _missed_heartbeats(self) -> list[str]:
-        """One sentence for each drive whose heartbeat has become overdue; none is awaited here."""
+        """Return a sentence for each overdue heartbeat; here, drives have none."""
         return []
 
     def _take_in(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        """Take in any frame; the joint whose state it has, None for no state."""
+        """Process any frame; return the joint whose state it contains, or None."""
         joint = self._codec.read_state(frame, position, velocity)
         if joint is None:
             self._handle(frame)
@@ -262,7 +272,7 @@ class CanMaster(ABC):
         return self._now_ns >= self._next_heartbeat_ns
 
     def _handle(self, frame: CanFrame) -> None:
-        """Take in what is no state: error frames of the local controller, reports of drives."""
+        """Process a frame without a state: error frames of the local controller, reports."""
         self._note_stranger(frame)
         if frame.is_error:
             if frame.identifier & BUS_OFF:
@@ -271,9 +281,9 @@ class CanMaster(ABC):
             self._handle_report(frame)
 
     def _note_stranger(self, frame: CanFrame) -> None:
-        """Count what only the master sends: a bus gives nobody its own frames back.
+        """Count frames that only a master sends: a node never receives its own frames.
 
-        States in the other frame format, CAN FD or classical, are counted too.
+        Also count states in the other frame format, CAN FD or classical.
         """
         if frame.is_error or frame.is_extended:
             return

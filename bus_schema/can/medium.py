@@ -1,16 +1,15 @@
 """The medium of an emulated CAN bus: one frame at a time, the lowest identifier first.
 
 It keeps time for frames that some software carries at once: each gets the instants at which it
-would have won arbitration and been through on a wire, on the plant's clock. It delays nothing: a
-frame that takes tenths of a millisecond on the wire is answered within the same tick, whatever
-carries it, so a run gives the same bits over every interface. What a real wire would have added is
-reported. Since nobody waits for that, it is worked out for many frames at once.
+would have won arbitration and ended on a wire, on the plant's clock. It delays nothing: a frame
+that takes tenths of a millisecond on the wire is answered within the same tick, so a run gives the
+same bits over every interface. The delay of a real wire is reported. It is computed for many
+frames at once, as no node waits for it.
 """
 
 from __future__ import annotations
 
 import math
-import random
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_timing import FrameTable, count_bits, frame_table
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.runtime.randomness import plain_generator
 
 _ERROR_FLAG_BITS = (6, 12)
 _ERROR_DELIMITER_AND_SPACE_BITS = 8 + 3
@@ -88,7 +88,7 @@ class CanMedium:
         self._bitrate = configuration.bitrate
         self._data_bitrate = configuration.data_bitrate or configuration.bitrate
         self._error_probability = configuration.faults.frame_error_probability
-        self._random = random.Random(seed)
+        self._random = plain_generator(seed)
         self._log = log
         self._frames: list[CanFrame] = []
         self._ready_ns: list[int] = []
@@ -101,8 +101,7 @@ class CanMedium:
         self.free_ns = 0
         self.error_frames = 0
         self.worst_latency_ns = 0
-        # Compiles what counts bits: in the midst of a run that takes longer than a busy machine's
-        # time-outs.
+        # Compile the bit counter now: during a run, it would exceed the timeouts of a busy machine.
         count_bits(frame_table([CanFrame(0)]))
 
     def carry(self, frames: Sequence[CanFrame], now_ns: int) -> None:
@@ -118,12 +117,12 @@ class CanMedium:
                 self.settle()
 
     def catch_up(self, at_least: int = 128) -> None:
-        """Settle, if so many frames are there: nobody waits at the moment."""
+        """Settle, if at least so many frames are pending; call it while no node waits."""
         if len(self._frames) >= at_least:
             self.settle()
 
     def settle(self) -> None:
-        """Work out when what was sent so far was on the bus, count it and write it down."""
+        """Compute the bus times of the pending frames, count and log them."""
         if not self._frames:
             return
         frames, ready_ns = self._frames, np.array(self._ready_ns, dtype=np.int64)
@@ -147,7 +146,7 @@ class CanMedium:
         self.free_ns = int(ends_ns[-1])
 
     def start_counting(self) -> None:
-        """The run begins: time is 0 again, and what came before does not count."""
+        """Begin the run: time is 0 again, and earlier frames do not count."""
         self.settle()
         self._start_ns += self.free_ns
         self._counts.clear()
@@ -185,9 +184,9 @@ class CanMedium:
         return np.asarray(through_ns + np.maximum(idle_ns, self.free_ns))
 
     def _with_errors_ns(self, duration_ns: int) -> int:
-        """With all that is destroyed on the way: error frames cut a frame off at a random bit."""
+        """Add the repetitions: error frames cut a frame off at a random bit."""
         total_ns = duration_ns
-        while self._random.random() < self._error_probability:
+        while self._error_probability and self._random.random() < self._error_probability:
             self.error_frames += 1
             flag = self._random.randint(*_ERROR_FLAG_BITS)
             wasted = self._random.random() * duration_ns
@@ -215,7 +214,7 @@ class CanMedium:
             self._worst_name = self._known(names[worst])
 
     def _known(self, name: int) -> int:
-        """The name by which a frame is counted: a flood of them fills counters, not memory."""
+        """Return the name for counting: a flood of identifiers must not fill the memory."""
         return name if name in self._counts or len(self._counts) < _MOST_NAMES else _OTHERS
 
 

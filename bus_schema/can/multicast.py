@@ -26,7 +26,7 @@ _SEND_TIMEOUT = struct.pack("@ll", 1, 0)
 
 _SO_MEMINFO = 55
 _MEMORY = struct.Struct("=9I")
-"""SK_MEMINFO_VARS of linux/sock_diag.h; the last one is the count that SO_RXQ_OVFL tells too."""
+"""SK_MEMINFO_VARS of linux/sock_diag.h; the last one is also the count of SO_RXQ_OVFL."""
 
 _SO_ATTACH_FILTER = 26
 _SENT_BY_THIS_MACHINE = 5
@@ -97,7 +97,7 @@ class MulticastBus(CanBus):
     Args:
         receiver: a socket in the group, which the bus takes over.
         place: group and port.
-        hop_limit: how far frames go; with 0 only what this machine sends is heard.
+        hop_limit: reach of frames; with 0 only frames of this machine are received.
         envelopes: datagrams of frames.
 
     Raises:
@@ -149,7 +149,7 @@ class MulticastBus(CanBus):
     def dropped(self) -> int | None:
         """Frames that came while the socket's queue was full, and datagrams that are no frames.
 
-        None where nobody counts them. The kernel counts those too that it keeps out.
+        None if they are not counted. The kernel also counts those that its filter drops.
         """
         try:
             return max(0, dropped_by_socket(self._receiver.fileno()) - self._sent) + self._malformed
@@ -190,16 +190,16 @@ def dropped_by_socket(descriptor: int) -> int:
     Those that a filter of the socket keeps out count too.
 
     Raises:
-        OSError: it is no socket, or the kernel does not tell.
+        OSError: it is no socket, or the kernel has no such count.
     """
     with socket.socket(fileno=os.dup(descriptor)) as receiver:
-        told = receiver.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMORY.size)
-    dropped: int = _MEMORY.unpack(told)[-1]
+        memory = receiver.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMORY.size)
+    dropped: int = _MEMORY.unpack(memory)[-1]
     return dropped
 
 
 def keep_out(descriptor: int, own_port: int, *, other_machines: bool) -> None:
-    """Have the kernel drop what comes from a port of this machine, so that nobody hears himself.
+    """Let the kernel drop frames from a port of this machine: a node must not receive its own.
 
     Args:
         descriptor: of a socket that is in a multicast group.

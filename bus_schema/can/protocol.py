@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
@@ -96,13 +97,17 @@ class DriveProtocol(ABC):
         """
         return []
 
-    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[object, ...]:  # noqa: ARG002
-        """What both sides must agree on with this protocol alone, one for the drive of each joint.
+    def own_settings(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
+        robot: RobotDescription,
+    ) -> tuple[Any, ...]:
+        """Return the settings of this protocol alone, for the drive of each joint.
 
         Raises:
-            ConfigurationError: there are not as many values as joints.
+            ConfigurationError: their number differs from that of the joints.
         """
-        return (None,) * joints
+        return (None,) * robot.joints
 
     def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
         """One address per joint.

@@ -66,7 +66,7 @@ class PythonCanBus(CanBus):
         return None if message is None else _frame(message)
 
     def dropped(self) -> int | None:
-        """Frames that came while the socket's queue was full; None where nobody counts them."""
+        """Return the number of frames lost by a full socket queue; None if they are not counted."""
         try:
             return dropped_by_socket(self._bus.fileno())
         except (NotImplementedError, OSError):  # no socket, or another kernel than Linux
@@ -124,7 +124,7 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
 
 
 def open_python_can(configuration: CanConfiguration) -> can.BusABC:
-    """python-can's own bus, for those who want nothing else; raises whatever it raises."""
+    """Return python-can's own bus; raises its errors unchanged."""
     interface, channel = configuration.interface, configuration.resolved_channel
     return can.Bus(interface=interface, channel=channel, **_arguments(configuration))
 

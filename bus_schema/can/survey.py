@@ -1,4 +1,4 @@
-"""Which drives are on a bus: they are asked what moves nothing, and nothing is changed."""
+"""Finds the drives on a bus by requests that change nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bus_schema.can.protocol import DriveProtocol
 from bus_schema.link.can_configuration import CanConfiguration
 
 FORMAT = "CAN FD"
-"""Name of an answer that comes with each: 1 if the drive sent it in a CAN FD frame, else 0."""
+"""Name of a value beside each answer: 1 if it came in a CAN FD frame, else 0."""
 
 _QUIET_S = 0.1
 _FROM_A_FLOOD = 10_000
@@ -21,9 +21,9 @@ _FROM_A_FLOOD = 10_000
 def ask_drives(
     bus: CanBus, protocol: DriveProtocol, can: CanConfiguration, node_ids: Iterable[int]
 ) -> dict[int, dict[str, float]]:
-    """What the drives answer that are there, by address: values by their names.
+    """Return the answers of all drives by address: values by name.
 
-    One question is asked at a time, until nothing has come for a tenth of a second.
+    It sends one question at a time, and waits until no answer came for a tenth of a second.
     """
     found: dict[int, dict[str, float]] = defaultdict(dict)
     asked = [protocol.questions(can, node_id) for node_id in node_ids]
@@ -45,7 +45,7 @@ def ask_drives(
 def require_no_others(
     bus: CanBus, protocol: DriveProtocol, can: CanConfiguration, known: Iterable[int]
 ) -> None:
-    """Make sure that no drive answers but those that are known.
+    """Check that only known drives answer.
 
     Raises:
         DriveError: with the addresses that answer.

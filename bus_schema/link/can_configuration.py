@@ -20,9 +20,9 @@ from bus_schema.configuration import (
 )
 
 _DESCRIPTIONS = Path(str(resources.files("bus_schema").joinpath("can")))
-CIA402_EDS = _DESCRIPTIONS / "cia402_drive.eds"
-CANSIMPLE_DBC = _DESCRIPTIONS / "cansimple.dbc"
-"""Descriptions of the drives' protocols, which both sides read."""
+CIA402_EDS = _DESCRIPTIONS / "cia402/cia402_drive.eds"
+CANSIMPLE_DBC = _DESCRIPTIONS / "cansimple/cansimple.dbc"
+"""Descriptions of the drives' protocols, for both sides."""
 
 _CHANNELS = {"udp_multicast": "239.74.163.2", "virtual": "funnel_hil"}
 

@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
+from bus_schema.configuration import NonNegative, Number, Positive, StrictModel, Whole
 
 Probability = Annotated[Number, Field(ge=0, le=1)]
 Distribution = Literal["uniform", "normal", "pareto", "empirical"]
+PatternShape = Literal["square", "sawtooth", "falling", "random", "walk"]
 
 
 class BurstLossConfiguration(StrictModel):
@@ -110,7 +111,7 @@ class TraceConfiguration(StrictModel):
     Attributes:
         file: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
             ``lost`` and ``size``; a path as for `distribution_file`, or the name of a shipped
-            trace.
+            trace. With ``round_trip_ms``, each direction takes half, and both play together.
         start_s: time in the trace at which a run begins; by default drawn from the scenario's seed.
         loop: begin again at the end, where the trace resembles its end; otherwise the run must not
             last longer, and `start_s` is given.
@@ -135,11 +136,43 @@ class TraceConfiguration(StrictModel):
         return loop
 
 
+class PatternConfiguration(StrictModel):
+    """How the delay of a direction varies with the run's time; ``delay_ms`` is the largest one.
+
+    Attributes:
+        shape: ``square``: the smallest delay, then the largest for the last part of a period;
+            ``sawtooth``: rises from the smallest to the largest, then drops; ``falling``: the
+            reverse; ``random``: another delay in each period; ``walk``: linear between random ones.
+        period_ms: length of a period.
+        duty: share of a period that has the largest delay, for ``square``.
+        phase_ms: time in the first period at which the run begins.
+        least_ms: the smallest delay, or ``delay_ms`` if that is smaller.
+        seed: seed of ``random`` and ``walk``; the scenario's seed does not change a pattern.
+    """
+
+    shape: PatternShape
+    period_ms: Annotated[Number, Field(ge=1e-3)]
+    duty: Annotated[Number, Field(gt=0, lt=1)] = 0.5
+    phase_ms: NonNegative = 0.0
+    least_ms: NonNegative = 0.0
+    seed: Annotated[Whole, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _check_effect(self) -> PatternConfiguration:
+        """Refuse values without effect."""
+        if self.shape != "square" and self.duty != 0.5:
+            raise ValueError("without duty unless shape is 'square'")
+        if self.shape not in ("random", "walk") and self.seed != 1:
+            raise ValueError("without seed unless shape is 'random' or 'walk'")
+        return self
+
+
 class ChannelConfiguration(StrictModel):
     """One direction of the link: plant to controller, or controller to plant.
 
     Attributes:
-        delay_ms: delay of every message.
+        delay_ms: delay of every message; the largest one if there is a `pattern`.
+        pattern: how this delay varies, between ``least_ms`` and ``delay_ms``.
         distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and
             ``pareto`` (of shape 3, shifted to mean zero): standard deviation jitter_ms;
             ``empirical``: a delay drawn from `distribution_file`. A negative sum is no delay.
@@ -157,6 +190,7 @@ class ChannelConfiguration(StrictModel):
     """
 
     delay_ms: NonNegative = 0.0
+    pattern: PatternConfiguration | None = None
     distribution: Distribution = "uniform"
     distribution_file: Annotated[str | None, Field(validate_default=True)] = None
     trace: TraceConfiguration | None = None
@@ -179,6 +213,7 @@ class ChannelConfiguration(StrictModel):
         return not (
             self.jitter_ms or self.loss or self.burst_loss or self.duplicate or self.rate_kbit_s
             or self.schedule or self.distribution == "empirical" or self.trace
+            or self.pattern
         )  # fmt: skip
 
     @field_validator("distribution_file")

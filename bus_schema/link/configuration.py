@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
@@ -14,6 +14,8 @@ from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.messages.topics import Role
 
+AUTO: Final = "auto"
+"""Play-out time that the controller chooses, and says with each command."""
 DEFAULT_FOLDER = "~/.config/funnel-hil/keys"
 
 
@@ -76,6 +78,17 @@ def _check_folder(text: str) -> str:
     return text
 
 
+def _check_playout(value: object) -> object:
+    # A union of types would report each of its parts, by names that no scenario has.
+    is_time = isinstance(value, (int, float)) and value >= 0.0 and not isinstance(value, bool)
+    if value is not None and value != AUTO and not is_time:
+        raise ValueError(f"a number of ms, at least 0, or {AUTO}")
+    return value
+
+
+PlayoutTime = Annotated[Literal["auto"] | NonNegative | None, BeforeValidator(_check_playout)]
+
+
 class SecurityConfiguration(StrictModel):
     """Mutual TLS, and access to topics by role.
 
@@ -112,7 +125,9 @@ class LinkConfiguration(StrictModel, validate_default=True):
         uplink: plant to controller.
         downlink: controller to plant.
         playout_ms: a command acts no earlier than this after the stamp of the state that it
-            answers; 0 for on arrival.
+            answers; 0 for on arrival. With ``auto``, each command says when it acts, and the
+            controller learns from the plant how late commands arrive; the default with
+            ``controller.delay_compensation``, but not over CAN.
         deadline_ms: largest age of the state that the command in force answers; by default one
             period beyond the mean round trip, or the play-out if longer.
         connect_timeout_s: wall time that a process waits for its peers at the start.
@@ -130,7 +145,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     publish_clock: bool = False
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
-    playout_ms: NonNegative = 0.0
+    playout_ms: PlayoutTime = None
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
@@ -157,8 +172,14 @@ class LinkConfiguration(StrictModel, validate_default=True):
         return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
 
     @property
+    def plays_automatically(self) -> bool:
+        """Whether each command says when it acts."""
+        return self.playout_ms == AUTO
+
+    @property
     def playout_ns(self) -> int:
-        return round(self.playout_ms * 1e6)
+        """The fixed time from a state until the command that answers it acts; 0 without one."""
+        return round(self.playout_ms * 1e6) if isinstance(self.playout_ms, float) else 0
 
     @property
     def emulated_round_trip_ns(self) -> int:

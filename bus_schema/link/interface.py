@@ -21,12 +21,14 @@ class CommandArrival(NamedTuple):
         sequence: number its sender gave it, from 1; 0 where the sender gave none.
         sender: identifier of the sending session.
         arrival_ns: arrival on the plant's clock.
+        attachment: attachment of the message, as it was received.
     """
 
     payload: bytes
     sequence: int
     sender: bytes
     arrival_ns: int
+    attachment: bytes = b""
 
 
 def never() -> bool:
@@ -78,7 +80,27 @@ class Telemetry(Link, Protocol):
         """Whether one of our own processes is on the bus."""
 
 
-class PlantLink(Link, Protocol):
+class CommandSessions(Protocol):
+    """Facts about the sessions that send commands; the defaults are those of a bus without any."""
+
+    def note_commander(self, sender: bytes) -> None:
+        """Note that the plant accepts commands of this sender from now on, and of no other."""
+        del sender
+
+    def overflow(self) -> int:
+        """Return the number of commands dropped because too many waited to be taken."""
+        return 0
+
+    def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (it is no session)
+        """Whether the session that sends commands as `sender` was on the bus and has left."""
+        return False
+
+    def may_miss_states(self) -> bool:
+        """Whether the controller may miss the first states, having never announced itself ready."""
+        return False
+
+
+class PlantLink(Link, CommandSessions, Protocol):
     """The plant's side. Some methods have defaults, for links that do not need them."""
 
     def await_controller(
@@ -103,23 +125,12 @@ class PlantLink(Link, Protocol):
     def take_commands(self) -> list[CommandArrival]:
         """Return all commands that arrived since the last call, in order of arrival."""
 
-    def overflow(self) -> int:
-        """Number of commands dropped because too many waited to be taken."""
-        return 0
-
     def controller_has_left(self) -> bool:
         """Whether the controller was on the bus and has left."""
 
     def controller_loss(self) -> str:
         """Explain in a sentence why the controller has left."""
         return "the controller has left the bus"
-
-    def sender_has_left(self, sender: bytes) -> bool:
-        """Whether the session that sends commands as `sender` was on the bus and has left."""
-
-    def may_miss_states(self) -> bool:
-        """Whether the controller may miss the first states, having never announced itself ready."""
-        return False
 
     def fault(self) -> str | None:
         """Reason why the arm must stop now, reported by the bus or a drive; None if all is well."""

@@ -30,6 +30,10 @@ MAX_PAYLOAD_BYTES = 64 * 1024
 MOST_ROWS = 1000
 """Of one message, if it may have several."""
 
+_ACTS_AFTER = "acts_after_ns="
+"""A command's frame_id, if it says when it acts: this and ten digits."""
+_DIGITS = 10
+
 
 class Record:
     """One message with fields by name; its memory is the wire format.
@@ -66,6 +70,19 @@ class Record:
         # Used in each tick: these views take a third of the time of the above.
         self.sec, self.nanosec = self.stamp[:4].cast("i"), self.stamp[4:].cast("I")
         self.later: NDArray[np.void] | None = None
+        begin = layout.acts_after_at
+        self._digits = None if begin is None else self.memory[begin : begin + _DIGITS]
+
+    @property
+    def acts_after_ns(self) -> int:
+        """Time from the stamp until a command acts; 0 for on arrival."""
+        digits = b"" if self._digits is None else self._digits.tobytes()
+        return int(digits) if digits.isdigit() else 0
+
+    @acts_after_ns.setter
+    def acts_after_ns(self, acts_after_ns: int) -> None:
+        assert self._digits is not None  # of a command that says when it acts
+        self._digits[:] = b"%0*d" % (_DIGITS, acts_after_ns)
 
     @property
     def stamp_ns(self) -> int:
@@ -106,6 +123,10 @@ class MessageLayout:
             their content from a foreign sender is ignored.
         strings: value of every string sequence, by dotted field name; plain strings are empty.
         may_have_rows: arrays of a foreign sender may hold several rows, one after the other.
+        has_acting_time: the header's frame_id says when a command acts, see `Record.acts_after_ns`.
+
+    Attributes:
+        acts_after_at: place of the digits of that time; None without them.
     """
 
     def __init__(
@@ -116,12 +137,17 @@ class MessageLayout:
         lengths: Mapping[str, int] | None = None,
         strings: Mapping[str, Sequence[str]] | None = None,
         may_have_rows: bool = False,
+        has_acting_time: bool = False,
     ) -> None:
         self.type_name, self._may_have_rows = type_name, may_have_rows
         self._lengths = defaultdict(lambda: length, lengths or {})
         self._strings = {name: list(values) for name, values in (strings or {}).items()}
         message = _zero_message(type_name, self._lengths, self._strings)
+        if has_acting_time:
+            message.header.frame_id = f"{_ACTS_AFTER}{0:0{_DIGITS}}"
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
+        place = self.template.find(_ACTS_AFTER.encode()) + len(_ACTS_AFTER)
+        self.acts_after_at = place if has_acting_time else None
         self.size = len(self.template)
         self.dtype = self._numpy_type(message)
         self.scalars = self._scalar_type()
@@ -192,6 +218,8 @@ class MessageLayout:
                 table[name] = by_row if order is None else by_row[:, order]
         into.memory[:] = table[:1].tobytes()
         into.later = table[1:] if rows > 1 else None
+        if self.acts_after_at is not None:
+            into.acts_after_ns = _acting_time(message.header.frame_id)
 
     def _count_rows(self, values: Mapping[str, NDArray[Any]]) -> int:
         """Return how many rows the arrays of a foreign message hold; all hold as many, or none.
@@ -248,6 +276,8 @@ class MessageLayout:
         fields: Mapping[str, Any] = self.dtype.fields or {}
         for kind, offset, *_ in fields.values():
             is_fixed[offset : offset + kind.itemsize] = False
+        if self.acts_after_at is not None:
+            is_fixed[self.acts_after_at : self.acts_after_at + _DIGITS] = False
         return is_fixed
 
 
@@ -271,6 +301,13 @@ def _parts(is_wanted: NDArray[np.bool_]) -> struct.Struct:
     """Return a function that extracts the wanted runs of bytes from a payload of this size."""
     runs = [(wanted, len(list(run))) for wanted, run in groupby(is_wanted.tolist())]
     return struct.Struct("".join(f"{size}{'s' if wanted else 'x'}" for wanted, size in runs))
+
+
+def _acting_time(frame_id: str) -> int:
+    """Return when a command acts by its frame_id, ns after its stamp; 0 if it does not say so."""
+    digits = frame_id.removeprefix(_ACTS_AFTER).encode()
+    is_given = frame_id.startswith(_ACTS_AFTER) and digits.isdigit() and len(digits) <= _DIGITS
+    return int(digits) if is_given else 0
 
 
 def _attribute(message: Any, dotted: str) -> Any:

@@ -89,6 +89,10 @@ TOPICS = (
     RUN_EVENTS,
 )
 
+REJECTED_COMMANDS = Topic(
+    "rejected_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
+)
+"""Commands of other senders than the commander. They are recorded, but part of no result."""
 CLOCK = Topic("clock", message_types.CLOCK, Role.PLANT, Rate.TICK, urgent=True, depth=1)
 """Sent with every state, for nodes with ``use_sim_time``; not recorded."""
 ROBOT_DESCRIPTION = Topic(
@@ -110,22 +114,29 @@ def topics_of(role: Role) -> list[Topic]:
 
 
 def layout(
-    topic: Topic, joint_names: tuple[str, ...], *, has_targets: bool = False
+    topic: Topic,
+    joint_names: tuple[str, ...],
+    *,
+    has_targets: bool = False,
+    has_acting_time: bool = False,
+    rows: int = 1,
 ) -> MessageLayout:
     """Return the wire layout of a fixed-size topic for a robot with these joints.
 
     A command carries torques alone, unless it `has_targets`: positions and velocities for drives
     that close their own loop (see `bus_schema.drive_feedback`). From a foreign sender it may have
-    rows for the following ticks too. A reference has no torques.
+    rows for the following ticks too. A command that `has_acting_time` says when it acts, and one of
+    our own may have `rows` to be written one after the other. A reference has no torques.
     """
     if topic.type_name == message_types.RUN_EVENT:
         raise ValueError(f"{topic.name} has no fixed layout")
     return MessageLayout(
         topic.type_name,
-        len(joint_names),
+        len(joint_names) * (rows if topic is JOINT_COMMANDS else 1),
         lengths=_empty_fields(topic, has_targets=has_targets),
         strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
         may_have_rows=topic is JOINT_COMMANDS,
+        has_acting_time=has_acting_time and topic is JOINT_COMMANDS,
     )
 
 

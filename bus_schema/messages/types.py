@@ -80,9 +80,7 @@ def schema_text(type_name: str) -> str:
 
 
 def has_todays_form(type_name: str, text: bytes) -> bool:
-    """Whether a recorded schema matches today's type; only our own types change."""
-    if not type_name.startswith(PACKAGE):
-        return True
+    """Whether a recorded schema matches today's type."""
     try:
         recorded = get_types_from_msg(text.decode(), type_name)
     except Exception:  # noqa: BLE001 (rosbags raises many kinds of errors)

@@ -18,7 +18,7 @@ from typing import IO, cast
 
 from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 
-from bus_schema.messages.topics import Topic
+from bus_schema.messages.topics import TOPICS, VIEW_TOPICS, Topic
 from bus_schema.messages.types import has_todays_form, schema_text
 from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, new_partial
 from bus_schema.recording.checked_records import CheckedRecords
@@ -29,6 +29,7 @@ logger = logging.getLogger(__name__)
 _LARGEST_CHUNK_BYTES = 256 * 1024
 _RESERVE_BYTES = 64 * 1024
 _SHOWN_DAMAGE = 10
+_TYPES = {topic.name: topic.type_name for topic in (*TOPICS, *VIEW_TOPICS)}
 _OFFERED_QOS = """- history: keep_last
   depth: {depth}
   reliability: reliable
@@ -193,14 +194,14 @@ def _sort(records: CheckedRecords, contents: LogContents) -> tuple[int | None, s
     """Sort records into the contents of a recording.
 
     A message whose channel was described in a damaged chunk waits for the summary, which describes
-    all channels again. Messages of our own types in another version's format are left out.
+    all channels again. Messages under our topics in another format are left out.
 
     Returns:
-        The number of messages that the file states, and names of the types left out.
+        The number of messages that the file states, and a sentence for each format left out.
     """
-    stated, foreign_types = None, set[str]()
+    stated, left_out = None, set[str]()
     topics: dict[int, str] = {}
-    is_todays: dict[int, bool] = {}  # by schema
+    schemas: dict[int, Schema] = {}
     waiting: list[Message] = []
 
     def take(message: Message) -> None:
@@ -214,11 +215,11 @@ def _sort(records: CheckedRecords, contents: LogContents) -> tuple[int | None, s
                 take(record)
             case Message():
                 waiting.append(record)
-            case Schema() if record.id not in is_todays:
-                is_todays[record.id] = has_todays_form(record.name, record.data)
-                if not is_todays[record.id]:
-                    foreign_types.add(record.name)
-            case Channel() if is_todays.get(record.schema_id, True):
+            case Schema():
+                schemas.setdefault(record.id, record)
+            case Channel() if foreign := _foreign_format(record, schemas.get(record.schema_id)):
+                left_out.add(foreign)
+            case Channel():
                 topics.setdefault(record.id, record.topic.strip("/"))
             case Attachment():
                 contents.attachments[record.name] = record.data
@@ -229,7 +230,26 @@ def _sort(records: CheckedRecords, contents: LogContents) -> tuple[int | None, s
     for message in waiting:
         if message.channel_id in topics:
             take(message)
-    return stated, foreign_types
+    return stated, left_out
+
+
+def _foreign_format(channel: Channel, schema: Schema | None) -> str:
+    """Explain in a sentence why messages of a channel are not read; empty if they are.
+
+    Channels of other topics, and those whose schema is in a damaged chunk, are not checked.
+    """
+    expected = _TYPES.get(channel.topic.strip("/"))
+    if expected is None or schema is None:
+        return ""
+    found = f"{schema.name} ({schema.encoding}, {channel.message_encoding})"
+    if found != f"{expected} (ros2msg, cdr)":
+        return f"its messages of {channel.topic} are {found[:200]}, not {expected} (ros2msg, cdr)"
+    if not has_todays_form(schema.name, schema.data):
+        return (
+            f"its messages of {expected} are from another version of funnel-hil; that version can"
+            " read them"
+        )
+    return ""
 
 
 def record_afterwards(path: Path, name: str, values: dict[str, str]) -> None:
@@ -258,14 +278,11 @@ def read_log(path: Path) -> LogContents:
     contents, size = LogContents(), path.stat().st_size
     with path.open("rb") as file:
         records = CheckedRecords(file, size)
-        stated, foreign_types = _sort(records, contents)
+        stated, left_out = _sort(records, contents)
     damage = records.damage
     if records.cut_off_at is not None and not is_partial(path):
         damage.append(f"it cannot be read from byte {records.cut_off_at} of {size} on")
-    damage += [
-        f"its messages of {name} are from another version of funnel-hil; that version can read them"
-        for name in sorted(foreign_types)
-    ]
+    damage += sorted(left_out)
     if damage:
         shown = damage[:_SHOWN_DAMAGE]
         if len(damage) > _SHOWN_DAMAGE:

@@ -81,7 +81,10 @@ def say_that_it_compiles(say: Callable[[str], None]) -> None:
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
+    config = cast("Any", numba.config)
+    chosen, config.DISABLE_JIT = config.DISABLE_JIT, 0  # the user's, for kernels of their own
     dispatcher = cast("Any", numba.njit(error_model="numpy")(function))
+    config.DISABLE_JIT = chosen
     if _is_kept and _Cache is not object and hasattr(dispatcher, "_cache"):
         dispatcher._cache = cast("Any", _CompiledBefore)(function)
     elif _is_kept:

@@ -5,12 +5,12 @@ The folder is named by a hash of all sources that have kernels, see `compiled`.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import logging
 import os
 import shutil
-import stat
 import tempfile
 from pathlib import Path
 
@@ -18,8 +18,7 @@ logger = logging.getLogger(__name__)
 FOLDER = "NUMBA_CACHE_DIR"
 """Environment variable: the folder; unset where kernels cannot be kept."""
 REFUSED = "FUNNEL_HIL_KERNELS_ARE_KEPT_ELSEWHERE"
-"""Environment variable: why the usual folder is not used; child processes do not report it again.
-say again."""
+"""Environment variable: why the usual folder is not used; children do not report it again."""
 _ENOUGH_BYTES = 32 << 20
 """Larger than all kernels."""
 
@@ -30,8 +29,8 @@ def choose_folder() -> bool:
         return FOLDER in os.environ
     name = Path("numba", _digest_of_sources())
     try:
-        usual = Path(os.environ.get(FOLDER) or _user_cache() / name)
-        _make_usable(usual)
+        given = os.environ.get(FOLDER)
+        usual = _usable(Path(given)) if given else _usable(_user_cache(), name)
     except OSError as error:
         _choose_temporary_folder(name, error)
     else:
@@ -50,13 +49,9 @@ def _choose_temporary_folder(name: Path, reason: OSError) -> None:
     os.environ.pop(FOLDER, None)
     try:
         own = Path(tempfile.gettempdir(), f"funnel-hil-{os.getuid()}")
-        own.mkdir(mode=0o700, exist_ok=True)
-        found = own.lstat()
-        # Its machine code is run: no other user may own it or write into it.
-        if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o022 or own.is_symlink():
-            raise PermissionError(errno.EPERM, "belongs to another user", str(own))
-        _make_usable(own / name)
-        os.environ[FOLDER] = str(own / name)
+        if own.is_symlink():
+            raise PermissionError(errno.EPERM, "is a link", str(own))
+        os.environ[FOLDER] = str(_usable(own, name))
     except OSError as error:
         instead = f"every process compiles them again ({error})"
     else:
@@ -64,13 +59,36 @@ def _choose_temporary_folder(name: Path, reason: OSError) -> None:
     report_refusal(f"compiled kernels cannot be stored in the usual folder ({reason}): {instead}")
 
 
-def _make_usable(folder: Path) -> None:
-    """Create a folder; raise OSError if no kernel can be written to it."""
-    folder.mkdir(parents=True, exist_ok=True)
+def _usable(top: Path, name: Path = Path()) -> Path:
+    """Create a folder; raise OSError if no kernel can be written to it, or others could do so."""
+    folder = top / name
+    for each in (*reversed(folder.parents), folder):
+        each.mkdir(mode=0o700, exist_ok=True)  # whatever the umask
+    _require_own(top, folder)
     with tempfile.TemporaryFile(dir=folder):
         pass
     if shutil.disk_usage(folder).free < _ENOUGH_BYTES:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+    return folder
+
+
+def _require_own(top: Path, folder: Path) -> None:
+    """Require that no other user wrote to these folders, as their machine code is run.
+
+    Files in a folder that only this user can enter may have any mode, as numba obeys the umask.
+
+    Raises:
+        PermissionError: another user owns a folder or file, or may write to it.
+    """
+    above = [each for each in (folder, *folder.parents) if each.is_relative_to(top)]
+    is_closed = not all(each.stat().st_mode & 0o077 for each in above)
+    for path in (*above, *folder.rglob("*")):
+        with contextlib.suppress(FileNotFoundError):  # numba renames its files
+            found = path.stat()
+            is_open = bool(found.st_mode & 0o022) and not (is_closed and path not in above)
+            if is_open or found.st_uid not in (0, os.getuid()):
+                what = "belongs to another user, or others can write to it; remove it"
+                raise PermissionError(errno.EPERM, what, str(path))
 
 
 def _user_cache() -> Path:

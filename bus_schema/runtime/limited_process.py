@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
+
+from bus_schema.runtime.child import how_it_ended
 
 _WAIT_S, _MEMORY_BYTES = 9.0, 1 << 30
 
@@ -32,6 +33,7 @@ class LimitedProcess:
                 [sys.executable, "-P", "-m", module],
                 stdin=file, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                start_new_session=True,  # Ctrl-C is for the command alone
             )  # fmt: skip
 
     def answer(self) -> bytes:
@@ -49,8 +51,7 @@ class LimitedProcess:
             finally:
                 process.kill()
         if code := process.returncode:
-            how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
-            raise LimitedProcessError(how)
+            raise LimitedProcessError(how_it_ended(code))
         return answer
 
 
@@ -59,11 +60,3 @@ def limit_this_process(cpu_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def signal_name(number: int) -> str:
-    """Return a signal's name, such as SIGABRT; real-time signals in between have none."""
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

@@ -13,7 +13,7 @@ MOVING_TYPES = ("revolute", "continuous", "prismatic")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _TYPES = (*MOVING_TYPES, "fixed", "floating", "planar")
 _DEEPEST = 20
-_MOST_LINKS = 127  # Bullet takes 128, and the payload is one of them
+MOST_LINKS = 127  # Bullet takes 128, and the payload is one of them
 _LONGEST_NAME = 200
 _LARGEST = 1e9
 _UNEXPANDED = re.compile(r"\$[{(][^})]*[})]")
@@ -95,8 +95,8 @@ def _check_texts(root: ET.Element) -> None:
 
 
 def _check_names(kind: str, elements: list[ET.Element]) -> None:
-    if not 1 <= len(elements) <= _MOST_LINKS:
-        allowed = f"there must be 1 to {_MOST_LINKS}"
+    if not 1 <= len(elements) <= MOST_LINKS:
+        allowed = f"there must be 1 to {MOST_LINKS}"
         raise RobotDescriptionError(f"has {len(elements)} {kind}s; {allowed}")
     names = [element.get("name", "") for element in elements]
     for name, count in Counter(names).items():

@@ -1,20 +1,21 @@
 """Conversion of MJCF (MuJoCo's format) to URDF from the numbers that MuJoCo compiles.
 
-Elements that open files, and purely visual ones, are removed before MuJoCo reads the file. Elements
-without a URDF equivalent are left out with a warning (springs), or refused (loops, ball joints).
+Elements without a URDF equivalent are left out with a warning (springs), held (joints that tendons
+or equality constraints couple), or refused (ball joints).
 
 Importing this module imports MuJoCo, so import it where it is used.
 """
 
 from __future__ import annotations
 
+import json
 import math
-import re
+import sys
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import count
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,37 +23,38 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.mujoco_library import mujoco
-from bus_schema.urdf.checks import check_depth, shortened
+from bus_schema.runtime.limited_process import (
+    LimitedProcess,
+    LimitedProcessError,
+    limit_this_process,
+)
+from bus_schema.urdf.mjcf_files import (
+    HINGE_AND_SLIDE,
+    SHAPES,
+    MjcfFiles,
+    one_element_a_line,
+    parsed,
+    reason,
+    reduce_spec,
+)
+from bus_schema.urdf.mjcf_joints import Drive, drives_of
 
-_DEEPEST = 200
-_MOST_ELEMENTS = 5000  # MuJoCo's time grows with the square of their number: 1.5 s for 5000 bodies
-_NO_TREE = ("tendon", "equality", "deformable", "extension")
-_MACROS = ("include", "composite", "flexcomp", "replicate", "attach")
-_ONLY_SEEN = {
-    *("asset", "visual", "sensor", "contact", "keyframe", "size", "statistic", "custom"),
-    *("site", "camera", "light", "mesh", "material", "skin", "pair", "tendon", "equality", "flag"),
-}
-_NOT_FINITE = re.compile(r"[+-]?(nan(\(.*\))?|inf(inity)?)", re.IGNORECASE)
-_GEOM, _JOINT, _TARGET = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtTrn
-_SHAPES = {
-    _GEOM.mjGEOM_SPHERE: "sphere",
-    _GEOM.mjGEOM_ELLIPSOID: "sphere",
-    _GEOM.mjGEOM_BOX: "box",
-    _GEOM.mjGEOM_CYLINDER: "cylinder",
-    _GEOM.mjGEOM_CAPSULE: "cylinder",
-}
-"""The nearest URDF shape for each simple geom."""
+_GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 _Frame = tuple[Vector, Vector]
 """Position (m) and orientation (quaternion) of a frame."""
-_AFFINE = mujoco.mjtBias.mjBIAS_AFFINE
-_KINDS = {_JOINT.mjJNT_HINGE: "revolute", _JOINT.mjJNT_SLIDE: "prismatic"}
+_KINDS = dict(zip(HINGE_AND_SLIDE, ("revolute", "prismatic"), strict=True))
 
 
-def urdf_from_mjcf(root: ET.Element) -> tuple[ET.Element, list[str]]:
+def urdf_from_mjcf(
+    root: ET.Element, path: Path, driven: Sequence[str] | None, include: Sequence[Path]
+) -> tuple[ET.Element, list[str]]:
     """Convert an arm in MJCF to URDF.
 
     Args:
         root: the MJCF file; it is modified.
+        path: that file.
+        driven: names of the joints to drive; None for those of the arm.
+        include: folders that may be read, besides its own and the one around it.
 
     Returns:
         The URDF, and warnings about what was left out.
@@ -60,194 +62,74 @@ def urdf_from_mjcf(root: ET.Element) -> tuple[ET.Element, list[str]]:
     Raises:
         RobotDescriptionError: MuJoCo refuses it, or a URDF cannot represent it.
     """
-    _prepare(root)
+    spec, free = _specification(root, path, include)
+    if not spec.meshes:
+        urdf, notes = _converted(spec, root, driven)
+        return urdf, [f"MJCF: {each}" for each in (*free, *notes)]
+    order = json.dumps([str(path), driven, list(map(str, include))])
+    try:  # a mesh may crash MuJoCo
+        text, notes = json.loads(LimitedProcess(__name__, order.encode()).answer())
+    except LimitedProcessError as error:
+        raise RobotDescriptionError(
+            f"its inertias are those of meshes, which are damaged or too large ({error})"
+        ) from error
+    if not text:
+        raise RobotDescriptionError(notes)
+    return ET.fromstring(text), [f"MJCF: {each}" for each in (*free, *notes)]
+
+
+def main() -> None:
+    """Convert the file that standard input names; write the URDF and warnings, or why not."""
+    limit_this_process(cpu_s=8)
+    path, driven, include = json.load(sys.stdin.buffer)
+    root = parsed(Path(path))
     try:
-        with warnings.catch_warnings(action="ignore"):
-            spec = mujoco.MjSpec.from_string(_one_element_a_line(root))
-            free = _reduce(spec)
-            model = spec.compile()
-    except RobotDescriptionError:
-        raise
-    except (ValueError, mujoco.FatalError) as error:
-        raise RobotDescriptionError(f"MuJoCo: {_reason(error, root)}") from error
-    urdf, drives = ET.Element("robot", name=root.get("model", "mjcf")), _drives(model)
+        spec, _ = _specification(root, Path(path), list(map(Path, include)))
+        urdf, notes = _converted(spec, root, driven)
+        print(json.dumps([ET.tostring(urdf, encoding="unicode"), notes]))
+    except RobotDescriptionError as error:
+        print(json.dumps(["", str(error)]))
+
+
+def _specification(root: ET.Element, path: Path, include: Sequence[Path]) -> tuple[Any, list[str]]:
+    """Return the specification of an arm, and warnings."""
+    files = MjcfFiles(path, include)
+    files.prepare(root, path.resolve().parent)
+    with _of_mujoco(root):
+        spec = mujoco.MjSpec.from_string(one_element_a_line(root))
+        return spec, reduce_spec(spec, files)
+
+
+def _converted(
+    spec: Any, root: ET.Element, driven: Sequence[str] | None
+) -> tuple[ET.Element, list[str]]:
+    """Return the URDF of a specification, and warnings."""
+    with _of_mujoco(root):
+        model = spec.compile()
+    drives, held = drives_of(model, driven)
+    urdf = ET.Element("robot", name=root.get("model", "mjcf"))
     ET.SubElement(urdf, "link", name="world")
     origins = [np.zeros(3)]
     for body in range(1, model.nbody):  # each body after its parent
         origins.append(_write_body(urdf, model, body, origins, drives))
-    return urdf, [f"MJCF: {each}" for each in (*free, *_left_out(model, drives))]
+    return urdf, [*held, *_left_out(model, drives)]
 
 
-def _prepare(root: ET.Element) -> None:
-    """Drop visual elements, and refuse elements that open files or multiply."""
-    check_depth(root, _DEEPEST)
-    for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
-        raise RobotDescriptionError(
-            f"{_shown(found)}: must be left out, because only a tree of bodies can be emulated"
-        )
-    for parent in list(root.iter()):
-        for child in list(parent):
-            if child.tag in _ONLY_SEEN:
-                parent.remove(child)
-    for option in root.findall("option"):  # old files contain some that current MuJoCo refuses
-        option.attrib = {key: text for key, text in option.attrib.items() if key == "gravity"}
-    elements = list(root.iter())
-    if len(elements) > _MOST_ELEMENTS:
-        raise RobotDescriptionError(f"has {len(elements)} elements: at most {_MOST_ELEMENTS}")
-    for element in elements:
-        if element.tag in _MACROS or "file" in element.attrib:
-            raise RobotDescriptionError(
-                f"{_shown(element)} is not supported: write its contents out"
-            )
-        for name, text in element.attrib.items():
-            if any(_NOT_FINITE.fullmatch(part) for part in text.split()):
-                raise RobotDescriptionError(f"{name} of {_shown(element)} is not a finite number")
+@contextmanager
+def _of_mujoco(root: ET.Element) -> Iterator[None]:
+    """Raise errors of MuJoCo as those of the arm, without its warnings."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    except RobotDescriptionError:
+        raise
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotDescriptionError(f"MuJoCo: {reason(error, root)}") from error
 
 
-def _one_element_a_line(root: ET.Element) -> str:
-    """Write the n-th element on the n-th line, so that MuJoCo's errors identify it."""
-    for element in root.iter():
-        element.text = "\n" if len(element) else ""
-        for child in element:
-            child.tail = "\n" if child is not element[-1] else ""
-    return ET.tostring(root, encoding="unicode")
-
-
-def _reason(error: Exception, root: ET.Element) -> str:
-    """Return MuJoCo's reason, with the element concerned."""
-    said = " ".join(str(error).removeprefix("XML ").removeprefix("Error: ").split())
-    if (place := re.search(r" Element .*, line (\d+)$", said)) is None:
-        return said
-    return f"{said[: place.start()]}: {_shown(list(root.iter())[int(place[1]) - 1])}"
-
-
-def _shown(element: ET.Element) -> str:
-    """Return an element's opening tag."""
-    inside = " ".join(f"{name}={text!r}" for name, text in element.attrib.items())
-    return f"<{shortened(f'{element.tag} {inside}'.strip())}>"
-
-
-def _reduce(spec: Any) -> list[str]:
-    """Delete free bodies and all meshes; name all bodies and joints.
-
-    Returns:
-        Warnings about the free bodies.
-    """
-    bodies, free_joint = list(spec.worldbody.bodies), mujoco.mjtJoint.mjJNT_FREE
-    free = [each for each in bodies if free_joint in (joint.type for joint in each.joints)]
-    names = [f"body {shortened(body.name) or '(unnamed)'}" for body in free]
-    if free and len(free) == len(bodies):
-        allowed = "an arm must be fixed to the world"
-        raise RobotDescriptionError(f"{names[0]} has a free joint: {allowed}")
-    for body in free:
-        spec.delete(body)
-    unnamed = count(1)
-    for body in spec.bodies:
-        body.name = body.name or f"body_{next(unnamed)}"
-        for index, joint in enumerate(body.joints, start=1):
-            joint.name = joint.name or f"{body.name}_joint_{index}"
-            if joint.type not in _KINDS:
-                raise RobotDescriptionError(f"joint {shortened(joint.name)} must be hinge or slide")
-        for geom in list(body.geoms):
-            geom.material = ""
-            if geom.type not in _SHAPES or geom.meshname:
-                _require_weightless(spec.compiler.inertiafromgeom, body, geom)
-                spec.delete(geom)
-    for actuator in spec.actuators:
-        if actuator.trntype not in (_TARGET.mjTRN_JOINT, _TARGET.mjTRN_JOINTINPARENT):
-            raise RobotDescriptionError(f"actuator {shortened(actuator.name)!r} must drive a joint")
-    spec.compiler.fusestatic = spec.compiler.discardvisual = False
-    spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # which would take long to simulate
-    return [f"{name} is free, and left out" for name in names]
-
-
-def _require_weightless(by_geoms: Any, body: Any, geom: Any) -> None:
-    """Refuse a geom that adds to the inertia of a moving body, as no mesh file is read."""
-    mass = geom.density if math.isnan(geom.mass) else geom.mass
-    if mass == 0.0 or geom.type in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD):
-        return
-    if body.explicitinertial and by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO:
-        return
-    carrier = body
-    while carrier is not None and not carrier.joints:
-        carrier = carrier.parent
-    if carrier is not None and by_geoms != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE:
-        raise RobotDescriptionError(
-            f"body {shortened(body.name)} has the inertia of a mesh: give it an <inertial> with"
-            ' mass and inertia, or its mesh mass="0"'
-        )
-
-
-@dataclass
-class _Drive:
-    """Limits and gains that the actuators of a joint have there; inf where there is no limit.
-
-    Attributes:
-        effort: N m or N.
-        velocity: rad/s or m/s, of velocity servos.
-        lower: rad or m, the lower end of the range of the joint and of its position servos.
-        upper: the upper end.
-        stiffness: N m/rad or N/m, of position servos.
-        damping: N m s/rad or N s/m, of all servos.
-    """
-
-    effort: float = 0.0
-    velocity: float = math.inf
-    lower: float = -math.inf
-    upper: float = math.inf
-    stiffness: float = 0.0
-    damping: float = 0.0
-
-    def limit_range(self, ends: Vector) -> None:
-        """Keep the part of the range that lies between both ends."""
-        self.lower, self.upper = max(self.lower, ends.min()), min(self.upper, ends.max())
-
-    def add(self, actuator: Any) -> None:
-        """Add an actuator of the joint.
-
-        Its force is gain · control + bias[0] + bias[1] · length + bias[2] · speed, the length being
-        the joint's position times the gear. A motor has a gain alone. A servo comes to rest where
-        the force is zero.
-        """
-        gear, bias = float(actuator.gear[0]), actuator.biasprm
-        forces = actuator.gainprm[0] * actuator.ctrlrange
-        is_limited = bool(actuator.ctrllimited[0]) and gear != 0.0
-        has_own_state = bool(actuator.dyntype[0])  # its control is no force and no target
-        largest = abs(actuator.forcerange).max() if actuator.forcelimited[0] else math.inf
-        if is_limited and not (actuator.gaintype[0] or actuator.biastype[0] or has_own_state):
-            largest = min(largest, abs(forces).max())
-        self.effort += abs(gear) * largest if gear else 0.0
-        if actuator.gaintype[0] or actuator.biastype[0] != _AFFINE:
-            return
-        self.stiffness -= bias[1] * gear**2
-        self.damping -= bias[2] * gear**2
-        if is_limited and not has_own_state:
-            if bias[1] < 0.0:
-                self.limit_range((forces + bias[0]) / (-bias[1] * gear))
-            elif bias[2] < 0.0:
-                speeds = abs((forces + bias[0]) / (bias[2] * gear))
-                self.velocity = min(self.velocity, speeds.max())
-
-
-def _drives(model: Any) -> dict[int, _Drive]:
-    """Return the drives of all joints that have actuators; without any in the file, of all."""
-    free = range(0 if model.nu else model.njnt)
-    drives = {joint: _Drive(effort=math.inf) for joint in free}
-    for actuator in map(model.actuator, range(model.nu)):
-        drives.setdefault(int(actuator.trnid[0]), _Drive()).add(actuator)
-    for joint, drive in drives.items():
-        if model.jnt_limited[joint]:
-            drive.limit_range(model.jnt_range[joint])
-        if model.jnt_actfrclimited[joint]:
-            drive.effort = min(drive.effort, abs(model.jnt_actfrcrange[joint]).max())
-    return drives
-
-
-def _left_out(model: Any, drives: dict[int, _Drive]) -> Iterator[str]:
+def _left_out(model: Any, drives: Mapping[int, Drive]) -> Iterator[str]:
     """Return warnings about elements that a URDF cannot represent."""
     joints = [model.joint(joint) for joint in range(model.njnt)]
-    if passive := ", ".join(joint.name for joint in joints if joint.id not in drives):
-        yield f"{passive}: no actuator drives them; they are held"
     driven = [joint for joint in joints if joint.id in drives]
     if any(joint.stiffness.any() for joint in driven):
         yield "stiffness of its joints is left out"
@@ -259,7 +141,7 @@ def _left_out(model: Any, drives: dict[int, _Drive]) -> Iterator[str]:
 
 
 def _write_body(
-    urdf: ET.Element, model: Any, body: int, origins: list[Vector], drives: dict[int, _Drive]
+    urdf: ET.Element, model: Any, body: int, origins: list[Vector], drives: Mapping[int, Drive]
 ) -> Vector:
     """Write a body and the joints before it.
 
@@ -291,7 +173,7 @@ def _write_body(
 
 
 def _write_joint(
-    urdf: ET.Element, joint: Any, drive: _Drive | None, ends: tuple[str, str], frame: _Frame
+    urdf: ET.Element, joint: Any, drive: Drive | None, ends: tuple[str, str], frame: _Frame
 ) -> None:
     """Write a joint; a joint without a drive is held."""
     (at, turn), (reference,) = frame, joint.qpos0
@@ -334,9 +216,11 @@ def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None
         names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         ET.SubElement(inertial, "inertia", dict(zip(names, moments, strict=True)))
     for geom in np.flatnonzero(model.geom_bodyid == body):
+        if _GEOM(model.geom_type[geom]) not in SHAPES:
+            continue
         visual = ET.SubElement(link, "visual")
         _place(visual, (model.geom_pos[geom] - origin, model.geom_quat[geom]))
-        shape, size = _SHAPES[_GEOM(model.geom_type[geom])], model.geom_size[geom]
+        shape, size = SHAPES[_GEOM(model.geom_type[geom])], model.geom_size[geom]
         sizes = {
             "box": {"size": _text(2.0 * size)},
             "cylinder": {"radius": _text(size[0]), "length": _text(2.0 * size[1])},
@@ -379,3 +263,7 @@ def _place(element: ET.Element, frame: _Frame) -> None:
 
 def _text(values: Vector | float) -> str:
     return " ".join(repr(float(each)) for each in np.atleast_1d(values))
+
+
+if __name__ == "__main__":
+    main()

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf.checks import INERTIA, inertia_of, joint_ends, mass_of
+from bus_schema.urdf.checks import INERTIA, inertia_of, mass_of
+from bus_schema.urdf.link_tree import LinkTree, along, tensor_of
 
 _ROUNDING = 1e-3
 _SLIGHT = 0.15
 """Typical errors in real robots' files: few digits, or boxes fitted to meshes."""
+_LARGEST_CHANGE = 0.05
+"""Of a joint's inertia, by a replacement that the user did not ask for."""
 
 
 def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[str]:
@@ -22,79 +25,73 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
 
     Args:
         root: the URDF, which passed `check_urdf`.
-        moving: names of the joints that move; fixed links may have any inertia.
-        repair: also accept inertias that are far from possible ones.
+        moving: names of the joints that move; links that no joint moves may have any inertia.
+        repair: also accept a replacement that changes the inertia of a joint much.
 
     Raises:
-        RobotDescriptionError: a moving link has no inertia, or one too far from possible ones.
+        RobotDescriptionError: a moving link has one too far from possible ones.
     """
-    movers = _movers(root, moving)
-    moved = {name: link for link in root.findall("link") if (name := link.get("name")) in movers}
-    heavy = {movers[name] for name, link in moved.items() if mass_of(link) or any(inertia_of(link))}
-    for joint in root.findall("joint"):
-        if (name := joint.get("name", "")) in moving and name not in heavy:
-            raise RobotDescriptionError(
-                f"link {joint_ends(joint)[1]}, which joint {name} moves, and the links fixed to it"
-                " have no inertia: give it an <inertial> with a mass, make the joint fixed, or"
-                " leave it out of robot.joints"
-            )
-    said = [warning for name in moved if (warning := _judged(name, moved[name], repair=repair))]
+    tree = LinkTree(root)
+    moved = {name: link for name, link in tree.links.items() if tree.mover(name, moving)}
+    warnings = [each for name in moved if (each := _judged(tree, name, moving, repair=repair))]
     massless = [name for name in moved if not mass_of(moved[name]) and any(inertia_of(moved[name]))]
     if massless:
-        said.append(
+        warnings.append(
             f"{', '.join(massless)}: inertia without mass, which no rigid body has; it is used as"
             " given"
         )
-    return said
+    return warnings
 
 
 def mend_inertias(root: ET.Element) -> None:
     """Replace impossible inertias by the nearest possible ones with the same largest moment."""
     for link in root.findall("link"):
         principal = _principal(link)
-        if _excess(principal) > _ROUNDING or principal[0] < 0.0:
-            tensor, element = _mended(_tensor(link)), link.find("inertial/inertia")
+        if _excess(principal) > 0.0:  # MuJoCo refuses the last digit of a rounded value
+            tensor, element = _mended(tensor_of(link)), link.find("inertial/inertia")
             assert element is not None
             places = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
             for name, place in zip(INERTIA, places, strict=True):
                 element.set(name, repr(float(tensor[place])))
 
 
-def _movers(root: ET.Element, moving: set[str]) -> dict[str, str]:
-    """Return the last moving joint on the way to each link that moves."""
-    joints = {joint_ends(joint)[1]: joint for joint in root.findall("joint")}
-    movers: dict[str, str] = {}
-    for end in joints:
-        link = end
-        while (joint := joints.get(link)) is not None:
-            if (name := joint.get("name", "")) in moving:
-                movers[end] = name
-                break
-            link, _ = joint_ends(joint)
-    return movers
-
-
-def _judged(name: str, link: ET.Element, *, repair: bool) -> str:
+def _judged(tree: LinkTree, name: str, moving: set[str], *, repair: bool) -> str:
     """Return a warning if `mend_inertias` will visibly replace a moving link's inertia."""
-    principal = _principal(link)
+    principal = _principal(tree.links[name])
     excess = _excess(principal)
-    if excess > _SLIGHT and not repair:
-        raise RobotDescriptionError(
-            f"link {name} has principal moments of inertia {principal.tolist()}; none may be"
-            " negative or exceed the sum of the others (robot.repair: true raises the smaller"
-            " ones as far as necessary)"
-        )
     if excess <= _ROUNDING:
         return ""
+    change, joint = _largest_change(tree, name, moving)
+    if excess > _SLIGHT and change > _LARGEST_CHANGE and not repair:
+        raise RobotDescriptionError(
+            f"link {name} has principal moments of inertia {principal.tolist()}; none may be"
+            " negative or exceed the sum of the others. --repair (robot.repair: true) raises the"
+            f" smaller ones as far as necessary, the inertia of joint {joint} by"
+            f" {100 * change:.2g} %"
+        )
     return (
         f"the inertia of link {name} breaks the triangle rule by {100 * excess:.2g} % of its"
-        " largest moment: its smaller moments are raised as far as necessary"
+        " largest moment: its smaller moments are raised as far as necessary, the inertia of joint"
+        f" {joint} by {100 * change:.2g} %"
     )
+
+
+def _largest_change(tree: LinkTree, name: str, moving: set[str]) -> tuple[float, str]:
+    """Return the largest share of a joint's inertia that a link's replacement adds; the joint."""
+    own, turn = tensor_of(tree.links[name]), tree.center(name)[1]
+    added, changes = _mended(own) - own, [(0.0, "")]
+    for joint in tree.above(name):
+        if joint.get("name") in moving and joint.get("type") != "prismatic":
+            links = [each for each in tree.links if joint in tree.above(each)]
+            new = along(added, turn, tree.axis(joint)[1])
+            whole = sum(tree.inertia_about(joint, each) for each in links)
+            changes.append((abs(new) / max(whole, 1e-12), joint.get("name", "")))
+    return max(changes)
 
 
 def _principal(link: ET.Element) -> Vector:
     """Return a link's principal moments in ascending order, kg m², shape (3,)."""
-    return np.sort(eigenvalues(_tensor(link))[0])
+    return np.sort(eigenvalues(tensor_of(link))[0])
 
 
 def _mended(tensor: Matrix) -> Matrix:
@@ -111,8 +108,3 @@ def _excess(principal: NDArray[np.floating]) -> float:
     """Return how far ascending principal moments violate the rule, as a share of the largest."""
     worst = max(-principal[0], principal[2] - principal[0] - principal[1])
     return float(worst / max(abs(principal[2]), 1e-12))
-
-
-def _tensor(link: ET.Element) -> Matrix:
-    xx, xy, xz, yy, yz, zz = inertia_of(link)
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -8,7 +8,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
-from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, shortened
+from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, mass_of, shortened
+from bus_schema.urdf.link_tree import LinkTree
+
+_MIMICKED = "a gripper's: others mimic it (robot.joints may drive it)"
+_FINGER = "a finger: it branches off behind the arm, and is light (robot.joints may drive it)"
+_JAW = "a gripper's jaw: last, light, and opens to one side (robot.joints may drive it)"
+OF_GRIPPERS = (_MIMICKED, _FINGER, _JAW)
+"""Reasons to hold a joint that could be driven."""
+_ARM_JOINTS = 4
+"""So many joints in a row are an arm, which may carry a hand."""
+_LIGHT = 0.3
+"""Largest mass of a hand's moved parts, as a share of the arm's; of a jaw, of what is beside it."""
+_ONE_SIDED, _WIDEST_RAD = 0.15, 2.5
+"""How far a jaw turns to the other side, as a share of its range; and that range."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +52,16 @@ class JointRoles:
     held: tuple[HeldJoint, ...]
 
 
-def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
+def joint_roles(
+    root: ET.Element, wanted: Sequence[str] | None, hold_grippers: bool = False
+) -> JointRoles:
     """Return the roles of all joints.
 
     Args:
         root: the URDF, which passed `check_urdf`.
         wanted: names of the joints to drive; None for all movable joints, except the fingers of
             grippers: joints that slide beside others on the same link.
+        hold_grippers: also hold the joints of grippers and hands.
 
     Raises:
         RobotDescriptionError: there is none to drive.
@@ -62,10 +78,18 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
         _check_wanted(wanted, [name for name in moving if name not in mimics])
     reasons = _held(joints, mimics, wanted)
     driven = tuple(name for name in moving if name not in mimics and name not in reasons)
+    if wanted is None and hold_grippers:
+        grippers = dict.fromkeys(_grippers(root, driven, mimics), _MIMICKED)
+        grippers |= _hands(root, [name for name in driven if name not in grippers])
+        if grippers.keys() < set(driven):
+            reasons |= grippers
+            driven = tuple(name for name in driven if name not in grippers)
     followers = []
     for mimic in mimics.values():
         first = _first_leader(mimic, mimics, moving)
-        if first.leader in driven:
+        if first is None:
+            reasons[mimic.name] = f"mimics {shortened(mimic.leader)}, which does not move"
+        elif first.leader in driven:
             followers.append(first)
         else:
             reasons[mimic.name] = f"mimics {first.leader}, which is held"
@@ -78,6 +102,29 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
         if name in reasons
     )
     return JointRoles(driven, tuple(followers), held)
+
+
+def drop_empty_ranges(root: ET.Element) -> list[str]:
+    """Drop ranges of 0 … 0 if no joint has another: exporters write them for unknown ones.
+
+    Returns:
+        A warning, if there are such.
+    """
+    joints = [joint for joint in root.findall("joint") if joint.get("type") in MOVING_TYPES[::2]]
+    if not joints or not all(_stands(joint) for joint in joints):
+        return []
+    for joint in joints:
+        for limit in joint.findall("limit"):
+            limit.attrib = {k: v for k, v in limit.attrib.items() if k not in ("lower", "upper")}
+    return ["all joints have a range of 0 … 0, which is taken as unknown: they move without end"]
+
+
+def _stands(joint: ET.Element) -> bool:
+    """Whether a joint's range is 0 … 0."""
+    limit = joint.find("limit")
+    if limit is None or "lower" not in limit.attrib or "upper" not in limit.attrib:
+        return False
+    return all(float(limit.attrib[end]) == 0.0 for end in ("lower", "upper"))
 
 
 def _held(
@@ -94,11 +141,58 @@ def _held(
             reasons[name] = f"{kind} joints have no motor"
         elif wanted is not None and name not in wanted:
             reasons[name] = "not among robot.joints"
+        elif wanted is None and kind != "continuous" and _stands(joint):
+            reasons[name] = "its range is 0 … 0"
         elif wanted is None and kind == "prismatic" and beside[joint_ends(joint)[0]] > 1:
             reasons[name] = (
                 "a gripper's finger: slides beside another joint (robot.joints may drive it)"
             )
     return reasons
+
+
+def _grippers(root: ET.Element, driven: Sequence[str], mimics: dict[str, Follower]) -> set[str]:
+    """Return joints that others mimic, where neither carries any other joint to drive."""
+    tree, found = LinkTree(root), set()
+    for leader in {mimic.leader for mimic in mimics.values()}.intersection(driven):
+        group = {leader, *(each.name for each in mimics.values() if each.leader == leader)}
+        others = [link for link, joint in tree.joints.items() if joint.get("name") in driven]
+        carried = [link for link in others if tree.mover(joint_ends(tree.joints[link])[0], group)]
+        if not carried:
+            found.add(leader)
+    return found
+
+
+def _hands(root: ET.Element, driven: Sequence[str]) -> dict[str, str]:
+    """Return the joints of fingers and jaws behind an arm, and what they are."""
+    tree, found = LinkTree(root), dict[str, str]()
+    links = {joint.get("name", ""): link for link, joint in tree.joints.items()}
+
+    def moved_kg(names: set[str]) -> float:
+        return sum(mass_of(link) for name, link in tree.links.items() if tree.mover(name, names))
+
+    above = {name: [joint.get("name", "") for joint in tree.above(links[name])] for name in driven}
+    ways = {name: [each for each in above[name][1:] if each in driven] for name in driven}
+    for name, way in ways.items():
+        beside = {each for each, other in ways.items() if way and way[:1] == other[:1]}
+        if len(way) < _ARM_JOINTS or name in found:
+            continue
+        behind = {each for each, other in ways.items() if way[0] in other}
+        moved = moved_kg(behind)
+        if len(beside) > 1 and moved <= _LIGHT * moved_kg({way[-1]}):
+            found |= dict.fromkeys(behind, _FINGER)
+        is_light = moved <= _LIGHT * (moved_kg({way[0]}) - moved)
+        if behind == {name} and is_light and _opens(tree.joints[links[name]]):
+            found[name] = _JAW
+    return found
+
+
+def _opens(joint: ET.Element) -> bool:
+    """Whether a joint turns to one side only, as a jaw does."""
+    limit = joint.find("limit")
+    if joint.get("type") != "revolute" or limit is None:
+        return False
+    low, high = (float(limit.get(end, "inf")) for end in ("lower", "upper"))
+    return high - low <= _WIDEST_RAD and min(abs(low), abs(high)) <= _ONE_SIDED * (high - low)
 
 
 def _check_wanted(wanted: Sequence[str], possible: list[str]) -> None:
@@ -122,13 +216,12 @@ def _follower(joint: ET.Element, mimic: ET.Element) -> Follower:
 
 def _first_leader(
     mimic: Follower, mimics: dict[str, Follower], moving: dict[str, ET.Element]
-) -> Follower:
-    """Return the joint as a follower of the first leader that follows no other."""
+) -> Follower | None:
+    """Return the joint as a follower of the first leader that follows no other; None if none."""
     found = mimic
     for _ in range(len(mimics) + 1):
         if found.leader not in moving:
-            what = f"mimic of joint {mimic.name} names {shortened(found.leader)!r}"
-            raise RobotDescriptionError(f"{what}: must be a joint that turns or slides")
+            return None
         if found.leader not in mimics:
             return found
         leader = mimics[found.leader]

@@ -5,13 +5,24 @@ from __future__ import annotations
 import importlib.util
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from pathlib import Path
 
-from bus_schema.urdf.checks import MOVING_TYPES
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.urdf.checks import INERTIA, MOST_LINKS, MOVING_TYPES, inertia_of, joint_ends
 from bus_schema.urdf.inertia import mend_inertias
+from bus_schema.urdf.packages import find_package
 
 PAYLOAD_LINK, PAYLOAD_JOINT = "funnel_hil_payload", "funnel_hil_payload_joint"
+MOUNT_LINK, MOUNT_JOINT = "funnel_hil_mount", "funnel_hil_mount_joint"
 _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
+_LEAST_MOMENT_KG_M2 = 1e-14
+"""MuJoCo refuses smaller moments that are not zero."""
+_NUMBERS = (
+    *(f"link/inertial/{tag}" for tag in ("origin", "mass", "inertia")),
+    *(f"joint/{tag}" for tag in ("origin", "axis", "limit")),
+)
+_NOT_OF_A_POSE = ("dynamics", "safety_controller", "calibration")
 _SHAPES = (".obj", ".stl", ".dae")
 """Mesh files that pybullet can draw."""
 _PYBULLET_DATA = "package://pybullet_data/"
@@ -34,11 +45,34 @@ def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> N
 
 
 def resolve_inertias(root: ET.Element) -> None:
-    """Replace impossible inertias; remove empty ones, to which pybullet would give 1 kg."""
+    """Replace impossible inertias and write all; pybullet would give 1 kg to missing ones."""
     mend_inertias(root)
     for link in root.findall("link"):
+        for inertia in link.findall("inertial/inertia"):
+            is_none = max(map(abs, inertia_of(link))) < _LEAST_MOMENT_KG_M2
+            given = {} if is_none else inertia.attrib
+            inertia.attrib = {**dict.fromkeys(INERTIA, "0"), **given}
         if link.find("inertial") is None:
             _add_inertial(link, 0.0)
+
+
+def write_plainly(root: ET.Element) -> None:
+    """Drop what describes no body or joint, and write numbers as every reader takes them.
+
+    urdfdom drops a link with a space after a number, and MuJoCo has elements of its own.
+    """
+    root.set("name", root.get("name") or "robot")
+    for element in [each for each in root if each.tag not in ("link", "joint", "material")]:
+        root.remove(element)
+    for joint in root.findall("joint"):
+        for unused in [each for each in joint if each.tag in _NOT_OF_A_POSE]:
+            joint.remove(unused)
+    for axis in root.iterfind("joint/axis"):
+        axis.set("xyz", axis.get("xyz", "1 0 0"))
+    for element in (each for tag in _NUMBERS for each in root.iterfind(tag)):
+        for name, text in element.attrib.items():
+            if name in ("xyz", "rpy", "value", *_UNLIMITED, *INERTIA):
+                element.set(name, " ".join(repr(float(part)) for part in text.split()))
 
 
 def drop_shapes(root: ET.Element, *, but_drawable: bool) -> None:
@@ -56,15 +90,18 @@ def drop_shapes(root: ET.Element, *, but_drawable: bool) -> None:
                     link.remove(shape)
 
 
-def name_meshes(root: ET.Element, base: Path) -> None:
-    """Write mesh files as absolute paths.
+def name_meshes(root: ET.Element, base: Path, include: Sequence[Path] = ()) -> bool:
+    """Write mesh files as absolute paths, and return whether there is any.
 
     Args:
         root: the URDF.
         base: its folder.
+        include: folders with packages that the user names.
     """
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", _absolute(mesh.get("filename", ""), base))
+    meshes = list(root.iter("mesh"))
+    for mesh in meshes:
+        mesh.set("filename", mesh_file(mesh.get("filename", ""), base, include))
+    return bool(meshes)
 
 
 def name_files(root: ET.Element) -> None:
@@ -84,7 +121,7 @@ def missing_meshes(root: ET.Element, base: Path) -> list[str]:
     return [
         name
         for name in names
-        if not name.startswith(_PYBULLET_DATA) and not _is_drawable(_absolute(name, base))
+        if not name.startswith(_PYBULLET_DATA) and not _is_drawable(mesh_file(name, base))
     ]
 
 
@@ -112,13 +149,37 @@ def attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
     ET.SubElement(joint, "child", link=PAYLOAD_LINK)
 
 
+def attach_mount(root: ET.Element, base_rpy_rad: Sequence[float]) -> None:
+    """Fix the base to the world with this orientation.
+
+    Args:
+        root: the URDF.
+        base_rpy_rad: roll, pitch and yaw, as in the ``rpy`` of an origin.
+
+    Raises:
+        RobotDescriptionError: with another link there are too many.
+    """
+    links = [link.get("name", "") for link in root.findall("link")]
+    if len(links) >= MOST_LINKS:
+        allowed = f"a mounted arm (robot.base_rpy_rad) must have fewer than {MOST_LINKS}"
+        raise RobotDescriptionError(f"has {len(links)} links; {allowed}")
+    children = {joint_ends(joint)[1] for joint in root.findall("joint")}
+    (base,) = (name for name in links if name not in children)
+    ET.SubElement(root, "link", name=MOUNT_LINK)
+    joint = ET.SubElement(root, "joint", name=MOUNT_JOINT, type="fixed")
+    ET.SubElement(joint, "parent", link=MOUNT_LINK)
+    ET.SubElement(joint, "child", link=base)
+    ET.SubElement(joint, "origin", rpy=" ".join(map(repr, base_rpy_rad)))
+
+
 def _complete_limits(joint: ET.Element, *, endless: bool) -> None:
     """Give a moving joint all four limits that simulators require."""
     limit = joint.find("limit")
     limit = ET.SubElement(joint, "limit") if limit is None else limit
     endless = endless or joint.get("type") == "continuous"
     for name, unlimited in _UNLIMITED.items():
-        if limit.get(name) is None or (endless and name in ("lower", "upper")):
+        is_range = name in ("lower", "upper")
+        if name not in limit.attrib or (endless if is_range else float(limit.attrib[name]) <= 0.0):
             limit.set(name, str(unlimited))
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
@@ -142,8 +203,8 @@ def _is_drawable(name: str) -> bool:
     return path.suffix.lower() in _SHAPES and path.is_file()
 
 
-def _absolute(name: str, base: Path) -> str:
-    """Return a mesh file's absolute path; a package is searched at and above the URDF's folder."""
+def mesh_file(name: str, base: Path, include: Sequence[Path] = ()) -> str:
+    """Return a mesh file's absolute path; a package may also be at or above the URDF's folder."""
     if not name.startswith("package://"):
         return name if "://" in name or Path(name).is_absolute() else str(base / name)
     inside = Path(name.removeprefix("package://"))
@@ -151,7 +212,8 @@ def _absolute(name: str, base: Path) -> str:
         for candidate in (folder / inside, folder / Path(*inside.parts[1:])):
             if candidate.is_file():
                 return str(candidate)
-    return str(base / inside)
+    package = find_package(inside.parts[0], base / "urdf", include) if inside.parts else None
+    return str(base / inside if package is None else package / Path(*inside.parts[1:]))
 
 
 def _add_inertial(link: ET.Element, mass_kg: float) -> None:

@@ -16,7 +16,7 @@ from bus_schema.zenoh.session import Delivery, Inbox
 LARGEST_BACKLOG = 10_000
 _LOOK_S = 0.05
 _CLOSING_LOOK_S = 0.01
-Note = Callable[[Delivery, CommandArrival], None]
+Note = Callable[[bytes], None]
 _NO_ATTACHMENT = Attachment(sequence=0, source_time_ns=0, gid=b"")
 
 
@@ -26,11 +26,10 @@ class Arrivals:
     Args:
         inbox: source of the commands; no other thread waits on it.
         clock: the plant's clock, which stamps them.
-        note: called with each command, both as received and as queued.
+        note: called with the sender of each command.
 
     Attributes:
-        received: how many arrived.
-        overflow: how many of them were dropped because too many waited to be taken.
+        overflow: how many were dropped because too many waited to be taken.
     """
 
     def __init__(self, inbox: Inbox, clock: Clock, note: Note) -> None:
@@ -38,7 +37,7 @@ class Arrivals:
         self._kept: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._first: list[CommandArrival] = []
         self._closed = threading.Event()
-        self.received = self.overflow = 0
+        self.overflow = 0
         self._thread = threading.Thread(target=self._receive, daemon=True)
         self._thread.start()
 
@@ -77,12 +76,11 @@ class Arrivals:
                 return
 
     def _admit(self, delivery: Delivery) -> None:
-        self.received += 1
         if self._kept.qsize() >= LARGEST_BACKLOG:
             self.overflow += 1  # a flood: later commands are of no use, and memory is bounded
             return
         arrival = arrival_of(delivery.payload, delivery.attachment, self._clock.now_ns())
-        self._note(delivery, arrival)
+        self._note(arrival.sender)
         self._kept.put(arrival)
 
 
@@ -144,4 +142,5 @@ class AwaitedArrivals(Arrivals):
 def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
     """Return a command for the plant's loop; a sender without an attachment has no name."""
     known = Attachment.decode(attachment) or _NO_ATTACHMENT
-    return CommandArrival(payload[: MAX_PAYLOAD_BYTES + 1], known.sequence, known.gid, now_ns)
+    payload = payload[: MAX_PAYLOAD_BYTES + 1]
+    return CommandArrival(payload, known.sequence, known.gid, now_ns, attachment)

@@ -10,7 +10,7 @@ from functools import partial
 
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.run_event import RunEvent
-from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS, TOPICS, Role, Topic
+from bus_schema.messages.topics import CLOCK, JOINT_COMMANDS, RUN_EVENTS, TOPICS, Role, Topic
 from bus_schema.zenoh.access import (
     bundle_key_expression,
     bundling_key_expression,
@@ -23,7 +23,7 @@ from bus_schema.zenoh.session import Delivery, ZenohSession
 
 WRONG_ROLE = "wrong_role"
 _RECORDED: dict[str, dict[bytes, Topic]] = {
-    role: {topic.name.encode(): topic for topic in of_role if topic in TOPICS}
+    role: {topic.name.encode(): topic for topic in of_role if topic is not CLOCK}
     for role, of_role in BUNDLED.items()
 }
 """Topics that a recorder takes from the bundles of each loop, by their names in bundles."""

@@ -2,9 +2,9 @@
 
 A recorder that subscribes to the topics of every tick costs each `put` a second peer, and wakes a
 thread each time, while the loops wait for each other. So loops also put all their messages into
-bundles, and announce this by a token. The plant bundles commands as it receives them, from any
-sender. While no other sender has announced itself, a recorder takes only bundles. Subscribers to
-topics still get each message at once.
+bundles, and announce this by a token. The plant bundles commands as it receives them, those of
+other senders than the commander as `REJECTED_COMMANDS`. While no other sender has announced itself,
+a recorder takes only bundles. Subscribers to topics still get each message at once.
 
 Bundles are numbered, and a loop keeps its newest: a recorder whose connection was late or failed
 requests the missing ones.
@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from bus_schema.messages.topics import JOINT_COMMANDS, Role, Topic, topics_of
+from bus_schema.messages.topics import JOINT_COMMANDS, REJECTED_COMMANDS, Role, Topic, topics_of
 from bus_schema.zenoh.access import (
     bundle_key_expression,
     bundling_key_expression,
@@ -41,7 +41,7 @@ MOST_AT_ONCE = 4
 HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
 _SPAN = struct.Struct(f"<QQ{GID_BYTES}s")
 BUNDLED = {
-    Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
+    Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS, REJECTED_COMMANDS],
     Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
 }
 """Topics in the bundles of each loop; no other role may send them in its name."""

@@ -35,7 +35,6 @@ from bus_schema.zenoh.session import Delivery
 logger = logging.getLogger(__name__)
 
 _LARGEST_STATE_BACKLOG = 1000
-_COMMANDS = topics.JOINT_COMMANDS.name.encode()
 _GRACE_S = 1.0
 _GRACE_BESIDE_RECORDER_S = 3.0
 """A client beside a recorder may be a mere viewer while our own controller still starts."""
@@ -61,6 +60,9 @@ class ZenohPlantLink(ZenohNode, PlantLink):
     ) -> None:
         super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement)
         self._commander_was_seen = False
+        self._commanders: set[bytes] = set()
+        self._taken: list[CommandArrival] = []  # not recorded yet
+        self._recorded_commands = 0
         self._states = self.advertise(topics.JOINT_STATES)
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
             self.advertise(topic)
@@ -70,7 +72,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
             self.advertise(topics.CLOCK)
         inbox = self.inbox(topics.JOINT_COMMANDS, LARGEST_BACKLOG, lossless=True)
         arrivals = AwaitedArrivals if lockstep else Arrivals
-        self._arrivals = arrivals(inbox, clock, self._note_command)
+        self._arrivals = arrivals(inbox, clock, self._graph.note_command)
         self.announce()
 
     def await_controller(
@@ -104,12 +106,6 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         self.require_same_scenario(Role.CONTROLLER, SCENARIO_WAIT_S)
         self._commander_was_seen = self._graph.has_publisher(topics.JOINT_COMMANDS)
 
-    def _note_command(self, delivery: Delivery, arrival: CommandArrival) -> None:
-        """Remember the sender of a command, and pass the command on to recorders."""
-        self._graph.note_command(arrival.sender)
-        if self._bundler is not None:
-            self._bundler.add(_COMMANDS, delivery.attachment, arrival.payload)
-
     def _may_have_unannounced_controller(self) -> bool:
         """Whether a client may be a controller: a recorder subscribes too, but announces itself."""
         if self.sees(Role.CONTROLLER) or not self._states.has_subscribers():
@@ -132,7 +128,14 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         return self._arrivals.await_one(timeout_s)
 
     def take_commands(self) -> list[CommandArrival]:
-        return self._arrivals.take()
+        """Return the commands that arrived, and record those returned before, now checked."""
+        if self._commanders or len(self._taken) > LARGEST_BACKLOG:
+            self._record_taken()
+        self._taken += (taken := self._arrivals.take())
+        return taken
+
+    def note_commander(self, sender: bytes) -> None:
+        self._commanders.add(sender)
 
     def overflow(self) -> int:
         return self._arrivals.overflow
@@ -142,11 +145,13 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         return not self.sees(Role.CONTROLLER)
 
     def report(self) -> dict[str, Any]:
-        """Return the number of commands taken in, which recorders compare with their own.
+        """Record the last commands; return their number, which recorders compare with their own.
 
         Commands dropped because too many waited are counted separately.
         """
-        return {COMMANDS_RECEIVED: self._arrivals.received - self._arrivals.overflow}
+        self.take_commands()
+        self._record_taken()
+        return {COMMANDS_RECEIVED: self._recorded_commands}
 
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self._graph.has_publisher(topics.JOINT_COMMANDS)
@@ -154,6 +159,16 @@ class ZenohPlantLink(ZenohNode, PlantLink):
     def close(self) -> None:
         self._arrivals.close()
         super().close()
+
+    def _record_taken(self) -> None:
+        """Pass checked commands on to recorders; while there is no commander, all as commands."""
+        taken, self._taken = self._taken, []
+        self._recorded_commands += len(taken)
+        for arrival in taken:
+            is_valid = not self._commanders or arrival.sender in self._commanders
+            topic = topics.JOINT_COMMANDS if is_valid else topics.REJECTED_COMMANDS
+            if self._bundler is not None:
+                self._bundler.add(topic.name.encode(), arrival.attachment, arrival.payload)
 
 
 class ZenohControllerLink(ZenohNode, ControllerLink):

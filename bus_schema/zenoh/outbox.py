@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import threading
 import time
 from collections import deque
@@ -64,6 +63,7 @@ class FlowControl:
 
     def __init__(self, patience_s: float = _PATIENCE_S) -> None:
         self._patience_s = patience_s
+        self._first_patience_s = min(patience_s, _FIRST_PATIENCE_S)
         self._sent_bytes = self._recorded_bytes = 0
         self._marks: deque[tuple[int, int]] = deque()  # sequence, bytes sent up to and including it
         self._last_mark = 0
@@ -104,10 +104,13 @@ class FlowControl:
     def await_recorders(self) -> None:
         """Wait until no recorder is too far behind."""
         with self._change:
-            patience_s = min(self._patience_s, _FIRST_PATIENCE_S if self._silent else math.inf)
+            patience_s = self._first_patience_s if self._silent else self._patience_s
             if self._change.wait_for(self._may_send, patience_s):
                 return
-            self._drop(min(self._silent or self._recorders, key=self._recorders.__getitem__))
+            self._first_patience_s = 0.0  # one wait for all silent ones, and for later ones
+            late = [each for each in self._silent if self._recorders[each] < self._last_mark]
+            for each in late or [min(self._recorders, key=self._recorders.__getitem__)]:
+                self._drop(each)
         logger.warning(
             "a recorder has recorded nothing for %g s, and is waited for no longer: what it misses"
             " it counts as lost", patience_s,

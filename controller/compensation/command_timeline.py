@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +17,45 @@ LONGEST_HORIZON_NS = 500_000_000
 """Limit of prediction, even if a plant reports longer delays."""
 HELD = 0
 """Number that stands for no command: before the first one acts, brakes hold the arm."""
+PIECES = 4
+"""Of a bridge: torques and targets change linearly in each."""
 _FOLLOW = 0.1
 """Share of a new observation in the horizon: jitter is averaged over about ten commands."""
 
 _PATIENCE = 2.0
 """Time that a late command is waited for, in mean deviations of the horizon."""
+
+_GROWS_BY = 0.05
+"""How fast an announced horizon grows towards the wanted one; commands act so much less often."""
+_SHRINKS_IN_NS = 5e9
+"""Time constant with which an announced horizon shrinks after commands came late."""
+
+
+class HorizonSettings(NamedTuple):
+    """How a controller chooses the horizon of a command: the time from a state until it acts.
+
+    Attributes:
+        least_ns: the plant's own play-out time, if it has one.
+        first_ns: the horizon at first.
+        wanted_ns: of an announced horizon, the one to reach slowly and to keep.
+        is_announced: each command says when it acts, and the plant holds it until then.
+        grain_ns: an announced horizon is a whole number of these, as the plant acts in such steps.
+        reserve_ns: what is added to the largest delay that was reported.
+        bridge_rows: rows of a command after its first.
+        row_ns: time from one row to the next.
+    """
+
+    least_ns: int = 0
+    first_ns: int = 0
+    wanted_ns: int = 0
+    is_announced: bool = False
+    grain_ns: int = 1
+    reserve_ns: int = 0
+    bridge_rows: int = 0
+    row_ns: int = 1
+
+
+_AS_REPORTED = HorizonSettings()
 
 
 class CommandFeedback(NamedTuple):
@@ -29,10 +64,13 @@ class CommandFeedback(NamedTuple):
     Attributes:
         sequence: number of the command in force, `HELD` before the first.
         delay_ns: time from the state that this command answers until it came into force.
+        arrival_ns: largest time from a state until the command that answers it arrived, of the
+            commands since the last report; -1 for none.
     """
 
     sequence: int
     delay_ns: int
+    arrival_ns: int = -1
 
 
 class Commands(NamedTuple):
@@ -46,17 +84,25 @@ class Commands(NamedTuple):
         torques_nm: shape (CAPACITY, joints).
         targets: for the drives: position as of that stamp, rad, and velocity, rad/s, as rows;
             shape (CAPACITY, 2, joints).
-        state: one row. `least_horizon_ns`: shortest time from a state until the torque that answers
-            it acts; `first_horizon_ns`: assumed horizon until a command has come into force;
-            `horizon_ns`: expected time from a state until its torque acts, from `mean_delay_ns` and
-            `spread_ns`; `first` and `newest`: numbers of commands; `in_force`: the one that the
-            plant reported last.
+        announced_ns: time after that stamp at which the command says that it acts, shape
+            (CAPACITY,); 0 for on arrival.
+        plans: torque, target position and velocity at the ends of the bridge's pieces, for their
+            change since the first row; shape (CAPACITY, ends, 3, joints).
+        next_plan: that of the command to be noted next.
+        state: one row, `HorizonSettings` and what changes. `horizon_ns`: time from a state until
+            its torque acts, expected from `mean_delay_ns` and `spread_ns`, or announced;
+            `exact_ns`: the latter before rounding; `longest_ns`: what late commands needed, slowly
+            forgotten; `first` and `newest`: numbers of commands; `in_force`: the one that the plant
+            reported last.
     """
 
     numbers: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     torques_nm: Matrix
     targets: NDArray[np.float64]
+    announced_ns: NDArray[np.int64]
+    plans: NDArray[np.float64]
+    next_plan: NDArray[np.float64]
     state: Records
 
 
@@ -67,7 +113,8 @@ class Flight(NamedTuple):
         in_force: number of the command in force at first.
         upcoming: number of the command that acts next.
         newest: number of the last command.
-        delay_ns: time from a command's stamp until it comes into force.
+        delay_ns: time from a command's stamp until it comes into force, if it announces no longer
+            one.
     """
 
     in_force: int
@@ -76,16 +123,17 @@ class Flight(NamedTuple):
     delay_ns: int
 
 
-def no_commands(joints: int, least_horizon_ns: int, first_horizon_ns: int = 0) -> Commands:
-    """Return an empty table of commands; horizons as in `Commands.state`."""
+def no_commands(joints: int, settings: HorizonSettings = _AS_REPORTED) -> Commands:
+    """Return an empty table of commands."""
     state = {
-        "least_horizon_ns": least_horizon_ns, "first_horizon_ns": first_horizon_ns,
-        "horizon_ns": 0, "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD,
-        "in_force": HELD,
+        **settings._asdict(), "horizon_ns": 0, "longest_ns": 0.0, "exact_ns": 0.0,
+        "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD, "in_force": HELD,
     }  # fmt: skip
+    ends = PIECES + 1 if settings.bridge_rows else 0
     commands = Commands(
         np.zeros(CAPACITY, np.int64), np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, joints)),
-        np.zeros((CAPACITY, 2, joints)), records(1, state),
+        np.zeros((CAPACITY, 2, joints)), np.zeros(CAPACITY, np.int64),
+        np.zeros((CAPACITY, ends, 3, joints)), np.zeros((ends, 3, joints)), records(1, state),
     )  # fmt: skip
     forget_commands(commands)
     return commands
@@ -98,7 +146,8 @@ def forget_commands(commands: Commands) -> None:
     commands.numbers[:] = HELD
     state.first = state.newest = state.in_force = HELD
     state.mean_delay_ns = state.spread_ns = 0.0
-    _expect(state, state.first_horizon_ns)
+    state.longest_ns, state.exact_ns = 0.0, float(state.first_ns)
+    _expect(state, state.first_ns)
 
 
 @compiled
@@ -108,9 +157,43 @@ def note(commands: Commands, torque_nm: Vector, target: Matrix, number: int, sta
     commands.numbers[slot], commands.stamps_ns[slot] = number, stamp_ns
     commands.torques_nm[slot] = torque_nm
     commands.targets[slot] = target
+    commands.announced_ns[slot] = state.horizon_ns if state.is_announced else 0
+    if state.bridge_rows > 0:
+        commands.plans[slot] = commands.next_plan
     first = number if state.first == HELD else state.first
     state.first = max(first, number - CAPACITY + 1)
     state.newest = number
+
+
+@compiled
+def command_at(commands: Commands, slot: int, now_ns: int, values: Matrix) -> float:
+    """Write torque, target position and velocity of a command in force, shape (3, joints).
+
+    Returns:
+        The target's age, s.
+    """
+    for i in range(values.shape[1]):
+        values[0, i] = commands.torques_nm[slot, i]
+        values[1, i], values[2, i] = commands.targets[slot, 0, i], commands.targets[slot, 1, i]
+    age_ns = now_ns - commands.stamps_ns[slot]
+    if len(commands.next_plan) > 0:
+        state = commands.state[0]
+        row = max(0, (age_ns - commands.announced_ns[slot]) // state.row_ns)
+        row = min(row, state.bridge_rows)
+        add_change(commands.plans[slot], row, state.bridge_rows, values)
+        age_ns -= row * state.row_ns
+    return age_ns * 1e-9  # type: ignore[no-any-return]
+
+
+@compiled
+def add_change(plan: NDArray[np.float64], row: int, rows: int, values: Matrix) -> None:
+    """Add the change until a row to torque, target position and velocity, shape (3, joints)."""
+    piece = min(row * PIECES // rows, PIECES - 1)
+    share = row * PIECES / rows - piece
+    for what in range(3):
+        for i in range(values.shape[1]):
+            begin, end = plan[piece, what, i], plan[piece + 1, what, i]
+            values[what, i] += begin + share * (end - begin) - plan[0, what, i]
 
 
 @compiled
@@ -127,8 +210,34 @@ def explains(commands: Commands, sequence: int, delay_ns: int, now_ns: int) -> b
 
 
 @compiled
-def observe_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int) -> None:
-    """Learn the horizon from the feedback of a state that left the plant at `now_ns`."""
+def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns: int) -> None:
+    """Learn the horizon from the feedback of a state.
+
+    Args:
+        commands: all that were sent.
+        feedback: a plausible one.
+        now_ns: stamp of the state.
+        last_ns: stamp of the state before.
+    """
+    sequence, delay_ns, arrival_ns = feedback
+    state = commands.state[0]
+    if not state.is_announced:
+        _follow_delay(commands, sequence, delay_ns, now_ns)
+    else:
+        if sequence != state.in_force and delay_ns > commands.announced_ns[sequence % CAPACITY]:
+            arrival_ns = max(arrival_ns, delay_ns)  # it came late
+        arrival_ns = min(arrival_ns, now_ns - commands.stamps_ns[state.first % CAPACITY])
+        if sequence == HELD and state.wanted_ns == 0 and state.first != HELD:
+            # Nothing acts yet, so the first command has been on its way for at least this long.
+            waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
+            state.exact_ns = max(state.exact_ns, float(waited_ns))
+        _announce(commands, arrival_ns, now_ns - last_ns)
+    state.in_force = sequence
+
+
+@compiled
+def _follow_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int) -> None:
+    """Follow the reported delays with the expected one."""
     state = commands.state[0]
     if sequence == HELD:
         # Nothing acts yet, so the first command has been on its way for at least this long.
@@ -143,17 +252,57 @@ def observe_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
         if state.in_force != HELD:
             state.spread_ns += share * (abs(surprise_ns) - state.spread_ns)
         _expect(state, int(np.rint(state.mean_delay_ns)))
-    state.in_force = sequence
+
+
+@compiled
+def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
+    """Choose the horizon to announce, after a state reported how long commands take to arrive.
+
+    It grows at once when a command came late, and slowly towards the wanted one; it shrinks slowly
+    to what arrivals need, but not below the wanted one.
+
+    Args:
+        commands: all that were sent.
+        arrival_ns: as in `CommandFeedback`.
+        step_ns: time since the last state.
+    """
+    state = commands.state[0]
+    if arrival_ns >= 0:
+        is_first = state.mean_delay_ns == 0.0
+        surprise_ns = arrival_ns - state.mean_delay_ns
+        state.mean_delay_ns += surprise_ns if is_first else _FOLLOW * surprise_ns
+        if not is_first:
+            state.spread_ns += _FOLLOW * (abs(surprise_ns) - state.spread_ns)
+    needed_ns = arrival_ns + state.reserve_ns
+    excess_ns = max(0.0, state.longest_ns - state.mean_delay_ns)
+    state.longest_ns -= excess_ns * min(1.0, step_ns / _SHRINKS_IN_NS)
+    if arrival_ns > state.wanted_ns:
+        state.longest_ns = max(state.longest_ns, needed_ns)
+    exact_ns = state.exact_ns
+    if arrival_ns > state.horizon_ns:
+        exact_ns = max(exact_ns, needed_ns)
+    elif exact_ns < state.wanted_ns:
+        exact_ns = min(exact_ns + _GROWS_BY * step_ns, state.wanted_ns)
+    else:
+        exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
+    state.exact_ns = exact_ns
+    grains = math.ceil(exact_ns / state.grain_ns)
+    _expect(state, int(grains * state.grain_ns))
 
 
 @compiled
 def schedule(commands: Commands, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Flight:
     """Return which commands act from an instant on, if each up to `newest` takes this delay."""
     upcoming = max(in_force + 1, commands.state[0].first)
-    since_ns = from_ns - delay_ns
-    while upcoming <= newest and commands.stamps_ns[upcoming % CAPACITY] < since_ns:
+    while upcoming <= newest and acts_ns(commands, upcoming % CAPACITY, delay_ns) < from_ns:
         upcoming += 1
     return Flight(in_force, upcoming, newest, delay_ns)
+
+
+@compiled
+def acts_ns(commands: Commands, slot: int, delay_ns: int) -> int:
+    """Return when a command comes into force, if it takes this delay."""
+    return commands.stamps_ns[slot] + max(delay_ns, commands.announced_ns[slot])  # type: ignore[no-any-return]
 
 
 @compiled
@@ -165,7 +314,8 @@ def ahead(commands: Commands, in_force: int, now_ns: int) -> Flight:
     """
     state = commands.state[0]
     patience_ns = int(np.rint(_PATIENCE * state.spread_ns))
-    return schedule(commands, in_force, state.newest, state.horizon_ns, now_ns - patience_ns)
+    delay_ns = 0 if state.is_announced else state.horizon_ns
+    return schedule(commands, in_force, state.newest, delay_ns, now_ns - patience_ns)
 
 
 @compiled
@@ -177,4 +327,4 @@ def assumed_in_force(commands: Commands, now_ns: int) -> int:
 
 @compiled
 def _expect(state: Any, horizon_ns: int) -> None:
-    state.horizon_ns = min(max(horizon_ns, state.least_horizon_ns), LONGEST_HORIZON_NS)
+    state.horizon_ns = min(max(horizon_ns, state.least_ns), LONGEST_HORIZON_NS)

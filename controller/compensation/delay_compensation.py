@@ -9,6 +9,7 @@ receives another `Tracking`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,19 +19,22 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.runtime.compiled import all_finite, bind, compiled
 from controller.compensation.arm_belief import ArmBelief, NominalArm, first_belief, forget
+from controller.compensation.bridge import filling
 from controller.compensation.command_timeline import (
+    CAPACITY,
     HELD,
     LONGEST_HORIZON_NS,
     CommandFeedback,
     Commands,
     Flight,
+    HorizonSettings,
     ahead,
     assumed_in_force,
     explains,
     forget_commands,
     no_commands,
     note,
-    observe_delay,
+    observe,
     schedule,
 )
 from controller.compensation.model_identification import Identification, start_again, take_in
@@ -45,7 +49,7 @@ _LARGEST_NM = 1e6
 
 
 @compiled
-def observe(
+def learn_disturbance(
     mass: Matrix, velocity: Vector, predicted_velocity: Vector, step_s: float, gain: float,
     disturbance: Vector,
 ) -> bool:  # fmt: skip
@@ -110,10 +114,11 @@ class DelayCompensation:
         identification: the filter for its model, in its initial state.
         drive: gains of the drives' own loops.
         observer_bandwidth_rad_s: how fast disturbances are learned.
-        least_horizon_ns: shortest time from a state until the torque that answers it acts.
-        first_horizon_ns: assumed horizon until a command has come into force.
+        horizon: how the time from a state until the torque that answers it acts is chosen.
 
     Attributes:
+        announces: whether each command has to say when it acts: one horizon after its stamp.
+        rows: rows of a command, with its first.
         commands: those sent, and the horizon.
         belief: the belief about the arm.
         identification: the filter that updates the belief.
@@ -129,11 +134,12 @@ class DelayCompensation:
         drive: DriveGains,
         *,
         observer_bandwidth_rad_s: float,
-        least_horizon_ns: int,
-        first_horizon_ns: int,
+        horizon: HorizonSettings,
     ) -> None:
         joints = nominal.limits_nm.size
-        self.commands = no_commands(joints, least_horizon_ns, first_horizon_ns)
+        self.announces = horizon.is_announced
+        self.rows = 1 + horizon.bridge_rows
+        self.commands = no_commands(joints, horizon)
         self.belief = first_belief(nominal)
         self.identification = identification
         self.predicted = Tracking(joints)
@@ -168,6 +174,15 @@ class DelayCompensation:
             self.predict(measured, stamp_ns, CommandFeedback(1, stamp_ns), reference, funnel)
         self.reset()
 
+    def bridge(
+        self, torques_nm: Matrix, targets: NDArray[np.float64], reference: Reference
+    ) -> Callable[[], None]:
+        """Return a function that fills the rows of a command after its first; see `filling`."""
+        nominal, predicted = self._arm.nominal, self.predicted
+        return filling(
+            nominal, self.belief, self.commands, predicted, reference, torques_nm, targets
+        )
+
     def note_command(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
         """Note a command sent in answer to the state of `stamp_ns`; numbers increase."""
         self._torque_nm[:] = torque_nm
@@ -192,10 +207,10 @@ class DelayCompensation:
         """
         if measured is not self._measured:
             self._bind(measured)
-        sequence, delay_ns = feedback or _NO_FEEDBACK
+        sequence, delay_ns, arrival_ns = feedback or _NO_FEEDBACK
         if not HELD <= sequence <= _LARGEST_NUMBER:
-            sequence, delay_ns = _NO_FEEDBACK
-        horizon_s = self._foresee(stamp_ns, sequence, delay_ns)
+            sequence, delay_ns, arrival_ns = _NO_FEEDBACK
+        horizon_s = self._foresee(stamp_ns, sequence, delay_ns, arrival_ns)
         self.predicted.horizon_s = horizon_s
         time_s = measured.time_s + horizon_s
         self.predicted.update(time_s, measured.step_s, reference, funnel)
@@ -206,19 +221,21 @@ class DelayCompensation:
         self._measured = measured
         self._foresee = bind(
             _foresee, self._arm, self._bandwidth_rad_s, measured.motion, measured.error,
-            measured.bounds, self.predicted.motion, self.target, free=["int64"] * 3,
+            measured.bounds, self.predicted.motion, self.target, free=["int64"] * 4,
         )  # fmt: skip
 
 
 @compiled
 def _foresee(
     arm: Arm, bandwidth_rad_s: float, measured: Matrix, error: Vector, bounds: Matrix,
-    predicted: Matrix, target: Matrix, stamp_ns: int, sequence: int, delay_ns: int,
+    predicted: Matrix, target: Matrix, stamp_ns: int, sequence: int, delay_ns: int, arrival_ns: int,
 ) -> float:  # fmt: skip
     """Learn from a state, and predict for its answer into `predicted`; return the horizon."""
     commands, (last_ns, last_in_force) = arm.commands, arm.last_answered
     if explains(commands, sequence, delay_ns, stamp_ns):
-        observe_delay(commands, sequence, delay_ns, stamp_ns)
+        observe(commands, CommandFeedback(sequence, delay_ns, arrival_ns), stamp_ns, last_ns)
+        if delay_ns <= commands.announced_ns[sequence % CAPACITY]:
+            delay_ns = 0  # it acted when it said so, and so did those before
     else:
         sequence = assumed_in_force(commands, stamp_ns)
         delay_ns = commands.state[0].horizon_ns
@@ -250,7 +267,7 @@ def _learn(
     if not all_finite(actuator):
         return
     belief.actuator_nm[:] = actuator
-    if not observe(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
+    if not learn_disturbance(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
         return
     if identification.is_active and _is_inside(error, bounds):
         take_in(nominal, identification, belief, last, measured, actuator_before, impulse, step_s)

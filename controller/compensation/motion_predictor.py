@@ -15,7 +15,14 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains, drive_torque
 from bus_schema.runtime.compiled import compiled
 from controller.compensation.arm_belief import ArmBelief, NominalArm, smooth_sign
-from controller.compensation.command_timeline import CAPACITY, HELD, Commands, Flight
+from controller.compensation.command_timeline import (
+    CAPACITY,
+    HELD,
+    Commands,
+    Flight,
+    acts_ns,
+    command_at,
+)  # fmt: skip
 from controller.rigid_bodies.dynamics import mass_and_load
 from controller.rigid_bodies.vectors import invert
 
@@ -52,7 +59,7 @@ def move(
     if in_force == HELD:
         now_ns = until_ns
         if upcoming <= newest:
-            now_ns = max(from_ns, commands.stamps_ns[upcoming % CAPACITY] + delay_ns)
+            now_ns = max(from_ns, acts_ns(commands, upcoming % CAPACITY, delay_ns))
     while now_ns < until_ns:
         end_ns = now_ns + _STRETCH_NS
         if end_ns > until_ns - _STEP_NS:  # the rest is too short for separate terms
@@ -82,14 +89,15 @@ def _stretch(
     in_force, upcoming, newest, delay_ns = flight
     joints, lag_s = position.size, belief.lag_s[0]
     asked, total, slope = np.empty(joints), np.empty(joints), np.empty(joints)
+    row = np.empty((3, joints))
     acceleration[:] = velocity  # start velocity, replaced at the end
     now_ns, last_step_ns, left, mean_left = from_ns, 0, 0.0, 0.0
     while now_ns < until_ns:
         end_ns = min(now_ns + _STEP_NS, until_ns)
         while upcoming <= newest:
-            acts_ns = commands.stamps_ns[upcoming % CAPACITY] + delay_ns
-            if acts_ns > now_ns:
-                end_ns = min(end_ns, acts_ns)
+            following_ns = acts_ns(commands, upcoming % CAPACITY, delay_ns)
+            if following_ns > now_ns:
+                end_ns = min(end_ns, following_ns)
                 break
             in_force, upcoming = upcoming, upcoming + 1
         slot, step_s = in_force % CAPACITY, (end_ns - now_ns) * 1e-9
@@ -97,8 +105,8 @@ def _stretch(
             last_step_ns = end_ns - now_ns
             left = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
             mean_left = (1.0 - left) * lag_s / step_s
-        age_s = (now_ns - commands.stamps_ns[slot]) * 1e-9
-        _ask(commands, slot, age_s, drive, limits, position, velocity, asked)
+        age_s = command_at(commands, slot, now_ns, row)
+        _ask(row, age_s, drive, limits, position, velocity, asked)
         for i in range(joints):
             impulse[i] += step_s * asked[i]
             behind = actuator[i] - asked[i]
@@ -116,17 +124,16 @@ def _stretch(
 
 @compiled
 def _ask(
-    commands: Commands, slot: int, age_s: float, drive: DriveGains, limits: Vector,
-    position: Vector, velocity: Vector, asked: Vector,
+    row: Matrix, age_s: float, drive: DriveGains, limits: Vector, position: Vector,
+    velocity: Vector, asked: Vector,
 ) -> None:  # fmt: skip
-    """Write the torque that a command of this age and the drives' own loops request, N m."""
+    """Write the torque that a row with a target of this age and the drives' loops request, N m."""
     for i in range(asked.size):
-        asked[i] = commands.torques_nm[slot, i]
+        asked[i] = row[0, i]
         if drive.is_active:
             asked[i] += drive_torque(
-                commands.targets[slot, 0, i] + age_s * commands.targets[slot, 1, i],
-                commands.targets[slot, 1, i], position[i], velocity[i], drive, i,
-            )  # fmt: skip
+                row[1, i] + age_s * row[2, i], row[2, i], position[i], velocity[i], drive, i
+            )
             asked[i] = min(max(asked[i], -limits[i]), limits[i])
 
 

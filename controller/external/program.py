@@ -17,7 +17,7 @@ from typing import IO
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.runtime.limited_process import signal_name
+from bus_schema.runtime.child import last_line, signal_name
 from controller.errors import ControllerError
 
 _LAST_WORDS = 2000
@@ -90,9 +90,8 @@ class LawProgram:
             by_signal = f"was ended by {signal_name(-code)}"
             how = by_signal if code < 0 else f"ended with exit code {code}"
         size = os.fstat(self._words.fileno()).st_size
-        said = os.pread(self._words.fileno(), _LAST_WORDS, max(0, size - _LAST_WORDS))
-        lines = said.decode(errors="replace").strip().splitlines()
-        words = f"; end of its standard error: {lines[-1]}" if lines else ""
+        written = os.pread(self._words.fileno(), _LAST_WORDS, max(0, size - _LAST_WORDS))
+        words = f"; end of its standard error: {line}" if (line := last_line(written)) else ""
         self.end()
         return ExternalLawError(f"external law {self._name} {how}{words}")
 

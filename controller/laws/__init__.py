@@ -8,12 +8,19 @@ from typing import Any, NamedTuple
 from bus_schema.arrays import Vector
 from bus_schema.errors import did_you_mean
 from controller.control_law import ControlLaw, Dynamics
+from controller.laws.computed_torque import ComputedTorque, ComputedTorqueGains
+from controller.laws.disturbance_observer import DisturbanceObserver, DisturbanceObserverGains
 from controller.laws.fixed_time_adaptive import FixedTimeAdaptive, FixedTimeAdaptiveGains
 from controller.laws.fixed_time_model_based import FixedTimeModelBased, FixedTimeModelBasedGains
 from controller.laws.fixed_time_neural import FixedTimeNeural, FixedTimeNeuralGains
-from controller.laws.pid import Pid, PidGains
+from controller.laws.funnel_control import FunnelControl, FunnelControlGains
+from controller.laws.joint_impedance import JointImpedance, JointImpedanceGains
+from controller.laws.pid import Pid, PidGains, PidGravity, PidGravityGains
 from controller.laws.settling import LargestInertia, settling_bound_s
 from controller.laws.sliding_mode import FtsmcGains, SlidingMode, SmcGains, TsmcGains
+from controller.laws.slotine_li import SlotineLi, SlotineLiGains
+from controller.laws.super_twisting import SuperTwisting, SuperTwistingGains
+from controller.laws.time_delay_control import TimeDelayControl, TimeDelayControlGains
 
 
 class LawEntry(NamedTuple):
@@ -39,11 +46,25 @@ LAWS = {
     ),
     "fixed_time_adaptive": LawEntry(FixedTimeAdaptive, FixedTimeAdaptiveGains, settling_bound_s),
     "pid": LawEntry(Pid, PidGains),
+    "pid_gravity": LawEntry(PidGravity, PidGravityGains),
     "smc": LawEntry(SlidingMode, SmcGains),
     "tsmc": LawEntry(SlidingMode, TsmcGains),
     "ftsmc": LawEntry(SlidingMode, FtsmcGains),
+    "super_twisting": LawEntry(SuperTwisting, SuperTwistingGains),
+    "computed_torque": LawEntry(ComputedTorque, ComputedTorqueGains),
+    "slotine_li": LawEntry(SlotineLi, SlotineLiGains),
+    "joint_impedance": LawEntry(JointImpedance, JointImpedanceGains),
+    "time_delay_control": LawEntry(TimeDelayControl, TimeDelayControlGains),
+    "disturbance_observer": LawEntry(DisturbanceObserver, DisturbanceObserverGains),
+    "funnel_control": LawEntry(FunnelControl, FunnelControlGains),
 }
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
+
+COMPARED_LAWS = [
+    "fixed_time_neural", "fixed_time_model_based", "fixed_time_adaptive", "pid", "smc", "tsmc",
+    "ftsmc",
+]  # fmt: skip
+"""The laws that a command compares if none are named: the paper's and the default law."""
 
 
 def likely_law(unknown: str) -> str:

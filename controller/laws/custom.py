@@ -20,11 +20,7 @@ from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
 from controller.errors import is_of_the_law
-
-OURS = ("bus_schema", "controller", "deploy", "plant_emulator", "funnel_hil")
-"""Names of our packages, which no user module replaces."""
-
-_OUR_FOLDER = str(Path(__file__).resolve().parents[2])
+from controller.laws.read_files import OUR_FOLDER, OURS, files_read
 
 
 class _UserModulesFirst:
@@ -46,7 +42,7 @@ class _UserModulesFirst:
         each_with_next = zip_longest(sys.path, sys.path[1:], fillvalue="")
         places = [
             place for place, then in each_with_next
-            if not (place == _OUR_FOLDER and then in self.folders)
+            if not (place == OUR_FOLDER and then in self.folders)
         ]  # fmt: skip
         spec = PathFinder.find_spec(name, places, target)
         return spec if spec is not None and spec.loader is not None else None  # no mere folder
@@ -59,7 +55,7 @@ def find_in_current_folder() -> None:
     """Let imports find the modules in the current folder, as with ``python -m``."""
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
-        sys.path += [_OUR_FOLDER, here]  # in this order, as other processes inherit it
+        sys.path += [OUR_FOLDER, here]  # in this order, as other processes inherit it
     _finder.folders.add(here)
     if _finder not in sys.meta_path:
         sys.meta_path.insert(sys.meta_path.index(PathFinder), _finder)
@@ -74,6 +70,9 @@ _GAINS_KEY = "controller.gains.custom"
 
 Maker = Callable[..., ControlLaw]
 """Creates a law from the nominal model and its gains: usually a class."""
+
+read_by_imports: list[dict[str, str]] = []
+"""For each first import of a law in this process, the user's files that it read, with digests."""
 
 _given: ContextVar[Mapping[str, Maker]] = ContextVar("laws given", default=MappingProxyType({}))
 
@@ -173,7 +172,10 @@ def find_law(name: str) -> Maker:
     module_name, _, class_name = name.partition(":")
     find_in_current_folder()
     try:
-        module = importlib.import_module(module_name)
+        with files_read() as read:
+            module = importlib.import_module(module_name)
+        if read:
+            read_by_imports.append(read)
     except BaseException as error:
         if not is_of_the_law(error):
             raise

@@ -130,6 +130,14 @@ def default_switching(inertia_kg_m2: Vector) -> Vector:
     return gains
 
 
+def default_stiffness(inertia_kg_m2: Vector) -> Vector:
+    """Return stiffness per inertia for these joints, shape (joints,), 1/s².
+
+    What the default switching is to exceed moves an error by 2.5 mrad against it.
+    """
+    return default_switching(inertia_kg_m2) / 0.0025
+
+
 class SlidingMode:
     """The law on the surface that its gains describe; it has no memory."""
 

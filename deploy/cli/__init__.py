@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from types import FrameType
 from typing import NoReturn
 
 
 def program() -> None:
-    """Entry point. `simulate` is watched, as it runs the user's law in its own process."""
-    if sys.argv[1:2] == ["simulate"]:
-        from deploy.cli.watched import run_watched
-
-        run_watched(main)
-    else:
-        main()
+    """Entry point. The next file or pipe would get the number and output of a closed stream."""
+    while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(spare)
+    main()
 
 
 def main() -> None:

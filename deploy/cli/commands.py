@@ -9,6 +9,7 @@ import ast
 import atexit
 import gc
 import logging
+import os
 import sys
 from importlib import import_module
 from importlib.metadata import version
@@ -18,10 +19,12 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from bus_schema.foreign_text import printable
 from deploy.run.closed_output import outlive_readers
 from deploy.run.exit_codes import with_exit_codes
 from deploy.run.stop_signals import stop_at_once
 from deploy.scenario.foreign_code import code_is_named
+from deploy.scenario.xacro_arguments import join_arguments
 
 COMMANDS = {
     "run": "cli.run:run",
@@ -34,6 +37,7 @@ COMMANDS = {
     "link": "cli.network.link:link",
     "trace": "cli.network.trace:app",
     "latency": "cli.network.latency:latency",
+    "identify": "cli.identify:identify",
     "keys": "cli.network.keys:app",
     "compare": "cli.study.studies:compare",
     "sweep": "cli.study.studies:sweep",
@@ -55,7 +59,7 @@ COMMANDS = {
 }
 """Where each command is below `deploy`: ``module:function``, or ``module:app`` for a group."""
 
-LOOKING = {"view", "report", "diff", "reference", "robot", "export", "ros2-control"}
+LOOKING = {"view", "report", "diff", "reference", "robot", "export", "identify", "ros2-control"}
 """Commands that only read: they run no law, program or process that a scenario names."""
 
 _NEW_OBJECTS = 200_000
@@ -83,12 +87,12 @@ class LazyCommand(TyperCommand):
         name: in `COMMANDS`.
     """
 
-    def make_context(self, *args: Any, **extra: Any) -> Any:
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **extra: Any) -> Any:
         """Load the command and return its context.
 
         A command in `LOOKING` runs no code from the files it reads. Any other names that code.
         """
-        context = self.load().make_context(*args, **extra)
+        context = self.load().make_context(info_name, join_arguments(args), *more, **extra)
         if self.name in LOOKING:
             from controller.laws.custom import custom_laws_left_out  # as the command itself does
 
@@ -148,7 +152,7 @@ class LogLines(logging.Handler):
     """
 
     def emit(self, record: logging.LogRecord) -> None:
-        sys.stderr.write(f"{self.format(record)}\n")
+        sys.stderr.write(f"{printable(self.format(record))}\n")
         sys.stderr.flush()
 
 
@@ -156,6 +160,9 @@ def main() -> None:
     """Run the command. Bad input and requests to stop end it with one message and an exit code."""
     stop_at_once()
     outlive_readers()
+    for size in ("COLUMNS", "LINES"):
+        if not os.environ.get(size, "1").strip("0"):  # a terminal of size 0 would show nothing
+            del os.environ[size]
     gc.set_threshold(_NEW_OBJECTS)
     atexit.register(gc.freeze)  # skips the last collection: the system frees all memory anyway
     logging.basicConfig(level=logging.ERROR, format="%(message)s", handlers=[LogLines()])

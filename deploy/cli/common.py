@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NoReturn
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 
 from bus_schema.configuration import shown
 from bus_schema.errors import Stopped
+from bus_schema.foreign_text import say
 from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS, likely_law
@@ -21,11 +20,14 @@ from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.options import GateOptions, OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
+from deploy.cli.watched import Watched
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import decide
 from deploy.reports import gate as gating
+from deploy.reports.gate_numbers import RUNS, gauged
 from deploy.reports.results import conditions_in, write_run_results
 from deploy.run.confirmation import confirmation_of
+from deploy.run.console import Console
 from deploy.run.execute import JudgedRun
 from deploy.run.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.run.processes.child import RunOutcome
@@ -65,7 +67,7 @@ def parse_laws(text: str | None) -> list[str] | None:
 def say_oddities(*setups: Setup) -> None:
     """Print each warning about the scenarios and arms once, to standard error."""
     for said in all_warnings(setups):
-        typer.echo(f"warning: {said}", err=True)
+        say(f"warning: {said}", err=True)
 
 
 def watching(
@@ -101,35 +103,47 @@ class CommandGate:
         options: what it must reach.
         name: of what is gated.
         unit: of its numbers.
+        kind: what it is compared as.
 
     Raises:
         ScenarioError: the options cannot be used with this result.
     """
 
-    def __init__(self, options: GateOptions, name: str, unit: str) -> None:
+    def __init__(self, options: GateOptions, name: str, unit: str, kind: str = RUNS) -> None:
         self._gate = gating.build_gate(options.at_least, options.baseline, options.tolerance)
-        gating.require_unit(self._gate, unit)
+        gating.require_fit(self._gate, unit, kind)
         self._options, self._name, self._unit = options, name, unit
-        self._entries = [] if options.history is None else gating.read_history(options.history)
+        if options.history is not None:
+            gating.read_history(options.history)
 
-    def is_passed(self, summary: Mapping[str, Any], console: Console) -> bool:
-        """Whether a result reaches what it must; writes the files, and prints what failed."""
-        options, found = self._options, gating.gauged(summary)
+    def is_passed(self, summary: Mapping[str, Any], console: Console, note: str = "") -> bool:
+        """Whether a result reaches what it must; writes the files, and prints what failed.
+
+        Args:
+            summary: the result.
+            console: where to print.
+            note: what else to say about the result.
+        """
+        options, found = self._options, gauged(summary)
         failures = self._gate.failures(found)
-        failures |= {
-            each.name: failures[each.name] + gating.since_when(self._entries, each)
-            for each in found
-            if each.name in failures
-        }
+        if options.history is not None:
+            with gating.locked_history(options.history) as entries:
+                failures |= {
+                    each.name: failures[each.name] + gating.since_when(entries, each)
+                    for each in found
+                    if each.name in failures
+                }
+                entries.append(gating.entry_of(found))
+                gating.write_history(options.history, self._name, entries, self._unit)
         if options.junit is not None:
-            gating.write_junit(options.junit, found, failures)
+            gating.write_junit(options.junit, found, failures, note)
         if options.markdown is not None:
             gating.write_markdown(options.markdown, found, failures)
-        if options.history is not None:
-            entries = [*self._entries, gating.entry_of(found)]
-            gating.write_history(options.history, self._name, entries, self._unit)
         for sentence in failures.values():
             console.print(f"gate: {sentence}", style="bold red", markup=False, soft_wrap=True)
+        if note and self._gate.is_given:
+            verdict = "failed" if failures else "passed"
+            console.print(f"gate: {verdict}; {note}", markup=False, soft_wrap=True)
         return not failures
 
 
@@ -202,7 +216,7 @@ def finish(
     """
     with judging(console, folder):
         data = _data_of(console, folder, run)
-        confirmation = confirmation_of(data) if confirms else ()
+        confirmation = confirmation_of(data, Watched()) if confirms else ()
         summary = write_run_results(
             folder, data, draws_report=not options.no_report, confirmation=confirmation
         )
@@ -225,7 +239,7 @@ def _data_of(console: Console, folder: RunFolder, run: JudgedRun) -> RunData:
         outcome = run.outcome
         faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
         for fault in faults or ["stopped before the run began"]:
-            console.print(escape(fault))
+            console.print(fault)
         found = {"completed": False, "faults": faults, "verdict": decide(faults).value}
         write_json(folder.summary, found)
         raise typer.Exit(INTERRUPTED if outcome.interrupted else _fault_code(outcome)) from error

@@ -17,15 +17,18 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 
 import bus_schema.runtime.compiled  # noqa: F401  (chooses where kernels are kept)
 import controller.external
 from bus_schema.arrays import Vector
 from bus_schema.runtime import kernel_cache, realtime
+from bus_schema.runtime.child import last_line
 from bus_schema.runtime.clock import MonotonicClock
+from bus_schema.safe_path import safe_path
+from controller.laws.custom import custom_laws_left_out
 from deploy.cli.findings import Finding, Status, show
 from deploy.cli.options import Overrides
+from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT
 from deploy.run.processes.scheduling import remedy
 from deploy.scenario.scenario import load_setup
@@ -62,7 +65,8 @@ def doctor(
         return
     from deploy.cli.rig import examine_rig  # loads the libraries of CAN
 
-    findings = examine_rig(load_setup(rig, overrides or []))
+    with custom_laws_left_out():  # no law is needed to query drives
+        findings = examine_rig(load_setup(rig, overrides or []))
     show(findings, Console())
     if any(each.status == "missing" for each in findings):
         raise typer.Exit(FAULT)
@@ -101,14 +105,15 @@ def _package(name: str, distribution: str, module: str, cost: str) -> Finding:
     """Check that a separate process can load a package with native code."""
     try:
         version = importlib.metadata.version(distribution)
-        subprocess.run(
-            [sys.executable, "-c", f"import {module}"],
-            capture_output=True, text=True, check=True, timeout=_LOAD_TIMEOUT_S,
-        )  # fmt: skip
+        with safe_path():  # also for the processes that a package starts
+            subprocess.run(
+                [sys.executable, "-c", f"import {module}"],
+                capture_output=True, text=True, check=True, timeout=_LOAD_TIMEOUT_S,
+            )  # fmt: skip
     except importlib.metadata.PackageNotFoundError:
         return Finding(name, "missing", f"{distribution} is not installed", cost)
     except subprocess.CalledProcessError as error:
-        reason = (error.stderr.strip().splitlines() or [f"exit status {error.returncode}"])[-1]
+        reason = last_line(error.stderr) or f"exit status {error.returncode}"
         return Finding(name, "missing", f"{version}, cannot be loaded: {reason}", cost)
     except subprocess.TimeoutExpired:
         return Finding(name, "missing", f"{version}, does not load within a minute", cost)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.medium import CanMedium
 from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.can.session import open_can_bus
 from bus_schema.can.survey import require_no_others
@@ -17,15 +19,16 @@ from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.cli.common import say_oddities
 from deploy.cli.options import Overrides, ScenarioArgument
+from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.link_kinds.can import check_drives, may_have_others
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
-from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
+from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from plant_emulator.drives.fault_plan import PlannedFault, parse_fault
 
 Duration = Annotated[
@@ -85,16 +88,13 @@ def _serve(
     """Run the emulated drives until they stop. Returns the exit code."""
     clock = MonotonicClock()
     monitor = BusMonitor(bus, clock, verbose=verbose)
-    can, robot = setup.scenario.link.can, setup.robot
+    can, robot, plant = setup.scenario.link.can, setup.robot, setup.scenario.plant
+    build = partial(build_bank, can, robot, plant, tuned=setup.tuned_drive)
     with naming(setup.origin):
-        monitor.bank = build_bank(
-            can, robot, setup.scenario.plant, monitor.send, tuned=setup.tuned_drive
-        )
-    arm = setup.arm()
-    rig = DriveRig(
-        arm, monitor.bank, bus, clock, setup.grid,
-        faults=plan, on_frame=monitor.on_heard, on_event=monitor.print,
-    )  # fmt: skip
+        drives = DrivesOnBus(monitor, plan, build, CanMedium(can, setup.scenario.seed))
+    monitor.describe = drives.bank.describe
+    arm = setup.arm_of_type(DrivenArm)
+    rig = DriveRig(arm, drives, clock, setup.grid, monitor.print)
     on_stop(rig.request_stop)
     clock.start()
     nodes = ", ".join(str(each) for each in can.node_ids_of(robot.joints))
@@ -111,51 +111,64 @@ def _serve(
         return FAULT
     finally:
         arm.close()
-    skipped = f", {rig.counts.skipped} of {rig.counts.ticks} ticks late" * bool(rig.counts.skipped)
-    rejected = dict(monitor.bank.rejections.counts) or "none"
-    dropped = f", {count} dropped by the system" if (count := bus.dropped()) else ""
+    skipped = f", {rig.skipped} of {rig.ticks} ticks late" * bool(rig.skipped)
+    rejected = dict(drives.bank.rejections.counts) or "none"
+    dropped = f", {count} dropped by the system" if (count := monitor.dropped()) else ""
     monitor.print(
-        f"{rig.counts.received} frames received{dropped}, {monitor.sent} sent, rejected:"
+        f"{monitor.received} frames received{dropped}, {monitor.sent} sent, rejected:"
         f" {rejected}{skipped}"
     )
-    was_cut_short = ticks is not None and rig.counts.ticks < ticks
-    return INTERRUPTED if was_cut_short else FINISHED
+    return INTERRUPTED if ticks is not None and rig.ticks < ticks else FINISHED
 
 
-class BusMonitor:
-    """Stands between drives and bus, and tells what passes.
+class BusMonitor(CanBus):
+    """A bus that prints the frames on it, or the first one of each identifier that it receives.
 
-    Without `verbose` it tells of the first frame of an identifier that is heard, up to a number: a
-    scan for nodes tries hundreds.
+    Of these it prints only a limited number: a scan for nodes tries hundreds of identifiers.
+
+    Args:
+        bus: the bus itself.
+        clock: time of the printed lines.
+        verbose: print all frames, in both directions.
 
     Attributes:
-        bank: the drives; they know what a frame means.
-        sent: frames that the drives sent.
+        describe: returns the meaning of a frame.
+        received: number of received frames.
+        sent: number of frames that the drives sent.
     """
 
-    bank: DriveBank
+    describe: Callable[[CanFrame], str]
 
     def __init__(self, bus: CanBus, clock: Clock, *, verbose: bool) -> None:
         self._bus, self._clock, self._verbose = bus, clock, verbose
         self._console = Console(highlight=False, markup=False, soft_wrap=True)
-        self._heard: set[int] = set()
-        self.sent = 0
+        self._identifiers: set[int] = set()
+        self.received = self.sent = 0
 
     def send(self, frame: CanFrame) -> None:
-        """Count a frame that a drive sends, and pass it to the bus."""
         self._bus.send(frame)
         self.sent += 1
         if self._verbose:
             self._show("sent", frame)
 
-    def on_heard(self, frame: CanFrame) -> None:
-        """Report a frame that comes from the bus."""
-        is_first = frame.identifier not in self._heard
-        self._heard.add(frame.identifier)
-        if self._verbose or (is_first and len(self._heard) <= _MOST_NAMED):
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        frame = self._bus.receive(timeout_s)
+        if frame is None:
+            return None
+        self.received += 1
+        is_first = frame.identifier not in self._identifiers
+        self._identifiers.add(frame.identifier)
+        if self._verbose or (is_first and len(self._identifiers) <= _MOST_NAMED):
             self._show("received", frame)
-        elif is_first and len(self._heard) == _MOST_NAMED + 1:
+        elif is_first and len(self._identifiers) == _MOST_NAMED + 1:
             self.print("more identifiers were received; --verbose shows them")
+        return frame
+
+    def dropped(self) -> int | None:
+        return self._bus.dropped()
+
+    def close(self) -> None:
+        self._bus.close()
 
     def print(self, sentence: str) -> None:
         """Print an event with its time."""
@@ -163,5 +176,5 @@ class BusMonitor:
 
     def _show(self, direction: str, frame: CanFrame) -> None:
         data = "remote" if frame.is_remote else frame.data.hex(" ")
-        words = self.bank.describe(frame)
-        self.print(f"{direction:8} {frame.identifier:03X} {data:<23}  {words}")
+        text = self.describe(frame)
+        self.print(f"{direction:8} {frame.identifier:03X} {data:<23}  {text}")

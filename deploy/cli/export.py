@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,7 +11,9 @@ import typer
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
+from bus_schema.foreign_text import say
 from deploy.cli.options import Overrides, ScenarioArgument
+from deploy.judge.bounds import all_damage
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.time_series import SERIES, series
@@ -52,9 +53,10 @@ def export(
     own = run_dir if run_dir.is_dir() else run_dir.parent
     for file in export_series(data, out or own / "export", formats, names or SERIES):
         print(file)
-    for sentence in _missing(data):
-        print(sentence, file=sys.stderr)
-    raise typer.Exit(FAULT if data.damage else FINISHED)
+    damage = all_damage(data)
+    for sentence in _missing(data, damage):
+        say(sentence, err=True)
+    raise typer.Exit(FAULT if damage else FINISHED)
 
 
 def export_series(
@@ -86,9 +88,9 @@ def export_series(
     return files
 
 
-def _missing(run: RunData) -> list[str]:
+def _missing(run: RunData, damage: list[str]) -> list[str]:
     """Describe in one sentence each what is missing in the files of a run."""
-    found = [damaged(run.damage)] if run.damage else [] if run.complete else [PARTIAL]
+    found = [damaged(damage)] if damage else [] if run.complete else [PARTIAL]
     known = known_ticks(run)
     return [*found, missing_ticks_sentence(known)] if known.missing else found
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from deploy.run.console import Console
 
 Status = Literal["ok", "limited", "missing"]
 _STYLES = {"ok": "green", "limited": "yellow", "missing": "red"}

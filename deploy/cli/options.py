@@ -11,6 +11,8 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
+from bus_schema.foreign_text import say
+
 Options = TypeVar("Options")
 
 
@@ -41,7 +43,7 @@ def _newest(overrides: list[str] | None) -> list[str] | None:
     last = {parse_override(text)[0]: place for place, text in enumerate(overrides)}
     for place, text in enumerate(overrides):
         if place != last[keys[place]]:
-            typer.echo(f"--set {text}: replaced by a later --set", err=True)
+            say(f"--set {text}: replaced by a later --set", err=True)
     return [text for place, text in enumerate(overrides) if place in last.values()]
 
 
@@ -60,7 +62,7 @@ Overrides = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing results in --out.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Remove the results in --out first.")]
 NoReport = Annotated[
     bool,
     typer.Option("--no-report", help="Write no report.html; funnel-hil report writes it later."),

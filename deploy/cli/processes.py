@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import partial_path
 from deploy.cli.common import finish
 from deploy.cli.options import OneRunOptions, Out, Overrides, Overwrite, ScenarioArgument
+from deploy.run.console import Console
 from deploy.run.execute import recorded
 from deploy.run.exit_codes import FINISHED
 from deploy.run.network.links import require_keys

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-import os
+import shlex
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
-from bus_schema.urdf.xacro_files import INCLUDE
+from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
+from bus_schema.urdf.implausible import tip_warnings
+from controller.manipulator_model import ManipulatorModel
 from deploy.reports.figures.arm_pictures import arm_picture
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
-from deploy.scenario.checks import check
+from deploy.run.console import Console
+from deploy.scenario.checks import check, check_plant
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
+from deploy.scenario.plausibility import damping_warnings, weak_joint_warnings
 from deploy.scenario.referenced_files import find_urdf
+from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import drives_of, starter_scenario
 from deploy.scenario.warnings import scenario_warnings
+from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
 STARTER_COMMENT = """\
@@ -35,17 +42,31 @@ STARTER_COMMENT = """\
 
 def robot(
     file: Annotated[
-        str, typer.Argument(help="A URDF, xacro or MJCF file, or any other value of robot.urdf.")
+        str,
+        typer.Argument(
+            metavar="FILE [NAME:=VALUE …]",
+            help="A URDF, xacro or MJCF file, or other value of robot.urdf; xacro arguments.",
+        ),
     ],
     joints: Annotated[
         str | None, typer.Option(metavar="A,B,…", help="Drive these joints, and hold all others.")
+    ] = None,
+    chain: Annotated[
+        str | None,
+        typer.Option(metavar="TIP", help="Drive the joints on the way to this link, hold others."),
     ] = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Replace inertias that no rigid body can have.")
     ] = False,
     include: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FOLDER", help="Folder that xacro may read; repeatable."),
+        typer.Option(
+            metavar="FOLDER", help="Folder with packages that the file refers to; repeatable."
+        ),
+    ] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(metavar="KG", help="Mass of the whole arm, if its file gives no inertias."),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the arm to this file.")
@@ -59,30 +80,49 @@ def robot(
     ] = None,
 ) -> None:
     """Show how an arm's file is read: joints, limits, inertias, gains and warnings."""
-    os.environ[INCLUDE] = os.pathsep.join([*map(str, include or []), os.environ.get(INCLUDE, "")])
     chosen = None if joints is None else [name.strip() for name in joints.split(",")]
+    file, arguments = split_arguments(file)
+    folders = [folder.resolve() for folder in include or ()]
     try:
         path = find_urdf(file, Path.cwd())
-        arm = load_robot(path, chosen, repair=repair)
+        read = partial(
+            load_robot, path, arguments=arguments, include=folders, mass_kg=mass, hold_grippers=True
+        )
+        if chain is not None:
+            whole = read(chosen, repair=True)
+            chosen = chosen_joints(ET.fromstring(whole.text), whole.joint_names, chain)
+        arm = read(chosen, repair=repair)
     except RobotDescriptionError as error:
         text = str(error)
         raise ScenarioError(text if text.startswith("/") else f"{file}: {text}") from error
-    setup = at_rest(arm, chosen, repair=repair)
+    setup = at_rest(arm)
+    values = starter_scenario(arm)
+    try:
+        check_plant(build_setup(values, arm.path))
+    except RobotDescriptionError as error:  # as `simulate` would
+        raise ScenarioError(str(error)) from error
     console = Console()
     console.print(f"{arm.path}: {arm.joints} driven joints, tip {arm.tip_link}", markup=False)
     print_table(console, _joints_table(setup))
+    print_table(console, _inertia_table(setup))
     if arm.followers or arm.held:
-        print_table(console, _other_joints_table(setup))
+        print_table(console, _other_joints_table(arm))
+    if len(chains := chains_of(ET.fromstring(arm.text), arm.joint_names)) > 1:
+        print_table(console, _chains_table(chains))
     print_table(console, _gains_table(setup))
     print_table(console, _drives_table(arm))
     console.print(_funnel_line(setup), markup=False, highlight=False)
-    for said in scenario_warnings(setup):
+    for said in robot_warnings(setup):
         console.print(f"warning: {said}", style="yellow", markup=False, highlight=False)
     if picture is not None:
-        picture.write_bytes(arm_picture(arm, setup.start_position_rad))
+        png = arm_picture(arm, setup.start_position_rad)
+        try:
+            picture.write_bytes(png)
+        except OSError as error:
+            why = f"cannot be written: {error.strerror}"
+            raise InputError(f"--picture {picture}: {why}") from error
         console.print(f"picture: {picture}", soft_wrap=True)
     if scenario:
-        values = starter_scenario(arm, joints=joints is not None, repair=repair)
         write_starter(values, out or Path(f"{values['name']}.yaml"))
 
 
@@ -98,23 +138,15 @@ def write_starter(values: dict[str, Any], file: Path) -> None:
     except OSError as error:
         why = f"cannot be written: {error.strerror}; --out names another"
         raise InputError(f"{file}: {why}") from error
-    print(f"scenario: {file}\nfunnel-hil simulate {file} runs it")
-    print(f"funnel-hil margin {file} finds how much delay it tolerates")
+    print(f"scenario: {file}\nfunnel-hil simulate {shlex.quote(str(file))} runs it")
+    print(f"funnel-hil margin {shlex.quote(str(file))} finds how much delay it tolerates")
 
 
-def at_rest(
-    arm: RobotDescription,
-    joints: list[str] | None = None,
-    *,
-    repair: bool = False,
-    duration_s: float = 1.0,
-) -> Setup:
+def at_rest(arm: RobotDescription, *, duration_s: float = 1.0) -> Setup:
     """Return a scenario in which the arm holds still, checked like any other.
 
     Args:
         arm: the arm.
-        joints: what `load_robot` was given to drive.
-        repair: what it was given to mend.
         duration_s: of a run.
 
     Raises:
@@ -125,11 +157,22 @@ def at_rest(
     values = {
         "name": "robot",
         "duration_s": duration_s,
-        "robot": {"urdf": str(arm.path), "joints": joints, "repair": repair},
+        "robot": {"urdf": str(arm.path), **arm.reading},
         "reference": {"kind": "minimum_jerk", "waypoints": [rest]},
         "metrics": {"from_s": 0.5 * duration_s},
     }
     return check(validated(values, ScenarioConfiguration, origin), origin)
+
+
+def robot_warnings(setup: Setup) -> list[str]:
+    """Return warnings about an arm at rest and its file, a sentence each."""
+    arm = setup.robot
+    return [
+        *scenario_warnings(setup),
+        *tip_warnings(ET.fromstring(arm.text), arm.tip_link, arm.joint_names),
+        *weak_joint_warnings(arm),
+        *damping_warnings(arm, arm.drives.damping_nm_s, drives_of(arm).rated),
+    ]
 
 
 def _middle(arm: RobotDescription) -> Vector:
@@ -142,7 +185,7 @@ def _middle(arm: RobotDescription) -> Vector:
 
 
 def _joints_table(setup: Setup) -> Table:
-    """Driven joints in their order, with limits and inertias; in m and N where they slide."""
+    """Driven joints in their order, with their limits; in m and N where they slide."""
     robot = setup.robot
     rows = []
     for i, name in enumerate(robot.joint_names):
@@ -154,20 +197,39 @@ def _joints_table(setup: Setup) -> Table:
                 _range(float(robot.lower_rad[i]), float(robot.upper_rad[i]), unit),
                 _limit(robot.effort_limits_nm[i], force),
                 _limit(robot.velocity_limits_rad_s[i], f"{unit}/s"),
-                _limit(setup.governing_inertia_kg_m2[i], "kg" if robot.slides[i] else "kg m²"),
             ]
         )
-    return _table("Driven joints", ["Joint", "Kind", "Range", "Effort", "Speed", "Inertia"], rows)
+    return _table("Driven joints", ["Joint", "Kind", "Range", "Effort", "Speed"], rows)
 
 
-def _other_joints_table(setup: Setup) -> Table:
+def _inertia_table(setup: Setup) -> Table:
+    """The inertia that sizes gains, about that with all other joints free; and with them held."""
+    mass_matrix = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)
+    rows = [
+        ["governing, for gains", _values(setup.governing_inertia_kg_m2)],
+        ["M_ii, others held", _values(np.diagonal(mass_matrix))],
+    ]
+    return _table("Inertia, kg m² (kg where joints slide)", ["Value", "Per joint"], rows)
+
+
+def _other_joints_table(robot: RobotDescription) -> Table:
     """Joints that follow others or are held, and why."""
     rows = [
         [each.name, f"follows {each.leader}", f"× {each.multiplier:g} + {each.offset:g}"]
-        for each in setup.robot.followers
+        for each in robot.followers
     ]
-    rows += [[each.name, "held", each.reason] for each in setup.robot.held]
+    rows += [[each.name, "held", each.reason] for each in robot.held]
     return _table("Other joints", ["Joint", "State", "Detail"], rows)
+
+
+def _chains_table(chains: Sequence[Chain]) -> Table:
+    """Chains of a whole robot, of which one may be driven."""
+    rows = [
+        [each.tip, ", ".join(each.joints), f"{each.reach_m:.3g} m", f"{each.mass_kg:.3g} kg"]
+        for each in chains
+    ]
+    title = "Chains: --chain TIP drives one and holds the rest"
+    return _table(title, ["Tip", "Joints", "Reach", "Moved mass"], rows)
 
 
 def _gains_table(setup: Setup) -> Table:

@@ -6,18 +6,21 @@ import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import typer
-from rich.console import Console
 
 from bus_schema.messages.topics import Role
+from controller.laws.custom import custom_laws_left_out
 from deploy.cli.common import CommandGate, finish, say_oddities, watching
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
+from deploy.cli.watched import run_watched
 from deploy.reports.results import load_report
 from deploy.run.confirmation import check_confirmable, check_repeatable, simulated_otherwise
-from deploy.run.execute import InProcess, InProcesses, execute
+from deploy.run.console import Console
+from deploy.run.execute import InProcess, InProcesses, execute, recorded
 from deploy.run.network.links import check_awaiting, check_link, require_keys, with_free_endpoints
 from deploy.run.network.real_delay import (
     RealDelay,
@@ -25,12 +28,13 @@ from deploy.run.network.real_delay import (
     knowing_real_delay,
     real_delay,
 )
+from deploy.run.processes.child import RunOutcome
 from deploy.run.processes.program import require_program
 from deploy.run.processes.status import StatusMessage, StatusReporter
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder
 from deploy.run.simulate import require_simulable
-from deploy.run.stop_signals import on_stop
+from deploy.run.stop_signals import on_stop, stop_at_once
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.study.study import OF_BOUND
@@ -118,7 +122,28 @@ def _waiting_sentence(setup: Setup, delay: RealDelay | None) -> str:
 
 
 def run_in_virtual_time(options: SimulateOptions) -> None:
-    """Run a scenario in this process and in virtual time, and judge the run."""
+    """Run a scenario in virtual time, in a child process, and judge its recording in this one.
+
+    A custom law shares its process with nothing that judges it.
+    """
+    with custom_laws_left_out():
+        setup = load_setup(options.scenario, options.overrides or [])
+    gate = CommandGate(options, setup.scenario.name, OF_BOUND)
+    console, stop = Console(), threading.Event()
+    on_stop(stop.set)
+    left = run_watched(partial(_simulated, options, console, stop))
+    outcome = RunOutcome(left["failures"], interrupted=left["interrupted"] or stop.is_set())
+    with RunFolder(Path(left["folder"])).lock() as folder:
+        run, confirms = (
+            recorded(folder, outcome, setup),
+            options.confirm and not outcome.interrupted,
+        )
+        finish(console, folder, run, options, confirms=confirms, gate=gate)
+
+
+def _simulated(options: SimulateOptions, console: Console, stop: threading.Event) -> dict[str, Any]:
+    """Run and record; return the folder, what failed, and whether the user stopped it."""
+    stop_at_once()
     setup = load_setup(options.scenario, options.overrides or [])
     say_oddities(setup)
     if setup.scenario.link.security.enabled:
@@ -127,13 +152,12 @@ def run_in_virtual_time(options: SimulateOptions) -> None:
     require_simulable(setup)
     if options.confirm:
         check_confirmable(setup)
-    console, stop = Console(), threading.Event()
-    gate = CommandGate(options, setup.scenario.name, OF_BOUND)
-    with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
-        with _progress(console, setup) as progress:
-            watch = watching(progress, setup, setup.scenario.name, stop)
-            run = execute(setup, InProcess(watch, partial(on_stop, stop.set)), folder)
-        run.outcome.interrupted = stop.is_set()
-        finish(
-            console, folder, run, options, confirms=options.confirm and not stop.is_set(), gate=gate
-        )
+    failures = []
+    folder = RunFolder.begin(setup, options.out, overwrite=options.overwrite)
+    with folder, _progress(console, setup) as progress:
+        watch = watching(progress, setup, setup.scenario.name, stop)
+        try:
+            execute(setup, InProcess(watch, partial(on_stop, stop.set)), folder)
+        except OSError as error:
+            failures.append(f"{folder.log}: the recording is partial: {error.strerror}")
+    return {"folder": str(folder.path), "failures": failures, "interrupted": stop.is_set()}

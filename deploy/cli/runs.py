@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from bus_schema.foreign_text import say
 from deploy.reports.terminal import fitted, width_of
+from deploy.run.console import Console
 from deploy.run.new_folder import remove_results
 from deploy.run.run_index import INCOMPLETE, INTERRUPTED, IndexedResults, results_in, tag
 from deploy.scenario.scenario import SHIPPED
@@ -61,7 +62,7 @@ def tag_run(
     ] = None,
 ) -> None:
     """Tag a run, comparison or study. `prune` keeps tagged results."""
-    print(", ".join(tag(path, tags or [], remove or [])) or "no tags")
+    say(", ".join(tag(path, tags or [], remove or [])) or "no tags")
 
 
 @app.command("prune")

@@ -12,7 +12,7 @@ from bus_schema.arrays import Matrix
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from deploy.judge.recorded_ticks import KnownTicks, tick_numbers
+from deploy.judge.recorded_ticks import KnownTicks, known_ticks, tick_numbers
 from deploy.judge.run_data import RunData
 
 _COUNTED = ("ticks", "outside", "margin_min")
@@ -49,13 +49,30 @@ def judge_bounds(run: RunData) -> dict[str, Any]:
     }
 
 
+def may_have_moved(run: RunData, known: KnownTicks) -> bool:
+    """Whether a command was in force before the last tick, or may have been at a missing one."""
+    ages_ns = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"]
+    return bool((ages_ns[:-1] >= 0).any() or known.missing)
+
+
 def _margin(usage: Matrix) -> float | None:
     """The smallest margin; None where there is no tick, or an error that is not a number."""
     largest = float(usage.max()) if len(usage) else math.nan
     return 1.0 - largest if math.isfinite(largest) else None
 
 
-def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> list[str]:
+def all_damage(run: RunData, bounds: Mapping[str, Any] | None = None) -> list[str]:
+    """Return what is damaged in a recording, by its file and by the plant's own report.
+
+    Args:
+        run: the run.
+        bounds: result of `judge_bounds`, where it is known.
+    """
+    bounds = judge_bounds(run) if bounds is None else bounds
+    return [*run.damage, *_disagreement(run, bounds, known_ticks(run)), *_lacks_end(run)]
+
+
+def _disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> list[str]:
     """Report how the plant's own count differs from its recording, if no tick is missing.
 
     Args:
@@ -80,7 +97,7 @@ def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> 
     return [] if is_same else [f"it has {ours}, but the plant counted {theirs}"]
 
 
-def lacks_end(run: RunData) -> list[str]:
+def _lacks_end(run: RunData) -> list[str]:
     """Report that a recording shows a working plant, but not how it ended.
 
     The failure of a process already explains that.

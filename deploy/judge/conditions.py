@@ -71,7 +71,7 @@ def _physics_of(setups: Sequence[Setup]) -> str:
 
 def drives_of(setups: Sequence[Setup]) -> Conditions:
     """Return the sources of the motors' and friction's numbers, if scenarios name them."""
-    said = dict.fromkeys(setup.scenario.robot.drive_data for setup in setups)
+    said = dict.fromkeys(setup.drive_data for setup in setups)
     return {"drives": "; ".join(filter(None, said))} if any(said) else {}
 
 

@@ -10,6 +10,7 @@ from bus_schema.arrays import Vector, percentiles
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
+from deploy.judge.recorded_ticks import longest_run
 from deploy.judge.run_data import RunData, stamps_s
 
 
@@ -32,7 +33,8 @@ class Measured(NamedTuple):
         """Return what was measured in a line; None for an unknown order."""
         found = percentiles(self.delays_ms[~np.isnan(self.delays_ms)])
         span_s = float(np.ptp(self.sent_s))
-        return link_sentence(len(self.sent_s), span_s, self.lost, found, reordered)
+        longest = longest_run(np.isnan(self.delays_ms))
+        return link_sentence(len(self.sent_s), span_s, self.lost, longest, found, reordered)
 
 
 def measured_link(run: RunData) -> dict[str, Measured]:
@@ -71,26 +73,46 @@ def measured_link(run: RunData) -> dict[str, Measured]:
 
 
 def link_sentence(
-    messages: int, duration_s: float, lost: int, delays_ms: dict[str, Any], reordered: int | None
-) -> str:
+    messages: int, duration_s: float, lost: int, longest_loss: int | None,
+    delays_ms: dict[str, Any], reordered: int | None,
+) -> str:  # fmt: skip
     """Return what is known of a direction in a line: `link`, `trace import` and runs say the same.
 
     Args:
         messages: sent.
         duration_s: time in which they were sent.
         lost: of them.
+        longest_loss: most of them in a row; None for unknown.
         delays_ms: percentiles of the others' delays by name; None for unknown.
         reordered: messages that arrived behind a younger one; None for unknown.
     """
     low, high = share_interval(lost, messages)
+    in_a_row = f", up to {longest_loss} in a row" if longest_loss else ""
     values = ", ".join(
         f"{name.replace('_', '.')} {value:.3f}"
         for name, value in delays_ms.items() if value is not None
     )  # fmt: skip
     return (
         f"{messages:,} messages in {duration_s:.1f} s, lost {lost} ({100 * low:.2g} to"
-        f" {100 * high:.2g} %), delay in ms: {values}"
+        f" {100 * high:.2g} %){in_a_row}, delay in ms: {values}"
         + ("" if reordered is None else f", reordered {reordered}")
+    )
+
+
+def playout_sentence(playout: dict[str, Any]) -> str:
+    """Return what is known of a play-out in a line.
+
+    Args:
+        playout: section ``transport.playout`` of a summary.
+    """
+    acted, arrived = (
+        f"{number['p50']:.1f} (max {number['max']:.1f})"
+        for number in (playout["horizon_ms"], playout["arrival_ms"])
+    )
+    late, in_a_row = playout["late"], playout["late_in_a_row"]
+    return (
+        f"play-out: commands acted {acted} ms after their states and arrived after {arrived} ms,"
+        f" {late} late" + (f", up to {in_a_row} in a row" if late else "")
     )
 
 

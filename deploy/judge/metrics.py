@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,12 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from controller.manipulator_model import ManipulatorModel, spread_positions
-from deploy.judge.bounds import disagreement, judge_bounds, lacks_end, plant_count
+from deploy.judge.bounds import all_damage, judge_bounds, may_have_moved, plant_count
 from deploy.judge.chattering import chatter_shares
+from deploy.judge.growing import growths
 from deploy.judge.identified import identified
 from deploy.judge.link_delays import measured_link
+from deploy.judge.loss_reason import loss_reason
 from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.judge.stalls import longest_stall_ms
@@ -41,11 +44,12 @@ def summarise(run: RunData) -> dict[str, Any]:
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
     faults, bounds = run.faults(), judge_bounds(run)
+    lost = loss_reason(run)
     is_ended = bool(outcome.get("completed", False)) and known.ticks >= setup.ticks
-    damage = [*run.damage, *disagreement(run, bounds, known), *lacks_end(run)]
+    damage = all_damage(run, bounds)
     verdict = decide(
         faults,
-        is_judged=bounds["violation_fraction"] is not None,
+        is_judged=bounds["violation_fraction"] is not None and may_have_moved(run, known),
         was_outside=bool(bounds["violation_fraction"] or plant_count(run).get("outside")),
         is_known=run.complete and not damage and not known.missing,
         is_ended=is_ended,
@@ -57,11 +61,14 @@ def summarise(run: RunData) -> dict[str, Any]:
         "link": run.link,
         "duration_s": duration_s,
         "ticks": known.ticks,
-        "completed": is_ended and run.complete,
+        "completed": is_ended and run.complete and not damage,
         "faults": faults,
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
+        "seed_used": _is_seed_used(run),
         "bounds": bounds,
+        "loss": None if lost is None else lost._asdict(),
         "tracking": tracking,
+        "growing": [] if known.missing else _growing(run),
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
         "transport": _transport(run),
@@ -76,8 +83,18 @@ def summarise(run: RunData) -> dict[str, Any]:
         "recording": _recording(run, known, damage, tracking["settling_time_s"]),
         "commander": _commander(run),
         "digest": run.digest,
+        "motion": run.motion,
     }
     return with_verdict(summary, verdict)
+
+
+def _is_seed_used(run: RunData) -> bool | None:
+    """Whether plant or controller drew random numbers; None if that is not known."""
+    told = [
+        run.last_values(role, EventKind.ENDED).get("seed_used")
+        for role in (Role.PLANT, Role.CONTROLLER)
+    ]
+    return True if True in told else told[0] if run.clock != "realtime" else None
 
 
 def _tracking(run: RunData) -> dict[str, Any]:
@@ -90,6 +107,17 @@ def _tracking(run: RunData) -> dict[str, Any]:
         "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
         "settling_bound_s": settling_bound_s(run.setup),
     }
+
+
+def _growing(run: RunData) -> list[dict[str, Any]]:
+    """Return the joints whose error grows exponentially, with rate and frequency."""
+    positions = run.tables[topics.PLANT_TRUTH.name]["position"]
+    found = growths(run.true_errors_rad, positions, run.setup.scenario.rate_hz)
+    return [
+        {"joint": joint, **asdict(growth)}
+        for joint, growth in zip(run.setup.robot.joint_names, found, strict=True)
+        if growth is not None
+    ]
 
 
 def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[float | None]:
@@ -220,7 +248,7 @@ def _transport(run: RunData) -> dict[str, Any]:
     for name, measured in measured_link(run).items():
         channels[name].pop("curves", None)  # for the report alone
         channels[name]["measured_ms"] = percentiles(measured.delays_ms)
-    return channels | ({"can": counts["can"]} if "can" in counts else {})
+    return channels | {name: counts[name] for name in ("can", "playout") if name in counts}
 
 
 def _commander(run: RunData) -> dict[str, Any]:

@@ -20,8 +20,10 @@ _AMOUNT = TypeAdapter(Annotated[float, Field(strict=True, ge=0, lt=1e15, allow_i
 _MAYBE = TypeAdapter(
     Annotated[float, Field(strict=True, ge=0, lt=1e15, allow_inf_nan=False)] | None
 )
+_SLACK = TypeAdapter(Annotated[float, Field(strict=True, allow_inf_nan=False)] | None)
 _MARGIN = TypeAdapter(Annotated[float, Field(strict=True, le=1.0, allow_inf_nan=False)] | None)
 _TRUTH = TypeAdapter(Annotated[bool, Field(strict=True)])
+_MAYBE_TRUTH = TypeAdapter(Annotated[bool, Field(strict=True)] | None)
 _COUNTS = TypeAdapter(dict[str, Annotated[int, Field(strict=True, ge=0, lt=1 << 53)]])
 _TEXT = TypeAdapter(Annotated[str, Field(max_length=100)])
 _ANY = TypeAdapter(dict[str, Any])
@@ -38,15 +40,21 @@ _CHANNEL = {
     "loss_burst": {"mean": _MAYBE, "longest": _COUNT},
     "curves": {"did": _CURVES, "trace": _CURVES},
 }
+_PLAYOUT = {
+    **dict.fromkeys(("horizon_ms", "arrival_ms"), dict.fromkeys(PERCENTILES, _MAYBE)),
+    "least_slack_ms": _SLACK,
+    **dict.fromkeys(("late", "late_in_a_row"), _COUNT),
+}
 _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {
         "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
-        "limits": _COUNTS, "physics": _TEXT, "cycles": _COUNT,
+        "limits": _COUNTS, "physics": _TEXT, "cycles": _COUNT, "seed_used": _MAYBE_TRUTH,
         "kernel": _COUNT, "start_s": _AMOUNT, "newest_cycle_s": _AMOUNT,
         "bounds": {"ticks": _COUNT, "outside": _COUNT, "margin_min": _MARGIN},
     },
     EventKind.COUNTS: {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,
+        "playout": _PLAYOUT,
     },
 }  # fmt: skip
 """Expected contents of these events: a type, or a mapping of them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,12 +19,14 @@ from bus_schema.errors import InvalidMessageError
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
-from bus_schema.messages.types import stamps_ns
+from bus_schema.messages.types import stamp_of, stamps_ns
 from controller.reference import sample_positions
 from deploy.judge.command_rows import tabulate_by_tick
 from deploy.judge.reported_values import ReportedValues, reported_values
 from deploy.scenario.setup import Setup
 
+FORGED_STATE = "forged_state"
+"""Key in `RunData.rejected`: commands of our own controller that answer no state of the plant."""
 FOREIGN = "a foreign controller"
 """Shown instead of the law for an unknown controller."""
 
@@ -89,6 +92,13 @@ class RunData:
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
         return np.asarray(truth["position"] - wanted)
 
+    @property
+    def motion(self) -> str:
+        """SHA-256 over true positions, velocities and torques: equal for equal motions."""
+        truth = self.tables[topics.PLANT_TRUTH.name]
+        parts = (truth[name].tobytes() for name in ("position", "velocity", "torque"))
+        return hashlib.sha256(b"".join(parts)).hexdigest()
+
     @cached_property
     def _reported(self) -> tuple[ReportedValues, list[str]]:
         return reported_values(self.events)
@@ -149,16 +159,22 @@ def build_run_data(
         link: likewise.
         of_recording: its other fields about the recording: ``lost``, ``complete`` and so on.
     """
-    names = setup.robot.joint_names
     states, commands = (
         payloads.get(topic.name, ()) for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS)
     )
-    layouts = {
-        topic.name: topics.layout(topic, names, has_targets=setup.drive.is_active)
-        for topic in topics.TOPICS
-        if topic is not topics.RUN_EVENTS
-    }
+    layouts = setup.layouts()
     tables = {name: each.tabulate(payloads.get(name, ())) for name, each in layouts.items()}
+    truth = tables[topics.PLANT_TRUTH.name]
+    tables[topics.PLANT_TRUTH.name], repeated = _in_order(truth)
+    damage = [*of_recording.pop("damage", ())]
+    if repeated:
+        said = f"{repeated} of {len(truth)} messages of the true motion repeat a time or go back"
+        damage.append(said)
+    events = [*_events(payloads.get(topics.RUN_EVENTS.name, ()))]
+    has_all_states = not (of_recording.get("lost") or {}).get(topics.JOINT_STATES.name)
+    if link == "zenoh" and has_all_states and (forged := _forged_states(payloads, events)):
+        of_recording["rejected"] = {**of_recording.get("rejected", {}), FORGED_STATE: forged}
+        damage.append(f"another sender sent states to the controller ({FORGED_STATE}: {forged})")
     if setup.answer_every > 1:
         name, truth = topics.JOINT_COMMANDS.name, tables[topics.PLANT_TRUTH.name]
         end_ns = int(stamps_ns(truth)[-1]) if len(truth) else -1
@@ -168,13 +184,35 @@ def build_run_data(
         clock=clock,
         link=link,
         tables=tables,
-        events=sorted(
-            _events(payloads.get(topics.RUN_EVENTS.name, ())), key=lambda event: event.stamp_ns
-        ),
+        events=sorted(events, key=lambda event: event.stamp_ns),
         digest=digest(states, commands),
         messages=sum(len(messages) for messages in payloads.values()),
+        damage=damage,
         **of_recording,
     )
+
+
+def _forged_states(payloads: Mapping[str, Sequence[bytes]], events: Sequence[RunEvent]) -> int:
+    """Count commands of our own controller that answer no recorded state, or one again.
+
+    It answers each state that it receives once, under the state's stamp. Controllers of others,
+    which send no control status, may stamp as they like, and two may answer the same state.
+    """
+    commanders = sum(event.kind == EventKind.COMMANDER for event in events)
+    if commanders != 1 or not payloads.get(topics.CONTROL_STATUS.name):
+        return 0
+    states = Counter(map(stamp_of, payloads.get(topics.JOINT_STATES.name, ())))
+    commands = Counter(map(stamp_of, payloads.get(topics.JOINT_COMMANDS.name, ())))
+    del commands[None]  # of those that are malformed
+    return (commands - states).total()
+
+
+def _in_order(table: Table) -> tuple[Table, int]:
+    """Return a topic's messages by rising stamp, one of each, and how many were out of order."""
+    steps = np.diff(stamps_ns(table))
+    if (steps > 0).all():  # in all but a damaged recording
+        return table, 0
+    return table[np.unique(stamps_ns(table), return_index=True)[1]], int((steps <= 0).sum())
 
 
 def _events(payloads: Sequence[bytes]) -> Iterator[RunEvent]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
+from bus_schema.user_files import open_parquet
 from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -22,11 +23,16 @@ _COLUMNS = {
     "duration_s": "double",
     "ticks": "int64",
     "completed": "bool",
+    "ended_early_s": "double",
     "error": "string",
     "verdict": "string",
+    "seed_used": "bool",
+    "growing": "bool",
     "bounds_kept": "bool",
     "violation_fraction": "double",
     "first_violation_s": "double",
+    "loss_reason": "string",
+    "loss_joint": "string",
     "margin_min": "double",
     "joint_names": "list<string>",
     "rms_rad": "list<double>",
@@ -46,9 +52,19 @@ _COLUMNS = {
         for name, kind in {**_COUNTS, **_DELAYS}.items()
     },
     "digest": "string",
+    "motion": "string",
 }
 """Names and types, units as in ``summary.json``; lists have one entry for each joint."""
 
+_OF_ANY_PART = {
+    *("scenario", "law", "seed", "duration_s", "ticks", "completed", "ended_early_s", "error"),
+    *("verdict", "seed_used", "bounds_kept", "first_violation_s", "loss_reason", "loss_joint"),
+    *("joint_names", "settling_bound_s", "digest"),
+}
+"""Columns that a run has that ended at its loss; the others are for whole runs."""
+
+PROVENANCE = "provenance"
+"""Column that says what made a row, see `deploy.study.provenance`."""
 Row = dict[str, Any]
 _DIGEST = b"funnel_hil.sha256"
 """In the schema's metadata: checksum of names, rows and conditions."""
@@ -65,7 +81,12 @@ def row(summary: dict[str, Any], seed: int) -> Row:
     for section in ("bounds", "tracking", "torque", "timing"):
         values |= summary[section]
     error = "; ".join(summary["faults"]) or None
-    values |= summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
+    # which older versions lack, and runs that a study has not ended
+    values |= {"motion": None, "seed_used": None, "ended_early_s": None} | summary
+    values |= {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
+    loss = summary.get("loss") or {}
+    values |= {"loss_reason": loss.get("reason"), "loss_joint": loss.get("joint")}
+    values["growing"] = bool(summary.get("growing"))
     for direction in _DIRECTIONS:
         channel = summary["transport"][direction]
         delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
@@ -77,14 +98,35 @@ def row(summary: dict[str, Any], seed: int) -> Row:
     return {name: values[name] for name in _COLUMNS}
 
 
+def early_row(row: Row) -> Row:
+    """Return the row of a run that ended soon after its loss, without what only whole runs have."""
+    found = {name: value for name, value in row.items() if name in _OF_ANY_PART}
+    return {**dict.fromkeys(row), **found, "ended_early_s": row["duration_s"]}
+
+
+def is_whole(row: Row) -> bool:
+    """Whether a run was not ended at its loss."""
+    return row.get("ended_early_s") is None
+
+
 def held(row: Row) -> bool:
     """Whether a run kept its bounds."""
     return bool(row["verdict"] == Verdict.KEPT)
 
 
+def tolerated(row: Row) -> bool:
+    """Whether a run kept its bounds, and no error grew in it as in an unstable loop."""
+    return held(row) and not row.get("growing")
+
+
 def left_nothing(row: Row) -> bool:
     """Whether a run left nothing to judge: it shows nothing about its law."""
-    return row["error"] is not None and row["violation_fraction"] is None
+    return row["error"] is not None and row["violation_fraction"] is None and is_whole(row)
+
+
+def uses_seed(row: Row) -> bool:
+    """Whether another seed may change a run; also where that is not known."""
+    return row.get("seed_used") is not False
 
 
 def failed_row(seed: int, error: str) -> Row:
@@ -114,7 +156,7 @@ def write_rows(
         item = kind.removeprefix("list<").removesuffix(">")
         return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
 
-    columns = {**(more_columns or {}), **_COLUMNS}
+    columns = {**(more_columns or {}), **_COLUMNS, PROVENANCE: "string"}
     schema = pa.schema(
         [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
     )
@@ -133,10 +175,8 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         ScenarioError: it is damaged, or of an older version.
     """
-    from pyarrow import parquet
-
     try:
-        table = parquet.read_table(path, page_checksum_verification=True)
+        table = open_parquet(path, page_checksum_verification=True).read()
         table.validate(full=True)
         digest = (table.schema.metadata or {}).get(_DIGEST)
         rows: list[Row] = table.to_pylist()

@@ -13,7 +13,8 @@ class Verdict(StrEnum):
     KEPT: every tick is known, none was outside, and the run ended without a fault. LOST: the error
     was outside its bounds at a tick. UNKNOWN: ticks are missing, or the recording is damaged or
     unfinished. FAULTED: something failed, inside the bounds or not. INTERRUPTED: the run was
-    stopped before its end, inside its bounds until then. NOTHING: no tick was judged.
+    stopped before its end, inside its bounds until then. NOTHING: no tick was judged, or no command
+    ever acted on the arm.
     """
 
     KEPT = "kept"
@@ -36,7 +37,7 @@ def decide(
 
     Args:
         faults: what failed.
-        is_judged: a tick was judged.
+        is_judged: a tick was judged, and a command acted.
         was_outside: the error was outside its bounds at a known tick.
         is_known: every tick is known, from an undamaged and finished recording.
         is_ended: the run reached its planned end.
@@ -54,7 +55,8 @@ def decide(
 
 def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
     """Return the summary with a verdict, and with its consequences."""
-    ended = verdict not in (Verdict.FAULTED, Verdict.INTERRUPTED, Verdict.NOTHING)
+    is_judged = summary["bounds"].get("violation_fraction") is not None
+    ended = is_judged and verdict not in (Verdict.FAULTED, Verdict.INTERRUPTED)
     bounds = {**summary["bounds"], "kept": verdict is Verdict.KEPT}
     completed = bool(summary["completed"] and ended)
     return {**summary, "verdict": verdict.value, "completed": completed, "bounds": bounds}

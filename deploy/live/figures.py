@@ -68,7 +68,7 @@ def _ages(setup: Setup) -> go.Figure:
 
 def _deadline_ms(setup: Setup) -> float:
     """Return the largest allowed age of the state that the command in force answers."""
-    link, seed = setup.scenario.link, setup.scenario.seed
+    link, seed = setup.link, setup.scenario.seed
     mean_ns = open_uplink(link, seed).mean_delay_ns + open_downlink(link, seed).mean_delay_ns
     return 1e-6 * link.deadline_ns(
         setup.answer_every * setup.grid.period_ns, max(mean_ns, link.playout_ns)

@@ -39,12 +39,7 @@ class RunState:
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        names, has_targets = setup.robot.joint_names, setup.drive.is_active
-        self._layouts = {
-            topic.name: topics.layout(topic, names, has_targets=has_targets)
-            for topic in topics.TOPICS
-            if topic is not topics.RUN_EVENTS
-        }
+        self._layouts = setup.layouts()
         self._model = ManipulatorModel(setup.robot)
         self._newest: dict[str, Record] = {}
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)

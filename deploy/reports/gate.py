@@ -7,12 +7,14 @@ history over commits.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import re
 import subprocess
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,42 +22,14 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from bus_schema.configuration import shown
+from bus_schema.foreign_text import markdown_cell, printable
 from bus_schema.recording.atomic_files import write_whole
-from deploy.judge.verdict import Verdict
-from deploy.reports.study_texts import case_name
-from deploy.run.run_folder import read_json
+from bus_schema.user_files import read_text
+from deploy.reports.gate_numbers import Finite, Gauged, read_baseline
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import OF_BOUND, shown_value
 
 _ENTRIES = "history.jsonl"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
-
-
-@dataclass(frozen=True)
-class Gauged:
-    """One number of a result.
-
-    Attributes:
-        name: of what it is the number: an arm, a law, a point of a sweep.
-        value: None if even the easiest case was lost.
-        unit: of the value; empty if it has none.
-        sign: 1 if larger values are better, -1 if smaller ones are.
-    """
-
-    name: str
-    value: float | None
-    unit: str
-    sign: int = 1
-
-    @property
-    def text(self) -> str:
-        if self.value is None:
-            return "none"
-        return f"{self.value:.4g} {self.unit}".rstrip()
-
-    def is_below(self, limit: float) -> bool:
-        """Whether it does not reach a limit."""
-        return self.value is None or self.sign * (self.value - limit) < 0
 
 
 @dataclass(frozen=True)
@@ -64,7 +38,7 @@ class Entry:
 
     commit: str
     time: str
-    values: dict[str, float | None]
+    values: dict[str, Finite | None]
 
 
 _ENTRY = TypeAdapter(Entry)
@@ -79,12 +53,19 @@ class Gate:
         baseline: numbers of an earlier result, by name.
         tolerance: by how much a number may be worse than the earlier one.
         unit: of `at_least` and `tolerance` as given; empty if none was given.
+        compared_as: what the earlier result is compared as; empty without one.
     """
 
     at_least: float | None = None
     baseline: Mapping[str, Gauged] = field(default_factory=dict)
     tolerance: float = 0.0
     unit: str = ""
+    compared_as: str = ""
+
+    @property
+    def is_given(self) -> bool:
+        """Whether it can fail."""
+        return self.at_least is not None or bool(self.baseline)
 
     def failures(self, found: Sequence[Gauged]) -> dict[str, str]:
         """A sentence for each number that fell too low, by its name."""
@@ -94,7 +75,9 @@ class Gate:
         return {name: said for name, said in sentences.items() if said} | missing
 
     def _failure(self, found: Gauged) -> str:
-        """Why a number fell too low; empty if it did not."""
+        """Why a number fell too low, or was not tested; empty if neither."""
+        if found.doubt and self.is_given:
+            return f"{found.name}: {found.text}, not tested: {found.doubt}"
         if self.at_least is not None and found.is_below(self.at_least):
             word = "at least" if found.sign > 0 else "at most"
             limit = f"{self.at_least:g} {found.unit}".rstrip()
@@ -126,22 +109,19 @@ def build_gate(at_least: str | None, baseline: Path | None, tolerance: str | Non
         raise ScenarioError(f"--tolerance {tolerance}: must have the unit of --at-least, {unit}")
     if allowed is not None and not allowed >= 0.0:
         raise ScenarioError(f"--tolerance {tolerance}: must be 0 or more")
-    found = []
-    if baseline is not None:
-        found = gauged(read_json(baseline / "summary.json" if baseline.is_dir() else baseline))
-    if baseline is not None and not found:
-        raise ScenarioError(
-            f"--baseline {baseline}: must be summary.json of a run or study, or its folder"
-        )
-    return Gate(limit, {each.name: each for each in found}, allowed or 0.0, unit or other)
+    kind, found = ("", []) if baseline is None else read_baseline(baseline)
+    named = {each.name: each for each in found}
+    return Gate(limit, named, allowed or 0.0, unit or other, kind)
 
 
-def require_unit(gate: Gate, unit: str) -> None:
-    """Check that a gate's numbers are in the unit of a result.
+def require_fit(gate: Gate, unit: str, kind: str) -> None:
+    """Check that a gate's numbers are of the unit and kind of a result.
 
     Raises:
         ScenarioError: they, or those of the baseline, are not.
     """
+    if gate.compared_as not in ("", kind):
+        raise ScenarioError(f"--baseline: is a result of {gate.compared_as}: must be of {kind}")
     if gate.unit and gate.unit != unit.partition(" ")[0]:
         raise ScenarioError(
             f"--at-least or --tolerance: unit {shown(gate.unit)}: must be"
@@ -156,35 +136,6 @@ def require_unit(gate: Gate, unit: str) -> None:
             )
 
 
-def gauged(summary: Mapping[str, Any]) -> list[Gauged]:
-    """The numbers of a ``summary.json`` that a gate looks at."""
-    kind = summary.get("kind", "run")
-    if kind in ("margin", "robustness"):
-        key = "margin" if kind == "margin" else "kept_up_to"
-        return [
-            Gauged(f"{case['arm']}, {case_name(case)}", case[key], summary["unit"] or "",
-                   1 if case.get("growth", 1) > 0 else -1)
-            for case in summary["cases"]
-        ]  # fmt: skip
-    if kind == "sweep":
-        return [_point(summary, point) for point in summary["points"]]
-    runs = summary["laws"].values() if kind == "comparison" else [summary]
-    return [_run(run) for run in runs if "law" in run]
-
-
-def _point(summary: Mapping[str, Any], point: Mapping[str, Any]) -> Gauged:
-    values = zip(summary["axes"], point["values"], strict=True)
-    name = ", ".join(f"{', '.join(axis['keys'])} = {shown_value(value)}" for axis, value in values)
-    is_kept, smallest = point["runs_kept"] == point["runs"], point["margin_min"]["lowest"]
-    return Gauged(name, 100.0 * smallest if is_kept else None, OF_BOUND)
-
-
-def _run(summary: Mapping[str, Any]) -> Gauged:
-    name = f"{summary['scenario']}, {summary['law']}"
-    is_kept = summary["verdict"] == Verdict.KEPT
-    return Gauged(name, 100.0 * summary["bounds"]["margin_min"] if is_kept else None, OF_BOUND)
-
-
 def _size(option: str, text: str | None) -> tuple[float | None, str]:
     """A number and its unit from ``20ms``."""
     if text is None:
@@ -195,8 +146,10 @@ def _size(option: str, text: str | None) -> tuple[float | None, str]:
     return float(found[1]), found[2]
 
 
-def write_junit(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
-    """Write a test case for each number, as CI services read it."""
+def write_junit(
+    file: Path, found: Sequence[Gauged], failures: Mapping[str, str], note: str = ""
+) -> None:
+    """Write a test case for each number, as CI services read it, and a note about all."""
     suite = ET.Element(
         "testsuite", name="funnel-hil", tests=str(len({*failures, *(each.name for each in found)})),
         failures=str(len(failures)),
@@ -206,15 +159,18 @@ def write_junit(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]
         if name in failures:
             ET.SubElement(case, "failure", message=failures[name])
         ET.SubElement(case, "system-out").text = text
-    write_whole(file, ET.tostring(suite, encoding="unicode", xml_declaration=True))
+    if note:
+        ET.SubElement(suite, "system-out").text = note
+    text = ET.tostring(suite, encoding="unicode", xml_declaration=True)
+    write_whole(file, printable(text))
 
 
 def write_markdown(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
     """Write a table of the numbers."""
     lines = ["| | found | |", "|---|---|---|"]
     for name, text in _texts(found, failures).items():
-        result = failures[name].partition(": ")[2] if name in failures else "ok"
-        lines.append(f"| {name} | {text} | {result} |")
+        result = failures[name].removeprefix(f"{name}: ") if name in failures else "ok"
+        lines.append(f"| {markdown_cell(name)} | {text} | {markdown_cell(result)} |")
     write_whole(file, "\n".join([*lines, ""]))
 
 
@@ -226,10 +182,16 @@ def read_history(folder: Path) -> list[Entry]:
     """Return earlier results, the oldest first.
 
     Raises:
-        ScenarioError: a line of ``history.jsonl`` is not one of ours.
+        ScenarioError: there is no folder of this name, but a file; or a line of ``history.jsonl``
+            is not one of ours.
     """
+    if folder.exists() and not folder.is_dir():
+        raise ScenarioError(f"--history {folder}: must be a folder")
     file, entries = folder / _ENTRIES, []
-    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    try:
+        lines = read_text(file).splitlines() if file.exists() else []
+    except OSError as error:
+        raise ScenarioError(f"{file}: {error.strerror or error}") from error
     for number, line in enumerate(lines, 1):
         try:
             entries.append(_ENTRY.validate_json(line))
@@ -240,12 +202,25 @@ def read_history(folder: Path) -> list[Entry]:
     return entries
 
 
+@contextlib.contextmanager
+def locked_history(folder: Path) -> Iterator[list[Entry]]:
+    """Return earlier results, and make other commands wait while the context lasts.
+
+    Raises:
+        ScenarioError: as for `read_history`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "history.lock").open("a") as lock:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield read_history(folder)
+
+
 def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) -> None:
     """Write all entries, and the page that draws them."""
     from deploy.reports.page import Fact, Page, Panel, write_page  # heavy
     from deploy.reports.verdict import ReportHead
 
-    folder.mkdir(parents=True, exist_ok=True)
     lines = (f"{_ENTRY.dump_json(entry).decode()}\n" for entry in entries)
     write_whole(folder / _ENTRIES, "".join(lines))
     said = f"The last is of {entries[-1].commit}."

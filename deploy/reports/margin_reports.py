@@ -62,7 +62,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     best, *others = texts.sentences(summary)
     explained = (
         f"At this {summary['title']}, and at all smaller ones that were tried, at least {share} of"
-        " the plants kept their bounds. The interval is Wilson's."
+        " the plants kept their bounds."
     )
     return Page(
         f"margins of {summary['quantity']} over uncertain plants",
@@ -77,7 +77,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
         panels=[
             *(_curves_panel(
                 summary, arm, own, "kept", study_figures.PLANTS_KEPT,
-                "Shares of all plants, with Wilson's 95 % intervals as shades. Click on a point"
+                "Shares of the tried plants, with 95 % intervals as shades. Click on a point"
                 " for the command that repeats its worst plant.",
                 f"Plants of {arm} that kept their bounds")
               for arm, own in _cases_by_arm(summary).items()),
@@ -105,13 +105,14 @@ def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Pan
             is_clickable=True,
         ),
         _curves_panel(
-            summary, arm, cases, "outside", study_figures.TICKS_OUTSIDE,
-            "A law loses its bounds where its line leaves zero. Lines are means of all starts"
-            " and seeds; shades reach from the best run to the worst.",
+            summary, arm, cases, "outside", study_figures.RUNS_LOST,
+            "A law loses its bounds where its line leaves zero. Shares of the runs that were"
+            " made: the first loss may decide a value.",
         ),
         _curves_panel(
             summary, arm, cases, "rms", study_figures.WORST_RMS,
-            "Error on a logarithmic scale, with the same shades.",
+            "Error on a logarithmic scale, where no run ended at its loss. Lines are means of all"
+            " starts and seeds; shades reach from the best run to the worst.",
         ),
     ]  # fmt: skip
 

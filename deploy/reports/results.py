@@ -98,6 +98,7 @@ def write_study_results(study: StudyOfRuns, folder: StudyFolder) -> dict[str, An
 def judge_rows(study: StudyOfRuns, folder: StudyFolder) -> dict[str, Any]:
     """What the rows of a study say, once its table is written."""
     summary = study.summary(folder.rows)
+    study.keep_files(summary, folder.path)
     summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
     folder.write(summary["conditions"], completed=summary["completed"])
     return summary

@@ -97,6 +97,17 @@ def health_table(summary: dict[str, Any]) -> Table:
     return Table("Health", [Column("Run", is_text=True), Column("")], rows)
 
 
+_PLAYOUT = {
+    "arrival_ms.p50": "Arrival after the state, p50 (ms)",
+    "arrival_ms.max": "Arrival after the state, max (ms)",
+    "horizon_ms.p50": "Play-out, p50 (ms)",
+    "horizon_ms.max": "Play-out, max (ms)",
+    "least_slack_ms": "Smallest slack (ms)",
+    "late": "Later than the play-out",
+    "late_in_a_row": "Later, in a row, maximum",
+}
+
+
 def transport_table(summary: dict[str, Any]) -> Table:
     """What became of the messages, a column per direction."""
     channels = [summary["transport"][name] for name in ("uplink", "downlink")]
@@ -109,6 +120,8 @@ def transport_table(summary: dict[str, Any]) -> Table:
         rows.append([f"Rejected: {reason.replace('_', ' ')}", *counts])
     if not any(channel["rejected"] for channel in channels):
         rows.append(["Rejected", *(0 if channel["sent"] else None for channel in channels)])
+    playout = summary["transport"].get("playout") or {}
+    rows += [[title, None, _value(playout, key)] for key, title in _PLAYOUT.items() if playout]
     columns = (Column("Messages", is_text=True), Column("Uplink (states)"))
     note = _REJECTED if any(channel["rejected"] for channel in channels) else ""
     return Table("Transport", [*columns, Column("Downlink (commands)")], rows, note)

@@ -51,7 +51,7 @@ def margin_table(summary: Summary) -> Table:
     def at(case: Summary, key: str, quantity: str, factor: float) -> Value:
         """A mean at the margin or at the first failure."""
         probe = texts.probe_at(case, case[key])
-        return scaled(probe[quantity]["mean"], factor) if probe else None
+        return scaled(probe[quantity]["mean"], factor) if probe and quantity in probe else None
 
     def on(physics: str) -> TableColumn:
         return Column(f"On {physics}", summary["unit"]), lambda case: case["margin_on"].get(physics)
@@ -60,16 +60,29 @@ def margin_table(summary: Summary) -> Table:
         value = case["first_failure"]
         return None if value is None else texts.value_text(value, summary)
 
+    every_pattern: TableColumn = (
+        Column("Every pattern", brief="Every\npattern"),
+        lambda case: texts.pattern_text(case, summary),
+    )
+    ticks_outside: TableColumn = (
+        Column("Ticks outside at first failure", "%", "Outside\nthere"),
+        lambda case: at(case, "first_failure", "violation_fraction", 100.0),
+    )
+    first_outside: TableColumn = (  # of runs that end there
+        Column("First tick outside at first failure", "s", "Lost\nafter"),
+        lambda case: at(case, "first_failure", "first_violation_s", 1.0),
+    )
     elsewhere = dict.fromkeys(on for case in summary["cases"] for on in case.get("margin_on", ()))
     return table_of(
         _margin_title(summary),
         [
             *_case_columns(summary),
             (Column("Margin", brief="Held"), lambda case: texts.margin_text(case, summary)),
+            *([every_pattern] if any(map(every_pattern[1], summary["cases"])) else []),
             *map(on, elsewhere),
             (Column("First failure", brief="First\nfailure"), failure),
-            (Column("Ticks outside at first failure", "%", "Outside\nthere"),
-             lambda case: at(case, "first_failure", "violation_fraction", 100.0)),
+            ticks_outside if any(map(ticks_outside[1], summary["cases"])) else first_outside,
+            (Column("Lost by", brief="Lost\nby", is_text=True), texts.loss_text),
             (Column("RMS error of the worst joint at the margin", "mrad", None),
              lambda case: at(case, "margin", "worst_rms_rad", 1e3)),
             (Column("Held again at", brief=None),
@@ -80,8 +93,39 @@ def margin_table(summary: Summary) -> Table:
         f" the {texts.furthest(summary)} value up to which all tested values held. Held-arm"
         " ceiling: until the first command acts the brakes hold the arm, and from the worst"
         " start its error leaves the funnel after this time; no law can start under a longer"
-        " delay.",
+        " delay. Every pattern: the margin for delays that vary; guaranteed by the play-out, or"
+        " where so many patterns were tried, the largest value at which all of them held.",
     )  # fmt: skip
+
+
+def disturbance_tables(summary: Summary) -> list[Table]:
+    """Up to where cases hold with messages lost, late or overtaken: one table, or none."""
+
+    def value(key: str, missing: str) -> Callable[[Summary], Value]:
+        return lambda row: missing if row[key] is None else texts.value_text(row[key], summary)
+
+    rows = [
+        {"case": case, **found}
+        for case in summary["cases"]
+        for found in case.get("disturbances") or ()
+    ]
+    table = table_of(
+        f"{summary['name']} · {summary['title']} at which the bounds are kept with messages late,"
+        " lost or overtaken",
+        [
+            (Column("Case", is_text=True), lambda row: texts.case_title(row["case"])),
+            (Column("Every pattern, in order, none lost", brief="Every\npattern"),
+             lambda row: texts.pattern_text(row["case"], summary)),
+            (Column("Disturbance", is_text=True), lambda row: row["disturbance"]),
+            (Column("Bridge", is_text=True), lambda row: "with" if row["bridge"] else "without"),
+            (Column("Kept up to", brief="Kept\nup to"), value("held_up_to", "none")),
+            (Column("Lost at", brief="Lost\nat"), value("lost_at", ABSENT)),
+        ],
+        rows,
+        "Tried at the margin, its half and its quarter; other losses of this size may be worse."
+        " Both directions are disturbed, losses and late messages every 0.2 s in each.",
+    )  # fmt: skip
+    return [table] if rows else []
 
 
 def point_table(summary: Summary) -> Table:
@@ -123,10 +167,11 @@ def point_table(summary: Summary) -> Table:
 def margins_by_law(summary: Summary) -> Table:
     """Margins for documents: a row per law, a column per arm and setting; and the ceilings."""
     columns = {(case["arm"], texts.setting_text(case)): case for case in summary["cases"]}
-    margins = {
-        (case["law"], case["arm"], texts.setting_text(case)): texts.margin_text(case, summary)
-        for case in summary["cases"]
-    }
+    margins = {}
+    for case in summary["cases"]:
+        pattern, margin = texts.pattern_text(case, summary), texts.margin_text(case, summary)
+        said = margin if pattern is None else f"{margin}; every pattern: {pattern}"
+        margins[case["law"], case["arm"], texts.setting_text(case)] = said
     headings = [f"{arm}, {setting}" if setting else arm for arm, setting in columns]
     laws = dict.fromkeys(case["law"] for case in summary["cases"])
     rows = [[f"`{law}`", *(margins[law, *column] for column in columns)] for law in laws]
@@ -160,9 +205,10 @@ def robustness_table(summary: Summary) -> Table:
             *(kept_at(place, value) for place, value in enumerate(summary["values"])),
         ],
         summary["cases"],
-        f"Plants 1 to {plants} of plant_seed {summary['plant_seed']}, the same in every cell. A"
-        " plant counts if it keeps its bounds with every seed. The held-arm ceiling is the"
-        " smallest one of all plants: no law can start that plant with a longer delay.",
+        f"Plants 1 to {plants} of plant_seed {summary['plant_seed']} in this order: all of them,"
+        " or as many as decide. A plant counts if it keeps its bounds with every seed. The held-arm"
+        " ceiling is the smallest one of all plants: no law can start that plant with a longer"
+        " delay.",
     )  # fmt: skip
 
 
@@ -174,13 +220,13 @@ def interval_table(summary: Summary) -> Table:
             (Column("Case", is_text=True), lambda at: texts.case_title(at["case"])),
             (Column(summary["title"], summary["unit"]), lambda at: at["value"]),
             (Column("Kept"), texts.share_text),
-            (Column("Wilson's 95 % interval"), texts.interval_text),
+            (Column("95 % interval"), texts.interval_text),
             (Column("Cannot start: above their held-arm ceiling"),
              lambda at: float(at["beyond_held_arm_ceiling"])),
         ],
         [{**value, "case": case} for case in summary["cases"] for value in case["values"]],
         "The interval is for the share of all plants that could be drawn, of which these are a"
-        " sample.",
+        " sample: Wilson's, or where a sequential test ended with them, its exact one.",
     )  # fmt: skip
 
 
@@ -220,7 +266,7 @@ def result_tables(summary: Summary) -> list[Table]:
     if summary["kind"] == "sweep":
         return [point_table(summary)]
     if summary["kind"] == "margin":
-        return [margin_table(summary)]
+        return [margin_table(summary), *disturbance_tables(summary)]
     return [robustness_table(summary), interval_table(summary), losses_table(summary)]
 
 

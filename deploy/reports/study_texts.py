@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
@@ -53,10 +54,11 @@ def value_title(summary: Summary) -> str:
 
 
 def interval_text(share: Summary) -> str:
-    """Wilson's interval of a share in per cent."""
-    if share["wilson_95"] is None:
+    """The 95 % interval of a share in per cent: Wilson's, or that of a sequential test."""
+    interval = share.get("interval_95", share["wilson_95"])
+    if interval is None:
         return ABSENT
-    low, high = (100 * end for end in share["wilson_95"])
+    low, high = (100 * end for end in interval)
     return f"{low:.0f}–{high:.0f} %"
 
 
@@ -82,6 +84,49 @@ def margin_text(case: Summary, summary: Summary) -> str:
     return f"{margin_figure(case)} {summary['unit'] if has_unit else ''}".rstrip()
 
 
+def pattern_text(case: Summary, summary: Summary) -> str | None:
+    """Up to where every pattern of delays holds: guaranteed, or with the number that was tried."""
+    if case.get("guaranteed") is not None:
+        return value_text(case["guaranteed"], summary)
+    if (worst := case.get("worst_pattern")) is None:
+        return None
+    return f"{value_text(worst['margin'], summary)}, {case['patterns']['tried']} tried"
+
+
+def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
+    """What is known of a case under delays that vary, and the command that shows the worst."""
+    if case.get("guaranteed"):
+        return (
+            f"{case_title(case)}: holds for every delay up to"
+            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost;"
+            f" the motion is the same to the bit in {case['patterns']['tried']} patterns."
+        )
+    if (worst := case.get("worst_pattern")) is None:
+        return None
+    name = ", ".join(f"{key} {value}" for key, value in worst["pattern"].items())
+    return (
+        f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst"
+        f" ({name}) at {value_text(worst['value'], summary)}:"
+        f" {worst.get('trace_command') or worst['command']}"
+    )
+
+
+def _remedy_sentence(case: Summary, summary: Summary) -> str | None:
+    """What helps a case at its first failure, with the command that shows the best of it."""
+    if (helps := case.get("what_helps")) is None:
+        return None
+    where, best = f"{case_title(case)}, {value_text(helps['value'], summary)}", helps["best"]
+    if best is None:
+        return f"{where}: nothing helps of {_listed([each['change'] for each in helps['tried']])}."
+    tried = [
+        f"{each['change']} ({100.0 * each['margin_min']:.0f} % of the bound left)"
+        if each["held"]
+        else f"not {each['change']}"
+        for each in helps["tried"]
+    ]
+    return f"{where}: what helps: {_listed(tried)}. The best, {best['change']}: {best['command']}"
+
+
 def probe_at(case: Summary, value: float | None) -> Summary | None:
     """What became of a value that was tried."""
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
@@ -90,9 +135,39 @@ def probe_at(case: Summary, value: float | None) -> Summary | None:
 def sentences(summary: Summary) -> list[str]:
     """The results of a study of margins in words, the best first; none for a sweep."""
     if summary["kind"] == "margin":
-        return [*_headlines(summary), *_held_again(summary)]
+        patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
+        found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
+        helps = filter(None, (_remedy_sentence(case, summary) for case in summary["cases"]))
+        return [*found, *_theory(summary), *helps, *_saved(summary)]
     cases = sorted(summary.get("cases", ()), key=lambda case: case["kept_up_to"] or -1.0)
-    return [_kept_sentence(case, summary) for case in reversed(cases)]
+    kept = [_kept_sentence(case, summary) for case in reversed(cases)]
+    tests = map(_test, filter(None, [summary.get("test")]))
+    return [*kept, *tests, *_saved(summary), *_doubts(summary)]
+
+
+_NOT_WORTH_A_WORD = 0.995
+
+
+def _saved(summary: Summary) -> list[str]:
+    """How many runs, and how much simulated time, were enough; nothing if that was all."""
+    saved = summary.get("saved")
+    if not saved or saved["simulated_s"] >= _NOT_WORTH_A_WORD * saved["planned_s"]:
+        return []
+    share = 100 * saved["simulated_s"] / saved["planned_s"]
+    return [
+        f"{summary['runs']} of {saved['runs_planned']} planned runs were needed, and"
+        f" {saved['runs_ended_early']} stopped after their loss: {share:.0f} % of the planned"
+        " simulated time."
+    ]
+
+
+def _test(test: Summary) -> str:
+    """How surely a sequential test decides."""
+    poor, passes, good, fails = (f"{100 * value:.1f} %" for value in test.values())
+    return (
+        f"Sequential test at each value: if {poor} of all plants were kept, the value would count"
+        f" as tolerated with a probability of {passes}; if {good} were, it would not with {fails}."
+    )
 
 
 def _headlines(summary: Summary) -> list[str]:
@@ -119,7 +194,18 @@ def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
             laws.setdefault(equipment_text(case), []).append(case["law"])
     whose = [f"{_listed(names)} {equipment}".rstrip() for equipment, names in laws.items()]
     margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
-    return f"{where}: the {margin}, of {'; of '.join(whose)}."
+    return f"{where}: the {margin}, of {'; of '.join(whose)}." + "".join(
+        f" {text}" for text in _doubts({"cases": cases})
+    )
+
+
+def _doubts(summary: Summary) -> list[str]:
+    """A sentence for each reason why the runs of cases do not show their margins."""
+    names: dict[str, list[str]] = {}
+    for case in summary.get("cases", ()):
+        for doubt in case.get("doubts", ()):
+            names.setdefault(doubt, []).append(case_title(case))
+    return [f"Not tested: {doubt} ({'; '.join(cases)})." for doubt, cases in names.items()]
 
 
 def _listed(names: list[str]) -> str:
@@ -136,6 +222,44 @@ def _held_again(summary: Summary) -> list[str]:
     ]
 
 
+def _growing(summary: Summary) -> list[str]:
+    """A sentence for each case whose margin ends where an error grows as in an unstable loop."""
+    return [
+        f"{case_title(case)}: at {value_text(probe['value'], summary)} an error grows exponentially"
+        f" in {probe['runs_growing']} of {probe['runs']} runs: this loop is unstable."
+        for case in summary["cases"]
+        if (probe := probe_at(case, case["first_failure"])) and probe.get("runs_growing")
+    ]
+
+
+def loss_text(case: Summary) -> str:
+    """Why runs at the first failure left their funnel, the most frequent reason first."""
+    probe = probe_at(case, case["first_failure"])
+    losses: Counter[str] = Counter((probe or {}).get("losses") or {})
+    if probe and not losses and probe.get("runs_growing"):
+        losses["growing"] = probe["runs_growing"]
+    named = ", ".join(reason for reason, _ in losses.most_common())
+    return f"{named}, already without it" if named and case["margin"] is None else named or ABSENT
+
+
+def _theory(summary: Summary) -> list[str]:
+    """Theoretical margins, a sentence per case; and the reasons why other cases have none."""
+    said, reasons = [], dict[str, list[str]]()
+    for case in summary["cases"]:
+        theory = case.get("theory") or {}
+        if "reason" in theory:
+            reasons.setdefault(theory["reason"], []).append(case["law"])
+        elif theory:
+            said.append(
+                f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
+                f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
+                f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
+            )
+    for reason, names in reasons.items():
+        said.append(f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}.")
+    return said
+
+
 def furthest(summary: Summary) -> str:
     """What a margin is of the values that held: the largest, or where values shrink the least."""
     return "smallest" if any(case["growth"] < 0 for case in summary["cases"]) else "largest"
@@ -145,8 +269,7 @@ def kept_text(case: Summary, summary: Summary) -> str:
     """Up to where enough plants are kept, with the interval of their share there."""
     at = _kept_last(case)
     if at is None:
-        is_judged = case["values"][0]["total"] == summary["plants"]
-        return "none" if is_judged else "not known yet"
+        return "not known yet" if case["values"][0].get("tolerated", False) is None else "none"
     return f"{value_text(at['value'], summary)} ({interval_text(at)})"
 
 

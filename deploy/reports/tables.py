@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+from bus_schema.foreign_text import markdown_cell
 from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
@@ -178,6 +179,6 @@ def quotable(table: Table, conditions: Mapping[str, str]) -> str:
 def as_markdown(table: Table) -> str:
     """A table for documents."""
     header = [column.title for column in table.columns]
-    body = ([cell.text for cell in row] for row in table.cells)
+    body = ([markdown_cell(cell.text) for cell in row] for row in table.cells)
     lines = [header, ["---"] * len(header), *body]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -28,6 +28,7 @@ UNCHECKED = (
     "The recording has no checksum over all its bytes: damage between messages would not"
     " be detected."
 )
+_NO_COMMAND = "no command ever acted on the arm"
 _MRAD = 1e3
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
@@ -72,10 +73,17 @@ def verdict_on_run(
         f"The true error was {_bounds_text(run, summary, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
+        *(
+            f"The error of {each['joint']} grows by e^({each['rate_per_s']:.3g} t) at"
+            f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
+            for each in summary.get("growing", ())
+        ),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
     ]
     level, headline = _HEADLINES[verdict_of(summary)]
+    if is_judged and verdict_of(summary) is Verdict.NOTHING:
+        headline = _NO_COMMAND.capitalize()
     if summary["recording"]["damage"]:
         headline = f"Recording damaged: {headline[0].lower()}{headline[1:]}"
     if level == "broken" and bounds["violation_fraction"]:
@@ -152,7 +160,8 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
 
 def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) -> str:
     """Where the error was by its bounds, at the ticks that are known."""
-    bounds, is_all = summary["bounds"], not known.missing and not run.damage
+    bounds, damage = summary["bounds"], summary["recording"]["damage"]
+    is_all = not known.missing and not damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
     where = f"the {known.known:,}{of_all} ticks at which it is known"
     margin, place = bounds["margin_min"], margin_place(bounds)
@@ -164,8 +173,25 @@ def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) ->
     return (
         f"outside its bounds at {number(bounds['violation_fraction'], 100)} % of"
         f" {'the ticks' if is_all else where}, for the first time at"
-        f" {bounds['first_violation_s']:.3f} s, and at most {times} its bound{place}"
+        f" {bounds['first_violation_s']:.3f} s{_loss_text(summary.get('loss'))}, and at most"
+        f" {times} its bound{place}"
     )
+
+
+_LOSSES = {
+    "start": "before any command acted",
+    "growing": "as an oscillation grew",
+    "saturated": "with torques at their limits",
+    "friction or model": "slowly, as by friction or an error of the model",
+}
+
+
+def _loss_text(loss: Mapping[str, Any] | None) -> str:
+    """Why a run left its funnel, as a part of a sentence."""
+    if loss is None:
+        return ""
+    hertz = "" if loss["frequency_hz"] is None else f" at {loss['frequency_hz']:.2g} Hz"
+    return f" ({loss['joint']}, {_LOSSES[loss['reason']]}{hertz})"
 
 
 def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
@@ -227,7 +253,8 @@ def bounds_sentence(run: JudgedRun) -> str:
     if run.verdict is Verdict.INTERRUPTED:
         return "did not finish"
     if run.verdict is Verdict.NOTHING:
-        return "has no tick"
+        is_judged = run.summary["bounds"]["violation_fraction"] is not None
+        return _NO_COMMAND if is_judged else "has no tick"
     if run.verdict is Verdict.LOST and not run.summary["bounds"]["violation_fraction"]:
         return (
             "left its bounds at ticks that are missing in the recording, by the plant's own count"

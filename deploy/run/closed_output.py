@@ -16,6 +16,9 @@ _GONE = (errno.EPIPE,)
 _LOST = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors that mean lost output, which the user must learn of."""
 
+parent_reports = False
+"""Whether the parent of this process has the same output, and says that it is lost."""
+
 
 class _DiscardsAfterError(io.FileIO):
     """A file descriptor that discards everything once a write fails."""
@@ -27,7 +30,7 @@ class _DiscardsAfterError(io.FileIO):
         except OSError as error:
             if error.errno not in _GONE and error.errno not in _LOST:
                 raise
-            if error.errno in _LOST and self.fileno() == 1:
+            if error.errno in _LOST and self.fileno() == 1 and not parent_reports:
                 with contextlib.suppress(OSError):
                     os.write(2, f"standard output is lost: {error.strerror}\n".encode())
             _discard(self.fileno())

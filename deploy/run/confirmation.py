@@ -19,7 +19,7 @@ from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.judge.run_rows import Row, held
 from deploy.judge.run_rows import row as run_row
-from deploy.run.execute import execute
+from deploy.run.execute import How, execute
 from deploy.run.run_folder import RunFolderError, load_run
 from deploy.run.stop_signals import end_if_asked
 from deploy.scenario.setup import Setup
@@ -116,19 +116,22 @@ def other_physics(setup: Setup) -> dict[str, Setup]:
     return {name: other for name, other in found.items() if name != own}
 
 
-def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Row:
+def confirmed_row(
+    setup: Setup, data: RunData, summary: Mapping[str, Any], how: How | None = None
+) -> Row:
     """Return the row of a run, with the results of the same run on other physics.
 
     Args:
         setup: the scenario, which is simulated again.
         data: the run.
         summary: its summary by `summarise`.
+        how: as for `execute`.
     """
     values = run_row(dict(summary), setup.scenario.seed)
     values |= {name: [] for name in CONFIRMATION_COLUMNS}
     for name, other in other_physics(setup).items():
         end_if_asked()
-        run = execute(other)
+        run = execute(other, how)
         found = run_row(run.summary, setup.scenario.seed)
         values["confirmed_on"].append(name)
         values["confirmed_kept"].append(held(found))
@@ -137,9 +140,9 @@ def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Ro
     return values
 
 
-def confirmation_of(data: RunData) -> list[dict[str, Any]]:
-    """Return the `confirmations` of one run."""
-    return confirmations([confirmed_row(data.setup, data, summarise(data))])
+def confirmation_of(data: RunData, how: How | None = None) -> list[dict[str, Any]]:
+    """Return the `confirmations` of one run; the argument is that of `execute`."""
+    return confirmations([confirmed_row(data.setup, data, summarise(data), how)])
 
 
 def confirmations(rows: Iterable[Row]) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from bus_schema.recording.atomic_files import write_json
-from bus_schema.runtime.limited_process import signal_name
+from bus_schema.runtime.child import how_it_ended, last_line
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict, verdict_of
@@ -186,15 +186,14 @@ class Lockstep:
         setup = lockstep_setup(setup)
         write_scenario(setup, folder.scenario)
         process = subprocess.Popen(
-            [sys.executable, "-m", "deploy.run.execute", str(folder.path), str(os.getpid())],
+            [sys.executable, "-P", "-m", "deploy.run.execute", str(folder.path), str(os.getpid())],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             start_new_session=True,
         )  # fmt: skip
         self.on_start(process.terminate)
         said, errors = process.communicate()
         if code := process.returncode:
-            how = f"exit code {code}" if code > 0 else f"killed by {signal_name(-code)}"
-            last = (errors.strip() or how).splitlines()[-1]
+            last = last_line(errors) or how_it_ended(code).removeprefix("ended with ")
             failures = [f"the run failed: {last}"]
             record_failures(folder.log, failures)
         else:
@@ -233,11 +232,11 @@ def execute(setup: Setup, how: How | None = None, folder: RunFolder | None = Non
         return run
 
 
-def recorded(folder: RunFolder, outcome: RunOutcome) -> JudgedRun:
-    """Return the run that processes have recorded to a folder."""
+def recorded(folder: RunFolder, outcome: RunOutcome, setup: Setup | None = None) -> JudgedRun:
+    """Return the run that processes have recorded to a folder; the setup is as for `load_run`."""
 
     def read() -> RunData:
-        data, _ = load_run(folder.path)
+        data, _ = load_run(folder.path, setup)
         return replace(data, failures=data.failures or outcome.failures)  # the disk is full
 
     return JudgedRun(folder.path.name, read, path=folder.path, outcome=outcome)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bus_schema.errors import InputError, Stopped
+from bus_schema.foreign_text import say
 
 FINISHED, FAULT, BAD_INPUT, BOUNDS_NOT_KEPT, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -17,11 +18,11 @@ def with_exit_codes() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", err=True)
         sys.exit(BAD_INPUT)
     except Stopped:
         print("stopped", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except OSError as error:  # the disk is full or was removed
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", err=True)
         sys.exit(FAULT)

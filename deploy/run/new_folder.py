@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import re
 import shutil
+import tempfile
 import time
 from collections.abc import Callable
 from itertools import chain, count
@@ -20,17 +22,23 @@ _RESULTS = (
     "controller_stdout.log", "controller_stderr.log",
     "run.mcap", "run.partial.mcap", "summary.json", "manifest.json", "report.html", "fault.json",
     "study.yaml", "comparison.parquet", "sweep.parquet", "margin.parquet", "robustness.parquet",
+    "provenance.json",
 )  # fmt: skip
 """A folder with any of these holds results."""
 _MORE = re.compile(
     r"(controller|plant|recorder|relay|viewer)_output\.log"
     r"|run-\d+(\.partial)?\.mcap|can(-\d+)?\.log|table\.md|scenario\.yaml|tags\.json"
+    r"|worst_pattern-\d+-\w+\.csv"
     r"|\w+\.partial\.(json|html|parquet|md|yaml)|plotly\.min(\.partial)?\.js"
 )
 """Other files that commands write there."""
+_IDENTIFIED = ("robot.urdf", "before.urdf", "uncertainty.yaml")
+"""Files that `identify` writes beside its summary; elsewhere, files of these names are a user's."""
 _FOLDERS = ("rows", "scenarios", "base", "export")
 """Folders of a study, and of `export`."""
 _SHOWN = 5
+_ROOM_BYTES = 10_000_000
+"""What the disk must still take before old results are removed: a report and a short recording."""
 _KINDS = {"margin": "study of margins", "robustness": "study of robustness"}
 
 
@@ -79,8 +87,8 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
         overwrite: remove existing results, and nothing else.
 
     Raises:
-        ScenarioError: it cannot be created or written to, another command writes there, or it holds
-            results and `overwrite` is false.
+        ScenarioError: it cannot be created or written to, another command writes there, it holds
+            results and `overwrite` is false, or the disk is full.
     """
     if overwrite and out is None:
         raise ScenarioError("--overwrite: needs --out, because the default folder is always new")
@@ -95,7 +103,9 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
     with FolderLock(path):
         found = next((name for name in _RESULTS if (path / name).exists()), None)
         if overwrite:
-            _remove_files(path)
+            if found is not None:
+                _check_room(path)
+                _remove_files(path)
         elif found is not None:
             allowed = "use another folder, or --overwrite"
             raise ScenarioError(f"--out {path}: holds results ({found}): {allowed}")
@@ -134,12 +144,34 @@ def remove_results(path: Path) -> None:
             path.rmdir()
 
 
+def _check_room(path: Path) -> None:
+    """Refuse to remove results where new ones could not be written."""
+    try:
+        with tempfile.TemporaryFile(dir=path) as file:
+            os.posix_fallocate(file.fileno(), 0, _ROOM_BYTES)
+    except OSError as error:
+        raise ScenarioError(
+            f"--out {path}: the old results are kept, because there is no room for"
+            f" {_ROOM_BYTES // 10**6} MB of new ones: {error.strerror}"
+        ) from error
+
+
 def _remove_files(path: Path) -> None:
+    is_identified = _is_identified(path)
     for file in path.iterdir():
-        if file.name in _RESULTS or _MORE.fullmatch(file.name) or is_copy(file):
+        is_result = file.name in _RESULTS or _MORE.fullmatch(file.name) or is_copy(file)
+        if is_result or (is_identified and file.name in _IDENTIFIED):
             file.unlink()
     for name in _FOLDERS:
         shutil.rmtree(path / name, ignore_errors=True)
+
+
+def _is_identified(path: Path) -> bool:
+    try:
+        summary = json.loads((path / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(summary, dict) and summary.get("kind") == "identify"
 
 
 def _unused(name: str) -> Path:
@@ -159,6 +191,8 @@ def missing_recording(path: Path, kind: str) -> str:
         return f"{path}: has no run.mcap: no such folder or file{_others(path)}"
     if not kind and (path / "study.yaml").is_file():  # it was not finished
         kind = "study"
+    if kind == "identify":
+        return f"{path}: is no run but an identified arm; {path / 'report.html'} shows it"
     if kind in {"", "run"}:
         return f"{path}: has no run.mcap"
     recorded = _folders(path, lambda inner: (inner / "run.mcap").is_file())

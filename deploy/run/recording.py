@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from bus_schema.messages import topics
@@ -49,7 +50,8 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
     scenario = setup.scenario
     log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
-    log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
+    arm = replace(setup.robot, base_rpy_rad=None)  # the scenario mounts it
+    log.attach(ROBOT_ATTACHMENT, "application/xml", arm.resolved_urdf().encode())
     for key, file in data_files(scenario).items():
         log.attach(DATA_FILES[key], "text/plain", file.read_bytes())
     log.add_metadata(

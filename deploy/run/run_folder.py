@@ -5,18 +5,21 @@ After a fault also ``fault.json``.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
 import sys
 import tempfile
 import time
+import weakref
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
+from bus_schema.configuration import shown
 from bus_schema.errors import InputError
 from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
@@ -29,6 +32,7 @@ from deploy.run.recording import (
     DAMAGING,
     FAILURES_METADATA,
     LOST_METADATA,
+    RECORDER_METADATA,
     REJECTED_METADATA,
     ROBOT_ATTACHMENT,
     RUN_METADATA,
@@ -44,6 +48,9 @@ from deploy.scenario.yaml_files import ScenarioError, plain
 _LIBRARIES = (
     "funnel-hil", "eclipse-zenoh", "pybullet", "mujoco", "pin", "numpy", "numba", "rosbags", "mcap",
 )  # fmt: skip
+
+
+_MOST_DIGITS = 19
 
 
 class RunFolderError(InputError):
@@ -153,11 +160,15 @@ def read_json(file: Path) -> dict[str, Any]:
     return values if isinstance(values, dict) else {}
 
 
-def load_run(path: Path) -> tuple[RunData, LogContents]:
+def load_run(path: Path, setup: Setup | None = None) -> tuple[RunData, LogContents]:
     """Read a run folder or an MCAP file; a partial recording only if there is no other.
 
     The recording is untrusted: a law in its scenario that is not shipped is not imported, and does
     nothing in the setup.
+
+    Args:
+        path: the folder or file.
+        setup: judges the run instead of the scenario in its recording.
 
     Raises:
         RunFolderError: there is no recording of ours.
@@ -173,31 +184,20 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         raise RunFolderError(
             f"{file}: is not a recording of funnel-hil (it contains no scenario and arm){damage}"
         )
-    with tempfile.TemporaryDirectory() as folder:
-        scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
-        scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
-        robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
-        overrides = [f"robot.urdf={robot}"]
-        for key, name in DATA_FILES.items():
-            if name in contents.attachments:
-                copy = Path(folder) / name
-                copy.write_bytes(contents.attachments[name])
-                overrides.append(f"{key}={copy}")
-        try:
-            with custom_laws_left_out():
-                setup = load_setup(str(scenario), overrides)
-        except ScenarioError as error:
-            raise RunFolderError(f"{file}: its scenario cannot be used: {error}{damage}") from error
+    try:
+        setup = setup or _setup_in(contents)
+    except ScenarioError as error:
+        raise RunFolderError(f"{file}: its scenario cannot be used: {error}{damage}") from error
     run = contents.metadata.get(RUN_METADATA, {})
-    rejected = _counts(contents.metadata.get(REJECTED_METADATA)) or {}
+    lost, rejected = _counts(contents, LOST_METADATA), _counts(contents, REJECTED_METADATA) or {}
     data = build_run_data(
         setup,
         contents.payloads,
         clock=run.get("clock", "unknown"),
         link=run.get("link", "unknown"),
-        lost=_counts(contents.metadata.get(LOST_METADATA)),
+        lost=lost,
         complete=contents.complete,
-        damage=[*contents.damage, *_forgeries(rejected)],
+        damage=[*contents.damage, *_miscounted(contents), *_forgeries(rejected)],
         rejected=rejected,
         failures=_failures(path if path.is_dir() else path.parent, contents),
         lacks_checksums=contents.lacks_checksums,
@@ -207,15 +207,48 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
 
 def _forgeries(rejected: Mapping[str, int]) -> list[str]:
     """Explain in a sentence why it is uncertain which messages are the plant's."""
-    found = ", ".join(f"{name}: {rejected[name]}" for name in DAMAGING if name in rejected)
+    found = ", ".join(f"{name}: {rejected[name]}" for name in DAMAGING if rejected.get(name))
     return [f"another sender used the plant's name ({found})"] if found else []
 
 
-def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:
-    """Read counts from a table of metadata; None if they are missing or invalid."""
-    if told is None or not all(count.isdecimal() and len(count) < 19 for count in told.values()):
-        return None
-    return {name: int(count) for name, count in told.items()}
+def _setup_in(contents: LogContents) -> Setup:
+    """Load the scenario in a recording; its files exist as long as the setup is in use.
+
+    Raises:
+        ScenarioError: it cannot be used.
+    """
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        for name in {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT, *DATA_FILES.values()}:
+            if name in contents.attachments:
+                (folder / name).write_bytes(contents.attachments[name])
+        files = {"robot.urdf": ROBOT_ATTACHMENT, **DATA_FILES}
+        overrides = [
+            f"{key}={folder / name}" for key, name in files.items() if name in contents.attachments
+        ]
+        with custom_laws_left_out():
+            setup = load_setup(str(folder / SCENARIO_ATTACHMENT), overrides)
+        weakref.finalize(setup, stack.pop_all().close)
+    return setup
+
+
+def _miscounted(contents: LogContents) -> list[str]:
+    """Explain in a sentence that messages were added or taken away after the recording."""
+    read, written = sum(map(len, contents.payloads.values())), _counts(contents, RECORDER_METADATA)
+    if not contents.complete or not written or read == written.get("messages"):
+        return []
+    return [f"it has {read} messages, but its recorder wrote {written.get('messages')}"]
+
+
+def _counts(contents: LogContents, name: str) -> dict[str, int] | None:
+    """Return a recording's table of counts; None if it is missing or invalid, which is damage."""
+    table = contents.metadata.get(name)
+    for key, count in (table or {}).items():
+        if not (count.isdecimal() and len(count) < _MOST_DIGITS):
+            allowed = f"must be a whole number of at most {_MOST_DIGITS - 1} digits"
+            contents.damage.append(f"its metadata {name}: {key[:40]} = {shown(count)}: {allowed}")
+            return None
+    return None if table is None else {key: int(count) for key, count in table.items()}
 
 
 def manifest_of(

@@ -7,6 +7,7 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.messages.types import stamp_of
 from bus_schema.runtime.clock import VirtualClock
+from bus_schema.runtime.randomness import noting_draws
 from controller.control_loop import ControlLoop, reason_of
 from deploy.judge.run_data import RunData, build_run_data
 from deploy.run.recording import LoggedView, close_log, open_log
@@ -77,6 +79,7 @@ class Simulation:
         return log.messages
 
 
+@noting_draws()
 def simulate(
     setup: Setup, on_start: Callable[[PlantLoop], None] | None = None, can_log: Path | None = None
 ) -> Simulation:
@@ -148,7 +151,9 @@ def _run(
     """Run the plant on this thread, the controller on another; return why that stopped."""
     stop = threading.Event()
     with ThreadPoolExecutor(max_workers=1) as executor:
-        failure = executor.submit(_control, controller, controller_link, stop.is_set)
+        failure = executor.submit(
+            copy_context().run, _control, controller, controller_link, stop.is_set
+        )
         try:
             plant.warm_up()
             plant_link.await_controller(timeout_s, failure.done)

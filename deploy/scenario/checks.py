@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +19,12 @@ from bus_schema.runtime.clock import TickGrid
 from controller.laws.custom import are_left_out
 from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from controller.reference import Reference, sample_positions
-from deploy.scenario.definition import ScenarioConfiguration
+from deploy.scenario.definition import RobotConfiguration, ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from deploy.scenario.link_kinds.kind import LINK_KINDS
 from deploy.scenario.referenced_files import (
     find_delay_files,
+    find_nominal,
     find_reference_file,
     find_urdf,
     folders_of,
@@ -33,7 +37,10 @@ from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import check_faults
 
 _CHECKED_PER_SECOND = 100
-_MOST_CHECKED = 20_000
+_MOST_SECONDS = 200
+_PER_PERIOD = 8
+_HIDDEN_SHARE = 0.25
+"""Of the funnel's final size, by which a recorded reference may move unseen between two ticks."""
 _SIZED_BY = 100
 
 
@@ -58,10 +65,14 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     link_kind = LINK_KINDS.build(scenario.link.kind)
     PROTOCOLS.check(scenario.link.can.protocol)
     given = scenario.robot
-    urdf = find_urdf(given.urdf, *folders_of("robot.urdf", origin))
-    robot = load_robot(urdf, given.joints, repair=given.repair)
+    folders = folders_of("robot.urdf", origin)
+    robot = load_robot(find_urdf(given.urdf, *folders), **reading(given, folders[0]))
     reference_section = find_reference_file(scenario.reference, origin)
     reference = reference_section.build(robot)
+    robot = replace(robot, base_rpy_rad=given.base_rpy_rad)  # paths are in the base's frame
+    nominal, controller = find_nominal(scenario, robot, origin)
+    nominal = replace(nominal, base_rpy_rad=given.base_rpy_rad)
+    scenario = scenario.model_copy(update={"controller": controller})
     grid = _grid(scenario)
     motion = _reachable_motion(reference, robot, scenario)
     offset, start = _start(reference, robot, given.initial_offset_rad)
@@ -73,12 +84,13 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     sized_by = motion[:: -(-len(motion) // _SIZED_BY)]
     rotors = scenario.plant.actuator.rotor_inertia(robot.joints)
     _check_gears(scenario, robot, sized_by, grid)
-    inertia = scenario.controller.nominal_model(robot, rotors).governing_inertia(sized_by)
+    inertia = scenario.controller.nominal_model(nominal, rotors).governing_inertia(sized_by)
     link = find_delay_files(scenario, origin)
     return Setup(
         scenario=scenario.model_copy(update={"link": link, "reference": reference_section}),
         source=origin.file,
         robot=robot,
+        nominal=nominal,
         reference=reference,
         funnel=scenario.funnel.build(offset),
         gains=scenario.controller.build_gains(robot, inertia),
@@ -88,6 +100,22 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
         overrides=tuple(origin.overrides),
         given_by=origin.given_by,
     )
+
+
+def reading(given: RobotConfiguration, folder: Path) -> dict[str, Any]:
+    """Return how `load_robot` reads an arm's file.
+
+    Args:
+        given: the section ``robot``.
+        folder: the folder from which relative paths start.
+    """
+    return {
+        "driven": given.joints,
+        "repair": given.repair,
+        "arguments": given.xacro or {},
+        "include": [(folder / each).resolve() for each in given.include or ()],
+        "mass_kg": given.mass_kg,
+    }
 
 
 def _check_gears(
@@ -150,7 +178,7 @@ def _gear_stiffness(
 
 def _check_sides(setup: Setup) -> None:
     """Check that controller, link and plant can be created from a scenario."""
-    scenario = setup.scenario
+    scenario, _ = setup.scenario, setup.link  # which is checked when it is read
     if scenario.controller.process is None:
         setup.control_task()
     elif scenario.link.kind != "zenoh":
@@ -163,9 +191,20 @@ def _check_sides(setup: Setup) -> None:
         raise ConfigurationError("controller.every", setup.answer_every, allowed, also)
     setup.link_kind.check(setup.link_run(lockstep=scenario.clock == "lockstep"))
     if not are_left_out():  # a scenario that is only viewed needs no physics engine
-        ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
+        check_plant(setup)
     if scenario.uncertainty:
         check_uncertainty(scenario.uncertainty, plain(scenario), setup.robot.joints)
+
+
+def check_plant(setup: Setup) -> None:
+    """Check that a physics engine can load the arm.
+
+    Raises:
+        RobotDescriptionError: it cannot.
+        ConfigurationError: the plant's settings do not fit the arm.
+    """
+    scenario = setup.scenario
+    ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
 
 
 def _grid(scenario: ScenarioConfiguration) -> TickGrid:
@@ -201,7 +240,47 @@ def _reachable_motion(
             " reference.beyond: hold to rest before and after"
         )
         raise ConfigurationError("duration_s", scenario.duration_s, allowed, ["reference"])
-    samples = min(round(scenario.duration_s * _CHECKED_PER_SECOND), _MOST_CHECKED) + 1
+    highest_hz, rate_hz = scenario.reference.highest_hz, scenario.rate_hz
+    if math.isfinite(highest_hz) and highest_hz >= 0.5 * rate_hz * (1.0 - 1e-9):
+        allowed = f"must be below half of rate_hz = {rate_hz:g}, because no tick shows more"
+        raise ConfigurationError("reference", f"{highest_hz:g} Hz", allowed, ["rate_hz"])
+    if (per_second := min(rate_hz, _PER_PERIOD * highest_hz)) > _CHECKED_PER_SECOND:
+        _positions_in_reach(reference, robot, scenario, per_second)
+    if not math.isfinite(highest_hz) and scenario.duration_s <= _MOST_SECONDS:
+        _require_visible(_positions_in_reach(reference, robot, scenario, 4.0 * rate_hz), scenario)
+    return _positions_in_reach(reference, robot, scenario, _CHECKED_PER_SECOND)
+
+
+def _require_visible(positions: Matrix, scenario: ScenarioConfiguration) -> None:
+    """Check that a recorded reference moves little between two ticks, where no law sees it.
+
+    Args:
+        positions: at each quarter of a tick.
+        scenario: for its funnel.
+    """
+    ticks = (len(positions) - 1) // 4
+    quarters = positions[: 4 * ticks].reshape(ticks, 4, -1)
+    step = positions[4 : 4 * ticks + 1 : 4] - quarters[:, 0]
+    between = quarters - quarters[:, :1] - np.arange(4)[:, None] / 4.0 * step[:, None]
+    between = np.take_along_axis(between, np.abs(between).argmax(axis=1)[:, None], axis=1)[:, 0]
+    hidden = np.abs(between) > _HIDDEN_SHARE * np.asarray(scenario.funnel.final_rad)
+    if hidden.any():
+        tick, joint = np.argwhere(hidden)[0]
+        allowed = (
+            f"must move less between two ticks of rate_hz = {scenario.rate_hz:g} than"
+            f" {_HIDDEN_SHARE:g} of the funnel: its content lies above half of the rate"
+        )
+        what = f"{between[tick, joint]:.3g} rad beside joint {joint + 1}'s ticks at"
+        raise ConfigurationError(
+            "reference.file", f"{what} {tick / scenario.rate_hz:g} s", allowed, ["rate_hz"]
+        )
+
+
+def _positions_in_reach(
+    reference: Reference, robot: RobotDescription, scenario: ScenarioConfiguration, per_s: float
+) -> Matrix:
+    """Return so many reference positions per second; raises if one is out of reach."""
+    samples = min(round(scenario.duration_s * per_s), round(_MOST_SECONDS * per_s)) + 1
     times = np.linspace(0.0, scenario.duration_s, samples)
     positions = sample_positions(reference, times, robot.joints)
     outside = ~((positions >= robot.lower_rad) & (positions <= robot.upper_rad)).all(axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from bus_schema.configuration import NonNegative, Number, PerJoint, StrictModel, Whole
 from bus_schema.limits import LimitsConfiguration
@@ -21,6 +21,15 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=
 """Part of the names of folders with results."""
 
 
+def _as_text(value: object) -> object:
+    """Return a number or truth value as xacro writes it."""
+    return str(value).lower() if isinstance(value, bool | int | float) else value
+
+
+_Argument = Annotated[str, Field(max_length=1000), BeforeValidator(_as_text)]
+_Angle = Annotated[Number, Field(ge=-6.3, le=6.3)]
+
+
 class RobotConfiguration(StrictModel):
     """The arm.
 
@@ -30,6 +39,13 @@ class RobotConfiguration(StrictModel):
         joints: names of the joints to drive, all others are held; None for all that turn or slide,
             except the fingers of grippers.
         repair: replace all impossible inertias, even those far off.
+        xacro: values of the arguments of a xacro file, by name, such as ``{ur_type: ur10e}``.
+        include: folders with packages or files that the arm's file refers to.
+        mass_kg: mass of the whole arm, over which estimated inertias are spread where its file
+            gives none; by default 1000 kg/m³ of its shapes.
+        base_rpy_rad: orientation in which the base is mounted: roll, pitch and yaw, as in a URDF's
+            ``rpy``; by default the base is upright. Cartesian paths stay in the frame of
+            the base.
         drive_data: source of the numbers of plant.actuator and plant.friction, for reports; the
             mark ESTIMATED causes a warning.
         initial_offset_rad: joint positions at the start, relative to the reference.
@@ -38,6 +54,10 @@ class RobotConfiguration(StrictModel):
     urdf: str
     joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     repair: bool = False
+    xacro: dict[str, _Argument] | None = None
+    include: Annotated[tuple[str, ...], Field(max_length=20)] | None = None
+    mass_kg: Annotated[Number, Field(gt=0, le=1e5)] | None = None
+    base_rpy_rad: tuple[_Angle, _Angle, _Angle] | None = None
     drive_data: Annotated[str, Field(max_length=1000)] | None = None
     initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
 

@@ -31,6 +31,8 @@ _OF_EACH_HOST = (
     "link.can.interface", "link.can.channel", "link.can.port", "plant.gui",
 )  # fmt: skip
 """Keys that may differ: locations, and waiting times."""
+_READING = ("xacro", "include", "mass_kg")
+"""Keys of ``robot`` that have their effect when the arm's file is read."""
 
 
 def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType({})) -> str:
@@ -41,6 +43,8 @@ def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType
         files: paths to write instead of absolute ones, by dotted key.
     """
     values = effective_values(setup)
+    if "robot.urdf" in files:  # a copy, which these values are already in
+        values["robot"] = {k: v for k, v in values["robot"].items() if k not in _READING}
     for key, path in files.items():
         set_value(values, key, path)
     return to_yaml(values)
@@ -168,7 +172,11 @@ def values_in_common(
         recorded: texts of files that only a recording contains, by dotted key; others are read.
     """
     nested = effective_values(setup)
-    values = {key: json.dumps(value, default=str) for key, value in leaves(nested)}
+    values = {
+        key: json.dumps(value, default=str)
+        for key, value in leaves(nested)
+        if not key.startswith(tuple(f"robot.{name}" for name in _READING))
+    }
     for key in _OF_EACH_HOST:
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)

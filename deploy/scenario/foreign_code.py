@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
+
+from bus_schema.foreign_text import say
 
 if TYPE_CHECKING:  # the command line needs this module before it loads the program
     from deploy.scenario.definition import ScenarioConfiguration
@@ -44,4 +45,4 @@ def name_code(scenario: ScenarioConfiguration, origin: Origin) -> None:
     line = f"runs code of {origin.of(key)}: {what}"
     if line not in said:
         said.add(line)
-        print(line, file=sys.stderr)
+        say(line, err=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,11 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError, did_you_mean
 from bus_schema.link.channel_configuration import TraceConfiguration
 from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.resolved import pybullet_data
+from bus_schema.urdf.xacro_files import is_xacro
 from bus_schema.user_files import is_file
+from controller.configuration import ControllerConfiguration
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.definition import ScenarioConfiguration
@@ -22,12 +26,14 @@ from plant_emulator.channel.jitter import read_delays_ms
 from plant_emulator.channel.trace_file import read_trace
 
 DIRECTIONS = ("uplink", "downlink")
+MODEL_KEY = "controller.model"
 DATA_FILES = {
     "link.uplink.distribution_file": "uplink_delays.txt",
     "link.uplink.trace.file": "uplink_trace",
     "link.downlink.distribution_file": "downlink_delays.txt",
     "link.downlink.trace.file": "downlink_trace",
     REFERENCE_KEY: "reference.csv",
+    MODEL_KEY: "nominal.urdf",
 }
 """Names, in a recording, of the files that a scenario refers to, by dotted key."""
 ROBOTS = Path(str(resources.files("deploy").joinpath("robots")))
@@ -93,14 +99,16 @@ def find_delay_files(scenario: ScenarioConfiguration, origin: Origin) -> LinkCon
                 read_delays_ms(path)
             channel = channel.model_copy(update={"distribution_file": str(path)})
         if channel.trace is not None:
-            path = _find_trace(channel.trace, f"{section}.trace", origin, scenario.duration_s)
+            path = _find_trace(channel.trace, f"{section}.trace", origin, scenario)
             found = channel.trace.model_copy(update={"file": str(path)})
             channel = channel.model_copy(update={"trace": found})
         link = link.model_copy(update={direction: channel})
     return link
 
 
-def _find_trace(given: TraceConfiguration, key: str, origin: Origin, duration_s: float) -> Path:
+def _find_trace(
+    given: TraceConfiguration, key: str, origin: Origin, scenario: ScenarioConfiguration
+) -> Path:
     """The file of a trace, which is usable and long enough."""
     path = _find(given.file, f"{key}.file", origin)
     if not is_file(path):
@@ -112,17 +120,44 @@ def _find_trace(given: TraceConfiguration, key: str, origin: Origin, duration_s:
         path = TRACES / f"{given.file}.parquet"
     with _refusing(f"{key}.file", given.file):
         length_s = read_trace(path).length_ns * 1e-9
+        if given.loop and length_s * scenario.rate_hz < 1.0:
+            raise ValueError(
+                f"must last at least one period of the loop, {1 / scenario.rate_hz:g} s, to be"
+                f" repeated; it lasts {length_s:g} s (time_s is in seconds)"
+            )
     if (start_s := given.start_s) is None:
         return path
     if start_s >= length_s:
         allowed = f"must be below the trace's {length_s:g} s"
         raise ConfigurationError(f"{key}.start_s", start_s, allowed, [f"{key}.file"])
-    if not given.loop and start_s + duration_s > length_s:
+    if not given.loop and start_s + scenario.duration_s > length_s:
         allowed = (
             f"must be true, because the trace lasts only {length_s - start_s:g} s after start_s"
         )
         raise ConfigurationError(f"{key}.loop", given.loop, allowed, ["duration_s"])
     return path
+
+
+def find_nominal(
+    scenario: ScenarioConfiguration, robot: RobotDescription, origin: Origin
+) -> tuple[RobotDescription, ControllerConfiguration]:
+    """Return the arm as the nominal model has it, and the controller with the path to its file.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or has other joints.
+    """
+    controller = scenario.controller
+    if controller.model is None:
+        return robot, controller
+    with _refusing(MODEL_KEY, controller.model):
+        path = find_urdf(controller.model, *folders_of(MODEL_KEY, origin))
+        if is_xacro(path):
+            raise ValueError("must be a URDF or MJCF file, no xacro file")
+        nominal = load_robot(path, robot.joint_names, repair=scenario.robot.repair)
+        if nominal.joint_names != robot.joint_names:
+            raise ValueError(f"must have the arm's joints in their order: {robot.joint_names}")
+    limits = replace(nominal, effort_limits_nm=robot.effort_limits_nm, warnings=())
+    return limits, controller.model_copy(update={"model": str(path)})
 
 
 def find_reference_file(

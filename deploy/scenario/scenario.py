@@ -10,6 +10,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bus_schema.configuration import ConfigurationError, shown
@@ -22,6 +23,7 @@ from deploy.scenario.explanation import Origin
 from deploy.scenario.foreign_code import name_code
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import ARM_FILES, starter_scenario
+from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
@@ -40,27 +42,42 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
 
     Args:
         name_or_path: a scenario file, or the name of a shipped scenario, or the URDF, xacro or MJCF
-            file of an arm, which gets a `starter_scenario`.
+            file of an arm, which gets a `starter_scenario`; arguments of xacro may follow it.
         overrides: ``dotted.key=value``; values are YAML.
         given_by: what they were set with, for messages.
 
     Raises:
         ScenarioError: anything about it is wrong.
     """
-    path = find_yaml(name_or_path, SHIPPED)
-    return build_setup(file_values(path), path, overrides, given_by)
+    path, values = named_values(name_or_path)
+    return build_setup(values, path, overrides, given_by)
 
 
-def file_values(path: Path) -> dict[str, Any]:
+def named_values(name_or_path: str) -> tuple[Path, dict[str, Any]]:
+    """Return the file of a scenario as `load_setup` finds it, and its values.
+
+    Raises:
+        ScenarioError: there is none, or it cannot be read.
+    """
+    file, arguments = split_arguments(name_or_path)
+    path = find_yaml(file, SHIPPED)
+    return path, file_values(path, arguments)
+
+
+def file_values(path: Path, arguments: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
     """Return the values of a scenario file, or of the starter scenario of an arm's file.
+
+    Args:
+        path: the file.
+        arguments: values of the arguments of a xacro file, by name.
 
     Raises:
         ScenarioError: it cannot be read.
     """
-    if path.suffix.lower() not in ARM_FILES:
+    if path.suffix.lower() not in ARM_FILES and not arguments:
         return read_yaml(path)
     try:
-        return starter_scenario(load_robot(path))
+        return starter_scenario(load_robot(path, arguments=arguments, hold_grippers=True))
     except RobotDescriptionError as error:
         raise ScenarioError(str(error)) from error
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,10 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
+from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
+from bus_schema.messages import topics
+from bus_schema.messages.layout import MessageLayout
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from controller.control_loop import ControlTask
@@ -20,7 +23,8 @@ from controller.funnel import Funnel
 from controller.reference import Reference
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
-from deploy.scenario.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
+from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
+from deploy.scenario.playout import horizon_settings, resolved_link
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -44,12 +48,13 @@ class FunnelCounter:
         self._follow = reference.onto(wanted, *rates)
         self._compare = funnel.counting(position, wanted, self._counts)
 
-    def look(self, stamp_ns: int) -> None:
-        """Count the tick at this instant."""
+    def look(self, stamp_ns: int) -> bool:
+        """Count the tick at this instant; return whether any tick so far was outside."""
         seconds, rest_ns = divmod(stamp_ns, _SECOND_NS)
         time_s = seconds + 1e-9 * rest_ns  # computed as readers of stamps do, to the bit
         self._follow(time_s)
         self._compare(time_s)
+        return bool(self._counts[1])
 
     def counts(self) -> dict[str, Any]:
         """Return the number of ``ticks``, those ``outside`` the funnel, and the smallest margin."""
@@ -64,6 +69,7 @@ class Setup:
 
     Attributes:
         source: the scenario file.
+        nominal: the arm with the masses of the controller's nominal model.
         funnel: the bounds that laws and judge share.
         gains: gains in use, expanded to the robot's joints.
         start_position_rad: joint positions at the start, shape (joints,).
@@ -75,6 +81,7 @@ class Setup:
     scenario: ScenarioConfiguration
     source: Path
     robot: RobotDescription
+    nominal: RobotDescription
     reference: Reference
     funnel: Funnel
     gains: Any
@@ -88,6 +95,12 @@ class Setup:
     def origin(self) -> Origin:
         """Origin of the scenario's values, for messages."""
         return Origin(self.source, self.overrides, self.given_by)
+
+    @property
+    def drive_data(self) -> str:
+        """Source of the numbers of the arm and its drives, where a scenario or the arm names it."""
+        named, estimated = self.scenario.robot.drive_data or "", self.robot.estimated
+        return named if estimated in named else ", ".join(filter(None, [estimated, named]))
 
     @property
     def ticks(self) -> int:
@@ -111,17 +124,17 @@ class Setup:
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
             law=controller.paced(
-                controller.build_law(self.gains, self.robot, rotors),
+                controller.build_law(self.gains, self.nominal, rotors),
                 1e-9 * self.grid.period_ns,
                 self.scenario.seed,
             ),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
-                self.robot,
+                self.nominal,
                 self.governing_inertia_kg_m2,
                 self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
-                self.scenario.link,
+                horizon_settings(self),
                 rotors,
             ),
             sends_targets=controller.drive_feedback.enabled,
@@ -153,7 +166,7 @@ class Setup:
         return PlantTask(
             robot=self.robot,
             plant=self.scenario.plant,
-            link=self.scenario.link,
+            link=self.link,
             grid=self.grid,
             ticks=self.ticks,
             lockstep=lockstep,
@@ -164,6 +177,22 @@ class Setup:
             process_actions=process_actions,
             watch=partial(FunnelCounter, self.reference, self.funnel),
         )
+
+    @cached_property
+    def link(self) -> LinkConfiguration:
+        """Section ``link`` of the scenario, with the play-out time that applies."""
+        return resolved_link(self)
+
+    def layouts(self) -> dict[str, MessageLayout]:
+        """Wire layouts of the topics of fixed size, by their names."""
+        return {
+            topic.name: topics.layout(
+                topic, self.robot.joint_names,
+                has_targets=self.drive.is_active, has_acting_time=self.link.plays_automatically,
+            )
+            for topic in topics.TOPICS
+            if topic is not topics.RUN_EVENTS
+        }  # fmt: skip
 
     @property
     def link_kind(self) -> LinkKind[Any]:
@@ -182,7 +211,12 @@ class Setup:
 
     def arm(self) -> ArmPlant:
         """Return a new arm at its start, of the type that the link needs."""
-        arm: ArmPlant = self.link_kind.arm_type(
+        arm: ArmPlant = self.arm_of_type(self.link_kind.arm_type)
+        return arm
+
+    def arm_of_type(self, arm_type: type[Arm]) -> Arm:
+        """Return a new arm at its start."""
+        return arm_type(
             self.scenario.plant,
             self.robot,
             self.start_position_rad,
@@ -192,4 +226,3 @@ class Setup:
             plant_faults(self.scenario.faults),
             self.drive,
         )
-        return arm

@@ -17,6 +17,7 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
+from deploy.scenario.plausibility import loads_of, placeholders
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
@@ -42,6 +43,8 @@ _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
 """Peak speed of a minimum-jerk move of length 1 in time 1."""
 _TRIES = 12
+_HARDLY_LOADED = 0.2
+"""Share of the torque by a neighbour's, below which gravity says little about a motor."""
 
 
 class Drives(NamedTuple):
@@ -60,16 +63,8 @@ class Drives(NamedTuple):
     data: str
 
 
-def starter_scenario(
-    robot: RobotDescription, *, joints: bool = False, repair: bool = False
-) -> dict[str, Any]:
-    """Return the values of a scenario that moves an arm to and fro, at rest at both ends.
-
-    Args:
-        robot: the arm.
-        joints: whether its driven joints were chosen by the user, and have to be named.
-        repair: whether its inertias have to be replaced.
-    """
+def starter_scenario(robot: RobotDescription) -> dict[str, Any]:
+    """Return the values of a scenario that moves an arm to and fro, at rest at both ends."""
     rated, rotors, friction, data = drives_of(robot)
     model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
     middle, move = _motion(robot, model, rated)
@@ -86,9 +81,8 @@ def starter_scenario(
         "seed": 1,
         "robot": {
             "urdf": str(robot.path),
-            **({"joints": list(robot.joint_names)} if joints else {}),
-            **({"repair": True} if repair else {}),
-            "drive_data": data,
+            **robot.reading,
+            "drive_data": ", ".join(filter(None, [robot.estimated, data])),
             "initial_offset_rad": _rounded(offsets),
         },
         "reference": {"kind": "minimum_jerk", "waypoints": waypoints},
@@ -128,8 +122,9 @@ def drives_of(robot: RobotDescription) -> Drives:
         ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
     )
     data = [_source(*each) for each in sources]
-    if not np.isfinite(robot.effort_limits_nm).all():
-        data.insert(0, f"largest torques {ESTIMATED} from its weight if its file has none")
+    if not np.array_equal(rated, robot.effort_limits_nm):
+        why = "none" if not np.isfinite(robot.effort_limits_nm).all() else "a placeholder"
+        data.insert(0, f"largest torques {ESTIMATED} from its weight if its file has {why}")
     return Drives(rated, rotors, friction, ", ".join(data))
 
 
@@ -171,14 +166,20 @@ def _source(name: str, known: Vector, estimate: str) -> str:
 
 
 def torque_limits(robot: RobotDescription) -> Vector:
-    """Rated torques, shape (joints,), N m: where the file has none, three times what the arm needs
-    to hold itself up in the worst of many postures, and at least a hundredth of the largest.
+    """Return rated torques, shape (joints,), N m.
+
+    Where the file has none or a placeholder, three times what the arm needs to hold itself up in
+    the worst of many postures, and at least a hundredth of the largest. A joint that gravity hardly
+    loads, such as a vertical one, has the torque of a neighbour in the ratio of their inertias.
     """
-    limits = robot.effort_limits_nm.copy()
-    unknown = ~np.isfinite(limits)
+    limits, loads = robot.effort_limits_nm.copy(), loads_of(robot)
+    unknown = ~np.isfinite(limits) | (placeholders(robot, loads, limits) > 0.0)
     if unknown.any():
-        model = ManipulatorModel(robot)
-        held = 3.0 * np.abs([model.gravity(each) for each in spread_positions(robot)]).max(axis=0)
+        held = 3.0 * loads.gravity_nm
+        per_inertia = np.where(unknown, held, limits) / np.maximum(loads.inertia_kg_m2, 1e-9)
+        beside = np.maximum(np.append(per_inertia[1:], 0.0), np.append(0.0, per_inertia[:-1]))
+        by_neighbour = beside * loads.inertia_kg_m2
+        held = np.where(held < _HARDLY_LOADED * by_neighbour, by_neighbour, held)
         limits[unknown] = np.maximum(held, 0.01 * max(held.max(), 1.0))[unknown]
     return limits
 

@@ -1,23 +1,20 @@
 """Check of all studies: a value that is set takes effect in their runs, or is refused.
 
 A study overrides some keys by itself; and its runs are simulations, without connections and in
-virtual time. Seeds have an effect only if a scenario draws random numbers.
+virtual time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from bus_schema.configuration import ConfigurationError
-from bus_schema.link.channel_configuration import ChangeableConditions, ChannelConfiguration
-from controller.laws import LAWS
+from controller.laws import COMPARED_LAWS
 from deploy.scenario.scenario import file_values, given_values
 from deploy.scenario.setup import Setup
+from deploy.scenario.starter import ARM_FILES
 from deploy.scenario.yaml_files import leaves
-from plant_emulator.configuration import NoiseTerm, PlantConfiguration
 
 LAW = "controller.law"
 SEED = "seed"
@@ -79,56 +76,16 @@ def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> No
 
 def _changed(setups: Iterable[Setup]) -> bool:
     """Whether a file names CAN, and another link was set instead."""
-    files = {setup.source for setup in setups}
+    files = {each.source for each in setups if each.source.suffix.lower() not in ARM_FILES}
     links = [given_values(file_values(file), file, ()).get("link") for file in files]
     return any(isinstance(link, dict) and link.get("kind") == _CAN for link in links)
 
 
 def laws_beside(own: str) -> list[str]:
-    """Return all shipped laws, and the scenario's own one if it is another."""
-    return list(dict.fromkeys([*LAWS, own]))
+    """Return the laws that are compared by default, and the scenario's own one if it is another."""
+    return list(dict.fromkeys([*COMPARED_LAWS, own]))
 
 
 def _overlap(one: str, other: str) -> bool:
     """Whether keys are equal, or one is a section that contains the other."""
     return one == other or one.startswith(f"{other}.") or other.startswith(f"{one}.")
-
-
-def seeds_that_differ(setup: Setup, seeds: Sequence[int]) -> list[int]:
-    """Return those of these seeds that give different runs: all, or the first."""
-    return list(seeds) if is_random(setup) else list(seeds[:1])
-
-
-def is_random(setup: Setup) -> bool:
-    """Whether a scenario draws random numbers; if uncertain, it counts as random.
-
-    A custom law gets no seed.
-    """
-    scenario, link = setup.scenario, setup.scenario.link
-    return (
-        setup.link_kind.draws_random_numbers
-        or bool(scenario.faults)
-        or _draws(link.uplink)
-        or _draws(link.downlink)
-        or _is_noisy(scenario.plant)
-    )
-
-
-def _draws(channel: ChannelConfiguration) -> bool:
-    stages: list[ChannelConfiguration | ChangeableConditions] = [channel]
-    stages += [entry for entry in channel.schedule if isinstance(entry, ChangeableConditions)]
-    is_drawn = channel.trace is not None and channel.trace.start_s is None
-    return (
-        is_drawn
-        or channel.distribution == "empirical"
-        or any(
-            stage.jitter_ms or stage.loss or stage.burst_loss or stage.duplicate for stage in stages
-        )
-    )
-
-
-def _is_noisy(plant: PlantConfiguration) -> bool:
-    encoders = (plant.encoder, plant.drive_feedback.encoder)
-    return any(np.any(encoder.velocity_noise_rad_s) for encoder in encoders) or any(
-        isinstance(term, NoiseTerm) for term in plant.disturbance.terms
-    )

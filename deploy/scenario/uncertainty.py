@@ -22,6 +22,8 @@ from bus_schema.configuration import ConfigurationError, Number, StrictModel
 from bus_schema.errors import did_you_mean
 from deploy.scenario.yaml_files import leaves, override
 
+_ROWS = "rows"
+"""Name of the stream from which the number of the row is drawn."""
 _NOT_DRAWN = ("seed", "uncertainty")
 """Keys with numbers that do not describe the plant."""
 
@@ -31,20 +33,23 @@ class Draw(StrictModel):
 
     Attributes:
         distribution: ``uniform`` or ``log_uniform`` between ``from`` and ``to``, a ``choice`` of
-            `values`, equally likely, or a ``sign``, −1 or 1.
+            `values`, equally likely, a ``sign``, −1 or 1, or a ``row`` of `rows`.
         least: the smallest value; ``from`` in YAML.
         most: the largest value; ``to`` in YAML.
         values: values of a ``choice``.
+        rows: values of each ``row``, one per joint with ``per: joint``, else one; all keys of a
+            plant take the same row, so that their values belong together.
         per: one number for the whole ``arm``, or one for each ``joint``.
         relative: true: the draw is a factor on the scenario's own value; a dotted key: a factor on
             the value of that key.
         random_sign: whether the draw gets a random sign, with ``per: joint`` one for each.
     """
 
-    distribution: Literal["uniform", "log_uniform", "choice", "sign"]
+    distribution: Literal["uniform", "log_uniform", "choice", "sign", "row"]
     least: Annotated[Number | None, Field(alias="from")] = None
     most: Annotated[Number | None, Field(alias="to")] = None
     values: tuple[Number, ...] | None = None
+    rows: Annotated[tuple[tuple[Number, ...], ...] | None, Field(min_length=1)] = None
     per: Literal["arm", "joint"] = "arm"
     relative: bool | str = False
     random_sign: bool = False
@@ -60,6 +65,8 @@ class Draw(StrictModel):
                 raise ValueError("with from > 0 if it is log_uniform")
         elif has_ends:
             raise ValueError(f"without from and to if it is {self.distribution}")
+        elif (self.distribution == "row") != bool(self.rows):
+            raise ValueError("with rows if it is row, otherwise without")
         elif (self.distribution == "choice") != bool(self.values):
             raise ValueError("with values if it is choice, otherwise without")
         if self.distribution == "sign" and self.random_sign:
@@ -69,7 +76,11 @@ class Draw(StrictModel):
     def sample(self, random: np.random.Generator, joints: int) -> float | Vector:
         """Draw from a stream: a number, or with ``per: joint`` shape (joints,)."""
         count = joints if self.per == "joint" else 1
-        if self.distribution == "choice":
+        if self.rows:
+            drawn = np.array(self.rows[random.integers(len(self.rows))])
+            if drawn.size != count:
+                raise ValueError(f"with {count} values in each row")
+        elif self.distribution == "choice":
             drawn = random.choice(np.array(self.values), count)
         elif self.distribution == "sign":
             drawn = _signs(random, count)
@@ -177,9 +188,17 @@ class _Drawing:
         self._uncertainty, self._scenario, self._joints = uncertainty, scenario, joints
         self.keys = {key: text for text in uncertainty for key in split_keys(text)}
         self.draws = {
-            text: draw.sample(_stream(*seeds, text), joints) for text, draw in uncertainty.items()
+            text: self._drawn(text, draw, _stream(*seeds, _ROWS if draw.rows else text))
+            for text, draw in uncertainty.items()
         }
         self._open: list[str] = []
+
+    def _drawn(self, text: str, draw: Draw, random: np.random.Generator) -> float | Vector:
+        try:
+            return draw.sample(random, self._joints)
+        except ValueError as error:
+            key, rows = f"uncertainty.{text}.rows", len(draw.rows or ())
+            raise ConfigurationError(key, f"{rows} rows", f"must be {error}") from error
 
     def value(self, key: str) -> float | Vector:
         """Return the value of a drawn key."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -9,11 +10,15 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import expand
 from controller.manipulator_model import ManipulatorModel
+from deploy.scenario.plausibility import damping_warnings, placeholder_warnings
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import ESTIMATED
+from deploy.scenario.yaml_files import ScenarioError, override
 from plant_emulator.arm.drive_train import friction_table
 
 _TORQUE_SAMPLES = 400
+_WEAK_SHARE = 0.1
+"""Share of the time in which a margin lets the arm fall: the funnel may be wider than that."""
 
 
 def all_warnings(setups: Iterable[Setup]) -> list[str]:
@@ -44,22 +49,29 @@ def scenario_warnings(setup: Setup) -> list[str]:
             " this, no shipped law kept its bounds at a first resonance of 15 Hz; motor measures"
             " on the input side"
         )
-    if ESTIMATED in (data := scenario.robot.drive_data or ""):
+    if ESTIMATED in (data := setup.drive_data):
         said.append(
             f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
             " one)"
         )
+    if re.search(rf"rotor inertia[^,;]*{ESTIMATED}", data) and actuator.has_rotors:
+        tenth = [float(f"{0.1 * each:.3g}") for each in actuator.rotor_inertia(robot.joints)]
+        tried = override("plant.actuator.rotor_inertia_kg_m2", tenth)
+        why = "rotors are estimated and decide margins: if they are a tenth, funnel-hil margin"
+        said.append(f"{why} … --set '{tried}' gives the other end")
     said += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
+    largest_nm = _largest_torques(setup)
+    said += placeholder_warnings(robot, largest_nm)
+    viscous = friction_table(scenario.plant.friction, _rated_torques(setup))["viscous_nm_s"]
+    of_file = np.isclose(viscous, robot.drives.damping_nm_s, rtol=1e-3)
+    said += damping_warnings(robot, np.where(of_file, viscous, 0.0), largest_nm)
     return said + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
 
 
 def _torque_warning(setup: Setup) -> list[str]:
     """Warn if the reference needs more than a joint's rated torque."""
-    robot, plant = setup.robot, setup.scenario.plant
-    limits = setup.scenario.limits.of_plant(robot).torque_nm
-    if plant.actuator.saturation_nm is not None:
-        limits = np.minimum(limits, plant.actuator.saturation_nm)
+    robot, limits = setup.robot, _largest_torques(setup)
     times_s = np.linspace(0.0, setup.scenario.duration_s, _TORQUE_SAMPLES)
     torques = np.abs(reference_torques(setup, times_s))
     usage = torques / np.where(limits > 0.0, limits, np.inf)
@@ -75,12 +87,45 @@ def _torque_warning(setup: Setup) -> list[str]:
     ]
 
 
-def reference_torques(setup: Setup, times_s: Vector) -> Matrix:
+def _largest_torques(setup: Setup) -> Vector:
+    """Return the largest torques that act on the arm, shape (joints,), N m."""
+    limits = setup.scenario.limits.of_plant(setup.robot).torque_nm
+    saturation_nm = setup.scenario.plant.actuator.saturation_nm
+    return limits if saturation_nm is None else np.minimum(limits, saturation_nm)
+
+
+def require_hold(setup: Setup) -> None:
+    """Require that the arm can hold itself up on its reference.
+
+    Raises:
+        ScenarioError: it cannot; the message names the joint and both torques.
+    """
+    times_s = np.linspace(0.0, setup.scenario.duration_s, _TORQUE_SAMPLES)
+    needed, most = np.abs(reference_torques(setup, times_s, at_rest=True)), _largest_torques(setup)
+    if (needed > most).mean(axis=0).max() > _WEAK_SHARE:
+        at, joint = np.unravel_index(int((needed - most).argmax()), needed.shape)
+        raise ScenarioError(
+            f"no margin: {setup.robot.joint_names[joint]} cannot hold the arm up on its reference:"
+            f" gravity needs {needed[at, joint]:.4g} N m at {times_s[at]:.2f} s, its largest torque"
+            f" is {most[joint]:g} N m (limits.torque_nm, plant.actuator.saturation_nm)"
+        )
+
+
+def _rated_torques(setup: Setup) -> Vector:
+    """Return the largest torques of which friction may be a share, shape (joints,), N m."""
+    saturation_nm = setup.scenario.plant.actuator.saturation_nm
+    if saturation_nm is None:
+        return setup.robot.effort_limits_nm
+    return expand(saturation_nm, setup.robot.joints, "plant.actuator.saturation_nm")
+
+
+def reference_torques(setup: Setup, times_s: Vector, *, at_rest: bool = False) -> Matrix:
     """Return torques that move the arm along its reference, shape (times, joints), N m.
 
     Args:
         setup: the scenario.
         times_s: shape (times,).
+        at_rest: only those of gravity.
     """
     plant, robot = setup.scenario.plant, setup.robot
     model = ManipulatorModel(
@@ -88,15 +133,13 @@ def reference_torques(setup: Setup, times_s: Vector) -> Matrix:
         payload_kg=plant.payload_kg,
         rotor_inertia_kg_m2=plant.actuator.rotor_inertia(robot.joints),
     )
-    rated = robot.effort_limits_nm
-    if plant.actuator.saturation_nm is not None:
-        rated = expand(plant.actuator.saturation_nm, robot.joints, "plant.actuator.saturation_nm")
-    friction = friction_table(plant.friction, rated)
+    friction = friction_table(plant.friction, _rated_torques(setup))
     dry, smooth = friction["coulomb_nm"], friction["smoothing_velocity_rad_s"]
     motion = np.empty((3, robot.joints))
     follow, torques = setup.reference.onto(*motion), []
     for time_s in times_s:
         follow(float(time_s))
+        motion[1:] *= not at_rest
         resisting = dry * np.tanh(motion[1] / smooth) + friction["viscous_nm_s"] * motion[1]
         torques.append(model.inverse_dynamics(*motion) + resisting)
     return np.array(torques)

@@ -23,6 +23,9 @@ _MOST_BITS = 1000
 _WANTED = {"int": "a whole number", "float": "a number", "timestamp": "a valid date"}
 """Required values by their form or by their tag."""
 
+_OCTAL = re.compile(r"[-+]?0[0-7_]+")
+"""In YAML 1.1, which also reads 1:30 in base 60."""
+
 _MERGE = "tag:yaml.org,2002:merge"
 
 # Several times as fast, where it is available.
@@ -142,6 +145,11 @@ def _require_readable(loader: Any, node: yaml.ScalarNode, key: str) -> None:
     if not is_readable:
         tag = node.tag.rpartition(":")[2]
         allowed = f"must be {_WANTED.get(tag, f'a valid {tag}')}, or a text in quotes"
+        raise ConfigurationError(key, node.value, allowed)
+    is_octal = _OCTAL.fullmatch(node.value) and value != int(node.value.replace("_", ""))
+    if isinstance(value, int | float) and (is_octal or ":" in node.value):
+        form = "a leading 0" if is_octal else "colons"
+        allowed = f"must be a number without {form}, or a text in quotes: YAML reads it as {value}"
         raise ConfigurationError(key, node.value, allowed)
 
 

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import itertools
+import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
-from deploy.judge.run_rows import Row
+from deploy.judge.conditions import Conditions
+from deploy.judge.run_rows import Row, is_whole, uses_seed
 from deploy.scenario import study_keys
 from deploy.scenario.definition import Name
+from deploy.scenario.held_arm import Direction, held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming, override, validated
 from deploy.study.plants import Variant, with_ranges
-from deploy.study.quantities import Direction, Quantity, build_quantity, held_arm_ceiling_ms
+from deploy.study.quantities import EXCITATION, Quantity, build_quantity, excitation
 from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
+from deploy.study.trials.sequential_test import SequentialTest
+from deploy.study.trials.trial import Trial, runs_ahead, worst_first
 
 CASE_COLUMNS = {
     "law": "string", "arm": "string", "compensation": "bool", "drive_feedback": "bool",
@@ -45,6 +50,11 @@ class CasesDefinition(StudyDefinition):
             ``loss`` (each way), or the dotted key of any number of the scenario.
         direction: only this direction of the link is varied; the other stays as in the scenario.
         duration_s: length of each run; the scenario's own if null.
+        excitation: a pulse of torque pushes every joint of a running loop when the quantity has its
+            full size, because a loop at rest may be unstable without a trace: 1 % of the joint's
+            largest torque for 20 ms, where that torque is known.
+        exhaustive: every run lasts to its end, and every start, seed and plant is tried, also where
+            fewer decide; always so with ``confirm``.
     """
 
     name: Name = "margin"
@@ -56,6 +66,12 @@ class CasesDefinition(StudyDefinition):
     quantity: str = "delay"
     direction: Direction = "both"
     duration_s: Positive | None = None
+    excitation: bool = True
+    exhaustive: bool = False
+
+    @property
+    def is_exhaustive(self) -> bool:
+        return self.exhaustive or bool(self.confirm)
 
 
 @dataclass(frozen=True)
@@ -120,7 +136,8 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
                 "drive_feedback": drive_feedback,
                 "running": running,
             }
-            yield Setting(scenario, base, tags, overrides, quantity)
+            pulses = excitation(base) if running and wanted.excitation else ()
+            yield Setting(scenario, base, tags, (*overrides, *pulses), quantity)
 
 
 def _loops(wanted: CasesDefinition, base: Setup) -> Iterator[tuple[bool, Quantity]]:
@@ -165,18 +182,12 @@ class Case:
     Attributes:
         setting: the setting.
         variants: starts or plants.
-        seeds: seeds of the runs of each variant: one is enough if nothing is random.
         ceilings_ms: how long each variant's arm may be held at its start, if known.
     """
 
     setting: Setting
     variants: list[Variant]
-    seeds: list[list[int]]
     ceilings_ms: list[float]
-
-    @property
-    def runs_per_value(self) -> int:
-        return sum(map(len, self.seeds))
 
     @property
     def findings(self) -> dict[str, Any]:
@@ -191,11 +202,14 @@ class StudyOfCases(StudyOfRuns):
     Attributes:
         definition_type: schema of its YAML file.
         cases: the cases to try.
+        trials: the trial of each variant at each value, by point.
     """
 
     definition_type: ClassVar[type[CasesDefinition]]
     definition: Any
     cases: list[Case]
+    _is_random = False
+    """A run of it drew random numbers."""
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         with naming(source):
@@ -204,6 +218,7 @@ class StudyOfCases(StudyOfRuns):
         with naming(source):
             scenarios = [scenario_name(name, source.parent) for name in given.scenarios]
             self.definition = given.model_copy(update={"scenarios": scenarios})
+            self.trials: dict[str, Trial] = {}
             self.cases = list(self._build_cases())
             self._require_own_names()
             self.bases = list({base.scenario.name: base for base in self.variants}.values())
@@ -226,9 +241,20 @@ class StudyOfCases(StudyOfRuns):
     def case_findings(self, rows: list[Row]) -> dict[str, Any]:
         """Return the results of the cases, and whether all is `completed`, ready for JSON."""
 
+    def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
+        found = super().conditions(summary, manifest)
+        if self.definition.excitation and any(case.setting.tags["running"] for case in self.cases):
+            found["excitation"] = EXCITATION
+        saved = summary["saved"]
+        found["runs"] = (
+            f"{summary['runs']} of {saved['runs_planned']} planned,"
+            f" {saved['runs_ended_early']} stopped after their loss"
+        )
+        return found
+
     def _build_cases(self) -> Iterator[Case]:
         """Return all cases; each arm is checked in every variant, each case in the first."""
-        known = dict[str, tuple[list[list[int]], list[float]]]()
+        known = dict[str, list[float]]()
         for setting in settings(self.definition, self.own_keys):
             variants = self.variants_of(setting)
             arm = f"{setting.scenario} {setting.tags['running']}"
@@ -236,11 +262,8 @@ class StudyOfCases(StudyOfRuns):
                 self._checked(setting, variants[0])
             else:
                 setups = [self._checked(setting, variant) for variant in variants]
-                seeds = [
-                    study_keys.seeds_that_differ(setup, self.definition.seeds) for setup in setups
-                ]
-                known[arm] = seeds, self._ceilings_ms(setting, setups)
-            yield Case(setting, variants, *known[arm])
+                known[arm] = self._ceilings_ms(setting, setups)
+            yield Case(setting, variants, known[arm])
 
     def _checked(self, setting: Setting, variant: Variant) -> Setup:
         overrides = setting.at(self.last_value(setting), variant.overrides)
@@ -283,19 +306,75 @@ class StudyOfCases(StudyOfRuns):
             "unit": quantity.unit,
             "duration_s": {base.scenario.name: base.scenario.duration_s for base in self.bases},
             **self.case_findings(rows),
+            "saved": self._saved(rows),
         }
 
-    def runs_at(self, index: int, at: int, value: float) -> Iterator[PlannedRun]:
-        """Return the runs of a case at its `at`-th value: every variant with every seed."""
+    def _saved(self, rows: list[Row]) -> dict[str, Any]:
+        """Return how much less was run than all variants and seeds at all tried values."""
+        durations_s = {base.scenario.name: base.scenario.duration_s for base in self.bases}
+        planned_s = sum(
+            trial.planned * durations_s[trial.runs[0].columns["arm"]] for trial in self.all_trials
+        )
+        return {
+            "runs_planned": sum(trial.planned for trial in self.all_trials),
+            "runs_ended_early": sum(not is_whole(row) for row in rows),
+            "planned_s": planned_s,
+            "simulated_s": math.fsum(row.get("duration_s") or 0.0 for row in rows),
+        }
+
+    @property
+    def runs_per_variant(self) -> int:
+        """Number of runs of a variant at a value, as far as known now."""
+        return len(self.definition.seeds) if self._is_random else 1
+
+    def begin(
+        self, runs: Iterable[PlannedRun], test: SequentialTest, earlier: Iterable[Row] = (),
+        *, is_exhaustive: bool = False,
+    ) -> list[PlannedRun]:  # fmt: skip
+        """Begin the trial of some variants at a value; return the first runs.
+
+        Args:
+            runs: a run of each variant, in order.
+            test: decides the value.
+            earlier: rows at other values, by which the worst variants and seeds go first.
+            is_exhaustive: make all runs, and to their ends.
+        """
+        is_exhaustive |= self.definition.is_exhaustive
+        planned = [replace(run, ends_early=not is_exhaustive) for run in runs]
+        planned, seeds = worst_first(
+            planned, self.definition.seeds, () if is_exhaustive else earlier
+        )
+        trial = Trial(test, planned, seeds, is_exhaustive)
+        self.trials |= dict.fromkeys(seeds, trial)
+        return trial.request()
+
+    def follow(self, run: PlannedRun, values: Row) -> Iterable[PlannedRun]:
+        """Request what the trial of a run needs next."""
+        self._is_random |= uses_seed(values)
+        trial = self.trials[run.point]
+        trial.add(run, values)
+        return trial.request()
+
+    @property
+    def all_trials(self) -> list[Trial]:
+        """All trials, in the order in which they began."""
+        return list({id(trial): trial for trial in self.trials.values()}.values())
+
+    def ahead(self) -> Iterable[PlannedRun]:
+        return runs_ahead(self.all_trials)
+
+    def runs_at(
+        self, index: int, at: int, value: float, variants: Iterable[Variant]
+    ) -> Iterator[PlannedRun]:
+        """Return the first run of a case at its `at`-th value in each variant."""
         wanted, case = self.definition, self.cases[index]
         tags = {**case.setting.tags, "quantity": wanted.quantity, "value": value}
-        for variant, seeds in zip(case.variants, case.seeds, strict=True):
-            overrides = case.setting.at(value, variant.overrides)
-            for seed in seeds:
-                yield PlannedRun(
-                    point_name(index, at, variant), case.setting.scenario, overrides, seed,
-                    {**tags, **variant.columns}, bool(wanted.confirm),
-                )  # fmt: skip
+        for variant in variants:
+            yield PlannedRun(
+                point_name(index, at, variant), case.setting.scenario,
+                case.setting.at(value, variant.overrides), wanted.seeds[0],
+                {**tags, **variant.columns}, bool(wanted.confirm),
+            )  # fmt: skip
 
 
 def point_name(case: int, value: int, variant: Variant) -> str:

@@ -9,11 +9,10 @@ import os
 import queue
 import signal
 import sys
-import sysconfig
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -26,9 +25,12 @@ from distributed.scheduler import KilledWorker
 from distributed.security import Security
 
 from bus_schema.runtime import compiled
+from bus_schema.safe_path import restore_path, safe_path
 from controller.laws.custom import EXTERNAL, Maker, find_law, is_custom, laws_given
+from controller.laws.read_files import is_of_the_user
 from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.provenance import Provenance, current
 from deploy.study.study import PlannedRun, failed, row_of
 
 _ANSWER_S = 3.0
@@ -77,6 +79,7 @@ class DaskWorkers:
             self._client = self._open.enter_context(_connect(scheduler))
             return
         with self._open:
+            self._open.enter_context(safe_path())  # a worker that dies is replaced at any time
             scratch = tempfile.TemporaryDirectory(
                 prefix="funnel-hil-", dir=dask.config.get("temporary-directory", None)
             )
@@ -96,6 +99,11 @@ class DaskWorkers:
         """Number of runs that they execute at a time, as far as known."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         return sum(worker["nthreads"] for worker in workers)
+
+    def current(self, parts: Iterable[str]) -> list[Provenance]:
+        """Return the present values of parts of a provenance, as each worker has them."""
+        found: Mapping[str, Provenance] = self._client.run(current, list(parts))
+        return list(found.values())
 
     def submit(self, run: PlannedRun) -> None:
         """Submit a run."""
@@ -134,8 +142,12 @@ class DaskWorkers:
 
 
 def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
-    """Start worker processes on this machine, in a folder for files that Dask leaves behind."""
-    with dask.config.set(_UNWATCHED | {"temporary-directory": scratch}):
+    """Start worker processes on this machine, in a folder for files that Dask leaves behind.
+
+    Raises:
+        OSError: one of them did not start.
+    """
+    with dask.config.set(_UNWATCHED | {"temporary-directory": scratch}), _naming_workers():
         return LocalCluster(
             n_workers=workers or len(os.sched_getaffinity(0)),
             threads_per_worker=1,
@@ -147,6 +159,19 @@ def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
             silence_logs=logging.CRITICAL,
             preload=[__name__],  # see `dask_setup`; and no first run waits for imports
         )
+
+
+@contextmanager
+def _naming_workers() -> Iterator[None]:
+    """Raise an `OSError` with the first cause of an error of Dask, which names its own parts."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        cause: BaseException = error
+        while cause.__cause__ or cause.__context__:
+            cause = cause.__cause__ or cause.__context__ or cause
+        needs = " (they need room in /dev/shm)" if isinstance(cause, OSError) else ""
+        raise OSError(f"the study's worker processes did not start: {cause}{needs}") from error
 
 
 class _ForwardingHandler(logging.Handler):
@@ -169,6 +194,7 @@ def dask_setup(worker: Worker) -> None:
 
     The errors of a run are in its row, cause first; a log here would not show whose they are.
     """
+    restore_path()
     compiled.logger.addHandler(_ForwardingHandler(worker))
     compiled.logger.propagate = False
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
@@ -264,10 +290,7 @@ def _is_of_the_user(module: ModuleType) -> bool:
     file = getattr(module, "__file__", None)
     if module.__name__ == "__main__" or file is None:
         return False
-    installed = (sysconfig.get_path("purelib"), sysconfig.get_path("platlib"))
-    ours = Path(__file__).resolve().parents[2]
-    folders = [*map(Path, installed), ours]
-    return not any(Path(file).resolve().is_relative_to(folder) for folder in folders)
+    return is_of_the_user(str(Path(file).resolve()))
 
 
 @lru_cache(maxsize=16)

@@ -4,24 +4,26 @@ The table of rows is rewritten soon after runs are done, less often if that take
 written whole or not at all, so the folder of a killed study can always be used.
 
 Rows are identified by the varied values and the seed: points are named by their position in a
-study, and so are renamed when it grows.
+study, and so are renamed when it grows. Each row names its provenance, of which
+``provenance.json`` has all; a folder with rows of another provenance than today's is refused.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
-from controller.laws import LAWS
 from deploy.judge.conditions import Conditions
-from deploy.judge.run_rows import Row, left_nothing, read_rows, write_rows
+from deploy.judge.run_rows import PROVENANCE, Row, left_nothing, read_rows, write_rows
 from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION_COLUMNS
 from deploy.run.new_folder import new_folder, resolved_out
@@ -34,16 +36,27 @@ from deploy.scenario.yaml_text import values_of
 from deploy.study.comparison.comparison import Comparison
 from deploy.study.growth import changes, hindrances
 from deploy.study.margin import Margin
+from deploy.study.provenance import Provenance, current, differences, provenance_of_law
 from deploy.study.robustness import Robustness
 from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
 from deploy.study.sweep import Sweep
 
 STUDY_FILE = "study.yaml"
+_PROVENANCES_FILE = "provenance.json"
 KINDS: dict[str, type[StudyOfRuns]] = {
     kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison)
 }
 _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3
+_NO_PROVENANCE = "an older version of funnel-hil made them and recorded neither"
+
+Current = Callable[[Iterable[str]], list[Provenance]]
+"""Returns the present values of parts of a provenance, of each host that may do a run."""
+
+
+def here(parts: Iterable[str]) -> list[Provenance]:
+    """Return the present values of parts of a provenance in this process."""
+    return [current(parts)]
 
 
 class StudyFolder(run_folder.ResultFolder):
@@ -65,12 +78,31 @@ class StudyFolder(run_folder.ResultFolder):
         for row in read_rows(self.rows_file) if self.rows_file.exists() else ():
             self._earlier.setdefault(self._identity(row), []).append(row)
         self._rows: dict[tuple[str, int], Row] = {}
+        known = run_folder.read_json(path / _PROVENANCES_FILE).items()
+        self._provenances = {key: parts for key, parts in known if isinstance(parts, dict)}
+        self._of_law = cache(provenance_of_law)
+        self.reused = 0
         self._due_s = time.monotonic() + _WRITE_EVERY_S
 
     @property
     def rows(self) -> list[Row]:
         """All rows so far, in the order of points, then seeds."""
         return [self._rows[key] for key in sorted(self._rows)]
+
+    @property
+    def note(self) -> str:
+        """How many rows an earlier command made, and whether inputs changed while rows were made.
+
+        Empty if neither.
+        """
+        values: dict[str, set[str]] = {}
+        for row in self.rows:
+            for part, value in self._provenances.get(str(row.get(PROVENANCE)), {}).items():
+                values.setdefault(part, set()).add(value)
+        changed = ", ".join(part for part, found in values.items() if len(found) > 1)
+        count = f"{self.reused} of {len(self._rows)} runs are from before, with the same inputs"
+        said = {count: self.reused, f"{changed} changed between its runs": changed}
+        return "; ".join(text for text, is_so in said.items() if is_so)
 
     def become(self) -> None:
         """Make the folder hold this study, which has grown from the one in it.
@@ -86,6 +118,11 @@ class StudyFolder(run_folder.ResultFolder):
         write_json(self.manifest, run_folder.grown_from(before, _manifest(self._study)))
         write_whole(file, to_yaml(wanted))
 
+    def has(self, run: PlannedRun) -> bool:
+        """Whether there is a row of a run, also of one that is not requested."""
+        identity = self._identity({**run.columns, "seed": run.seed})
+        return run.key in self._rows or bool(self._earlier.get(identity))
+
     def find(self, run: PlannedRun) -> Row | None:
         """Return the row of a run that was done before; None without one."""
         if run.key not in self._rows:
@@ -94,21 +131,43 @@ class StudyFolder(run_folder.ResultFolder):
                 return None
             row = min(known, key=lambda row: (left_nothing(row), row["point"] != run.point))
             known.remove(row)
-            self._rows[run.key] = {**row, "point": run.point}
+            self._rows[run.key] = {**row, **run.columns, "point": run.point}  # some may be new
         return self._rows[run.key]
 
     def find_done(self, run: PlannedRun) -> Row | None:
         """Return the row of a run that need not be repeated; None without one.
 
-        A recording is reused if it is whole, and of a shipped law: others may have changed since.
+        A recording is reused if it is whole.
         """
         row = self.find(run)
         if row is None or left_nothing(row):
             return None
-        if run.recording is None:
-            return row
-        log = run_folder.RunFolder(self.path / run.recording).log
-        return row if row["completed"] and row["law"] in LAWS and log.exists() else None
+        if run.recording is not None:
+            log = run_folder.RunFolder(self.path / run.recording).log
+            if not (row["completed"] and log.exists()):
+                return None
+        self.reused += 1
+        return row
+
+    def changes(self, now: Current) -> list[str]:
+        """Return what has changed since the existing rows were made, a sentence for each part.
+
+        Args:
+            now: returns the present values; any host may have those of the rows.
+        """
+        rows = [row for rows in self._earlier.values() for row in rows if not left_nothing(row)]
+        keys = {str(row.get(PROVENANCE)) for row in rows}
+        if not keys <= self._provenances.keys():
+            return [_NO_PROVENANCE]
+        made_by = [self._provenances[key] for key in sorted(keys)]
+        laws = {k: v for law in self._study.laws for k, v in self._of_law(law).items()}
+        hosts = now({part for each in made_by for part in each})
+        found = [
+            [said for each in made_by for said in differences(each, {**host, **laws})]
+            for host in hosts
+        ]
+        found.sort(key=len)
+        return list(dict.fromkeys(found[0])) if found else []
 
     def placed(self, run: PlannedRun) -> PlannedRun:
         """Return the run with the full path of its recording."""
@@ -121,9 +180,13 @@ class StudyFolder(run_folder.ResultFolder):
         return tuple(tuple(each) if isinstance(each, list) else each for each in told)
 
     def add(self, run: PlannedRun, values: Row) -> None:
-        """Keep the row of a run, and the scenario of its point."""
+        """Keep the row of a run, its provenance with the code of its law, and its scenario."""
         self.keep_scenario(run)
-        self._rows[run.key] = values
+        made_by = {**self._of_law(values["law"] or ""), **(values.get(PROVENANCE) or {})}
+        made_by = {part: value for part, value in made_by.items() if value}  # others it has written
+        key = digest_of(json.dumps(made_by, sort_keys=True).encode())
+        self._provenances[key] = made_by
+        self._rows[run.key] = {**values, PROVENANCE: key}
         if time.monotonic() >= self._due_s:
             self.write()
 
@@ -136,6 +199,7 @@ class StudyFolder(run_folder.ResultFolder):
                 took another path.
         """
         began_s = time.monotonic()
+        write_json(self.path / _PROVENANCES_FILE, self._provenances)
         left = [] if completed else [row for rows in self._earlier.values() for row in rows]
         write_rows([*self.rows, *left], self.rows_file, self._columns, conditions)
         took_s = time.monotonic() - began_s
@@ -160,15 +224,19 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
 
     Args:
         study: the study.
-        out: the requested folder; by default the newest one in ``runs`` with this study unfinished.
+        out: the requested folder; by default the newest one in ``runs`` with this study, if it is
+            unfinished.
 
     Raises:
-        ScenarioError: the requested folder holds another study, which this one does not extend.
+        ScenarioError: that folder holds another study, which this one does not extend.
     """
     wanted = _identity(study)
     if out is None:
         begun = sorted(Path("runs").glob(f"{_folder_name(study)}-*"), reverse=True)
-        return next((path.resolve() for path in begun if _can_go_on(path, wanted)), None)
+        newest = next((path for path in begun if _has_definition(path, wanted)), None)
+        if newest is None or run_folder.read_summary(newest).get("completed", False):
+            return None
+        out = newest
     path = resolved_out(out)
     file = path / STUDY_FILE
     if not is_file(file):
@@ -180,6 +248,26 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
             f" {'; '.join(why[:_SHOWN_HINDRANCES])}"
         )
     return path
+
+
+def require_same_provenance(study: StudyOfRuns, path: Path | None, now: Current = here) -> None:
+    """Check that nothing has changed that made the rows in a study's folder.
+
+    Args:
+        study: the study.
+        path: its folder by `find_folder`.
+        now: as for `StudyFolder.changes`.
+
+    Raises:
+        ScenarioError: something has changed; the message names it, with the values of both times.
+    """
+    why = [] if path is None else StudyFolder(path, study).changes(now)
+    if why:
+        raise ScenarioError(
+            f"{path}: its rows were made with other code, files or versions:"
+            f" {'; '.join(why[:_SHOWN_HINDRANCES])}:"
+            f" --out {path} --overwrite makes them again, and a new --out keeps them"
+        )
 
 
 def create_folder(study: StudyOfRuns, out: Path | None, *, overwrite: bool = False) -> Path:
@@ -254,13 +342,12 @@ def _manifest(study: StudyOfRuns) -> dict[str, Any]:
     return {**study.provenance(), "study": _identity(study)}
 
 
-def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
-    """Whether a folder holds an unfinished study."""
+def _has_definition(path: Path, wanted: dict[str, Any]) -> bool:
     try:
         found = read_yaml(path / STUDY_FILE)
     except ScenarioError:
         return False
-    return found == wanted and not run_folder.read_summary(path).get("completed", False)
+    return all(found.get(key) == wanted[key] for key in ("kind", "definition"))
 
 
 def _digests(study: StudyOfRuns) -> set[tuple[str, str]]:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from bus_schema.configuration import shown
-from controller.laws import LAWS
+from controller.laws import COMPARED_LAWS
 from deploy.study.study import column_type
 
 _TYPES = {
@@ -15,6 +15,8 @@ _TYPES = {
     "string": "neither numbers nor true or false",
 }
 """Kind of a grid's values, by the Parquet type of their column."""
+_ADDS_RUNS = (("pattern", None), ("disturbances", None))
+"""Keys and earlier values with which all earlier runs are still those of the study."""
 
 
 def hindrances(
@@ -32,6 +34,8 @@ def hindrances(
     old, new = found.get("definition"), wanted["definition"]
     if not isinstance(old, dict):
         return ["definition: is missing"]
+    if "exhaustive" in new:  # as studies of older versions were
+        old = {"exhaustive": True, **old}
     said = [
         sentence
         for key in dict.fromkeys((*old, *new))
@@ -65,9 +69,9 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
         if new < old:
             yield _lacks(key, old, new)
     elif isinstance(old, list) and (isinstance(new, list) or key == "laws"):  # tried in turn
-        if not _has_all(list(LAWS) if new is None else new, old):
+        if not _has_all(COMPARED_LAWS if new is None else new, old):
             yield _lacks(key, old, new)
-    elif old != new:
+    elif old != new and key != "what_helps" and (key, old) not in _ADDS_RUNS:
         yield f"{key} = {shown(new)}: must be {shown(old)}"
 
 

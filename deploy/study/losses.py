@@ -52,47 +52,40 @@ def rank_losses(quantities: Sequence[Measured], lost: np.ndarray[Any, Any]) -> d
 
     Args:
         quantities: the drawn numbers.
-        lost: which plants were lost, shape (values, plants).
+        lost: which plants were lost, shape (values, plants); NaN where one was not tried.
 
     Returns:
         ``lost_plants`` and ``kept_plants``, at one value or more; ``chance_level``, and ``effects``
         with ``quantity`` and ``effect``, null if no value has both lost and kept plants, or too
         few.
     """
-    mixed = lost[lost.any(axis=1) & ~lost.all(axis=1)]
+    was_lost, was_kept = lost == 1, lost == 0
+    is_mixed = was_lost.any(axis=1) & was_kept.any(axis=1)
     counts = {
-        "lost_plants": int(lost.any(axis=0).sum()),
-        "kept_plants": int((~lost).any(axis=0).sum()),
+        "lost_plants": int(was_lost.any(axis=0).sum()),
+        "kept_plants": int(was_kept.any(axis=0).sum()),
     }
-    least = min(int(which.any(axis=0).sum()) for which in (mixed, ~mixed))
-    if least < _LEAST_EACH or not quantities:
+    mixed = was_lost[is_mixed], was_kept[is_mixed]
+    if min(int(which.any(axis=0).sum()) for which in mixed) < _LEAST_EACH or not quantities:
         return {**counts, "chance_level": None, "effects": None}
-    effects, chance_level = _effects(quantities, mixed)
+    effects, chance_level = _effects(quantities, *mixed)
     found = sorted(zip(quantities, effects, strict=True), key=lambda pair: -abs(pair[1]))
     named = [{"quantity": quantity.name, "effect": effect} for quantity, effect in found]
     return {**counts, "chance_level": chance_level, "effects": named}
 
 
 def _effects(
-    quantities: Sequence[Measured], mixed: np.ndarray[Any, Any]
+    quantities: Sequence[Measured], lost: np.ndarray[Any, Any], kept: np.ndarray[Any, Any]
 ) -> tuple[list[float], float]:
-    """Return each quantity's effect, and the chance level; `mixed`: values with lost and kept."""
-    ranks = np.array([_midranks(quantity.values) for quantity in quantities])
-    times_lost = mixed.sum(axis=0).astype(np.float64)
-    each = mixed.sum(axis=1)
-    pairs = float((each * (mixed.shape[1] - each)).sum())
-    least_rank_sum = float((each * (each + 1) / 2).sum())
+    """Return each quantity's effect, and the chance level, from values with lost and kept."""
+    values = np.array([quantity.values for quantity in quantities])
+    # By pair of plants: which has more, and at how many values the one was lost, the other kept.
+    more = np.sign(values[:, :, None] - values[:, None, :]).reshape(len(values), -1)
+    times = lost.astype(np.float64).T @ kept
 
-    def effects(losses: Vector) -> Vector:
-        # Exact for any order of BLAS's sums: ranks are halves, and losses whole numbers.
-        return 2.0 * (ranks @ losses - least_rank_sum) / pairs - 1.0
+    def effects(order: np.ndarray[Any, Any]) -> Vector:
+        return np.asarray(more @ times[np.ix_(order, order)].ravel() / times.sum())
 
-    random = np.random.default_rng(_SHUFFLE_SEED)
-    strongest = [np.abs(effects(random.permutation(times_lost))).max() for _ in range(_SHUFFLES)]
-    return effects(times_lost).tolist(), float(np.quantile(strongest, 0.95))
-
-
-def _midranks(values: Vector) -> Vector:
-    """Return ranks from 1 on; equal values share the mean of theirs."""
-    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1.0))[which], dtype=np.float64)
+    random, plants = np.random.default_rng(_SHUFFLE_SEED), np.arange(len(times))
+    strongest = [np.abs(effects(random.permutation(plants))).max() for _ in range(_SHUFFLES)]
+    return effects(plants).tolist(), float(np.quantile(strongest, 0.95))

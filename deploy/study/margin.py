@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
-from bus_schema.configuration import Number, Positive
-from deploy.judge.run_rows import Row, held, left_nothing
+from bus_schema.configuration import ConfigurationError, Number, Positive
+from deploy.judge.run_rows import Row, tolerated
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
+from deploy.scenario.warnings import require_hold
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import CASE_COLUMNS, CasesDefinition, Setting, StudyOfCases
+from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, StudyOfCases
+from deploy.study.doubts import doubts
+from deploy.study.follow_ups import disturbances, remedies
+from deploy.study.follow_ups.disturbances import DisturbanceSizes
+from deploy.study.follow_ups.pattern_trace import write_worst_traces
+from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, levels, shaped
+from deploy.study.follow_ups.theory import theory_of
+from deploy.study.follow_ups.trials import COLUMN, Trials, trials
 from deploy.study.plants import Variant
-from deploy.study.quantities import Steps
-from deploy.study.statistics import badness, spread_of_runs
+from deploy.study.quantities import MarginSearch, Steps
+from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
 from deploy.study.study import Different, PlannedRun, Seeds
+from deploy.study.trials.sequential_test import SequentialTest
 
-_BEYOND = (1.5, 2.0)
+_OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")
+"""Keys of the findings about patterns of delays."""
+_MOST_VARIANTS = 200
+"""Of a follow-up, for each start; their numbers do not depend on what is tried before them."""
 
 
 class MarginDefinition(CasesDefinition):
@@ -32,79 +44,21 @@ class MarginDefinition(CasesDefinition):
         resolution: resolution of the margin, in the quantity's unit.
         limit: the last value tried, in the quantity's unit; for a number of the scenario it may lie
             below the scenario's own value, where the search begins.
+        pattern: ``any``: also test that the margin of a constant delay holds for every pattern of
+            delays, or without play-out look for the pattern that is tolerated least.
+        disturbances: what else is tried with ``pattern``, at the margin, its half and its quarter:
+            messages that are lost, late or overtaken; null for nothing.
+        what_helps: at the first failure of each case, also try compensation, automatic play-out, a
+            loop at the drives, half the gains and twice the rate.
     """
 
     seeds: Seeds = Field(default=[1, 2])
     offsets: Different[Number] = Field(default=[1.0, -0.5])
     resolution: Positive | None = None
     limit: Number | None = None
-
-
-@dataclass
-class MarginSearch:
-    """Search that selects the next value to probe, in whole steps of the resolution.
-
-    From zero, values are doubled until one fails; the interval between the last that held and the
-    first that failed is halved until they are neighbours. Finally two larger values are probed, as
-    bounds may be kept again beyond a failure.
-
-    Attributes:
-        steps: the values that can be probed.
-        outcomes: whether each probed value held.
-        rows: rows of its runs, by the probed value in steps.
-    """
-
-    steps: Steps
-    outcomes: dict[int, bool] = field(default_factory=dict)
-    rows: dict[int, list[Row]] = field(default_factory=dict)
-
-    @property
-    def first_failure(self) -> int | None:
-        """Smallest value that failed."""
-        return min((value for value, held in self.outcomes.items() if not held), default=None)
-
-    @property
-    def margin(self) -> int | None:
-        """Largest value up to which all probes held; None if zero failed."""
-        failure = self.first_failure
-        holding = (value for value, held in self.outcomes.items() if held)
-        return max((v for v in holding if failure is None or v < failure), default=None)
-
-    @property
-    def held_again(self) -> list[int]:
-        """Values beyond the first failure that held."""
-        failure = self.first_failure
-        if failure is None:
-            return []
-        return sorted(value for value, held in self.outcomes.items() if held and value > failure)
-
-    @property
-    def probes_left(self) -> int:
-        """Number of remaining probes, if the next one of a bracketing fails."""
-        margin, failure = self.margin, self.first_failure
-        if failure is None:
-            step = max(self.steps.first, margin or 0)
-            return 1 + step.bit_length() + len(_BEYOND)
-        left = (failure - margin - 1).bit_length() if margin is not None else 0
-        return left + sum(value not in self.outcomes for value in self._beyond(failure))
-
-    def next(self) -> int | None:
-        """Return the value to probe next; None when the search is over."""
-        margin, failure = self.margin, self.first_failure
-        if failure is None:
-            if margin is None:
-                return 0
-            grown = min(2 * margin or self.steps.first, self.steps.limit)
-            return grown if grown > margin else None
-        if margin is not None and failure - margin > 1:
-            return (margin + failure) // 2
-        untried = (value for value in self._beyond(failure) if value not in self.outcomes)
-        return next(untried, None)
-
-    def _beyond(self, failure: int) -> list[int]:
-        """Return the values to probe beyond a failure."""
-        further = (round(factor * failure) for factor in _BEYOND)
-        return [value for value in further if failure < value <= self.steps.limit]
+    pattern: Literal["any"] | None = None
+    disturbances: DisturbanceSizes | None = Field(default_factory=DisturbanceSizes)
+    what_helps: bool = False
 
 
 class Margin(StudyOfCases):
@@ -112,17 +66,35 @@ class Margin(StudyOfCases):
 
     Attributes:
         searches: the search of each case.
+        follow_ups: what is tried of each case once its search is over, by its index and name.
     """
 
     kind = "margin"
     definition_type = MarginDefinition
     definition: MarginDefinition
-    columns = MappingProxyType({**CASE_COLUMNS, "offset_scale": "double"})
-    own_keys = MappingProxyType({UNCERTAINTY: "beside plants (--plants)"})
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         super().__init__(values, source)
-        self.searches = [MarginSearch(self._steps(case.setting)) for case in self.cases]
+        for setting in (case.setting for case in self.cases):
+            if setting.quantity.is_of_link:
+                require_hold(setting.base)
+        self.columns = {**CASE_COLUMNS, "offset_scale": "double", COLUMN: "string"}
+        self.searches = [
+            MarginSearch(self._steps(case.setting), variants=case.variants) for case in self.cases
+        ]
+        self.follow_ups: dict[int, dict[str, MarginSearch]] = {}
+        if self.definition.pattern is not None:
+            self.columns["pattern"] = "string"
+            for setting, start in ((case.setting, case.variants[0]) for case in self.cases):
+                self._checked(setting, shaped(start, HANDFUL[0], 0, setting.quantity))
+
+    @property
+    def own_keys(self) -> dict[str, str]:
+        own = {UNCERTAINTY: "beside plants (--plants)"}
+        if self.definition.pattern is not None:
+            keys = (f"link.{name}.pattern" for name in ("uplink", "downlink"))
+            own |= dict.fromkeys(keys, "without pattern (--pattern)")
+        return own
 
     def _steps(self, setting: Setting) -> Steps:
         return setting.quantity.steps(self.definition.resolution, self.definition.limit)
@@ -133,51 +105,134 @@ class Margin(StudyOfCases):
 
     def variants_of(self, setting: Setting) -> list[Variant]:
         own, key = setting.base.scenario.robot.initial_offset_rad, "robot.initial_offset_rad"
-        return [
-            Variant(number, (override(key, (scale * own).tolist()),), {"offset_scale": scale})
+        starts = [
+            Variant(
+                number,
+                (override(key, (scale * own).tolist()),),
+                {"offset_scale": scale, COLUMN: None},
+            )
             for number, scale in enumerate(self.definition.offsets)
         ]
+        if self.definition.pattern is None:
+            return starts
+        if self.definition.quantity != "delay":
+            allowed = f"must be left out for {self.definition.quantity}: only a delay has patterns"
+            raise ConfigurationError("pattern", self.definition.pattern, allowed)
+        return [shaped(start, None, start.number, setting.quantity) for start in starts]
 
     @property
     def expected(self) -> int:
-        return sum(
-            (search.probes_left + len(search.outcomes)) * case.runs_per_value
-            for case, search in zip(self.cases, self.searches, strict=True)
-        )
+        left = 0
+        for search in self.searches:
+            is_begun = bool(search.requested.keys() - search.outcomes.keys())
+            left += (search.probes_left - is_begun) * len(search.variants)
+        begun = sum(trial.expected for trial in self.all_trials)
+        return begun + left * self.runs_per_variant
 
     def first(self) -> Iterable[PlannedRun]:
-        return [run for case in range(len(self.cases)) for run in self._next_probe(case)]
+        return [
+            run for index, each in enumerate(self.searches) for run in self._next_probe(index, each)
+        ]
 
     def follow(self, run: PlannedRun, values: Row) -> Iterable[PlannedRun]:
-        index, steps = map(int, run.point.split("-")[:2])
-        search = self.searches[index]
+        index, steps, number = map(int, run.point.split("-"))
+        searches = (self.searches[index], *self.follow_ups.get(index, {}).values())
+        search = next(each for each in searches if any(v.number == number for v in each.variants))
         rows = search.rows.setdefault(steps, [])
         rows.append(values)
-        if len(rows) < self.cases[index].runs_per_value or any(map(left_nothing, rows)):
-            return ()  # unknown so far, or for good, whether this value holds
-        search.outcomes[steps] = all(map(held, rows))
-        return self._next_probe(index)
+        more = super().follow(run, values)
+        trial = self.trials[run.point]
+        has_failed = isinstance(search, Trials) and len(rows) >= trial.planned
+        if trial.known.outcome is None and not has_failed:  # a remedy that fails does not help
+            return more  # nothing if it is unknown for good
+        search.outcomes[steps] = all(map(tolerated, rows))
+        return self._next_probe(index, search)
 
-    def _next_probe(self, index: int) -> Iterable[PlannedRun]:
-        search = self.searches[index]
-        steps = search.next()
-        return () if steps is None else self.runs_at(index, steps, search.steps.value(steps))
+    def _next_probe(self, index: int, search: MarginSearch) -> list[PlannedRun]:
+        is_own = search is self.searches[index]
+        if (steps := search.next()) is not None:
+            new = search.variants[search.requested.get(steps, 0) :]
+            search.requested[steps] = len(search.variants)
+            test = SequentialTest(1.0, len(new))  # the first loss decides
+            earlier = [row for rows in search.rows.values() for row in rows]
+            runs = self.runs_at(index, steps, search.steps.value(steps), new)
+            return self.begin(runs, test, earlier, is_exhaustive=not is_own)
+        if not is_own:
+            return []
+        others = self.follow_ups[index] = dict(self._follow_ups(index, search))
+        return [run for each in others.values() for run in self._next_probe(index, each)]
+
+    def _follow_ups(self, index: int, search: MarginSearch) -> Iterator[tuple[str, MarginSearch]]:
+        """Return what is left to try of a case with this search, with numbers of their own."""
+        case, wanted, steps = self.cases[index], self.definition, search.steps
+        setting, block = case.setting, _MOST_VARIANTS * len(case.variants)
+        if wanted.pattern is not None and (margin := search.margin) is not None:
+            link = load_setup(setting.scenario, setting.at(steps.value(margin))).link
+            limited = replace(steps, first=margin, limit=margin)
+            # Without delay all patterns hold.
+            yield "patterns", PatternSearch(limited, {0: True}, case=case, is_levelled=levels(link))
+            if wanted.disturbances is not None:
+                values = sorted({margin, margin // 2, margin // 4}, reverse=True)
+                changes = disturbances.changes(wanted.disturbances, setting)
+                yield "disturbances", trials(case, steps, values, changes, block)
+        if wanted.what_helps and (failure := search.first_failure) is not None:
+            changes = remedies.changes(setting.base)
+            yield "what_helps", trials(case, steps, [failure], changes, 2 * block)
+
+    def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
+        for index, found in enumerate(summary["cases"]):
+            if (worst := found.get("worst_pattern")) is not None:
+                search, setting = self.follow_ups[index]["patterns"], self.cases[index].setting
+                assert isinstance(search, PatternSearch)
+                name, overrides = f"worst_pattern-{index:03d}", search.worst_overrides
+                worst |= write_worst_traces(setting, overrides, worst, folder, name)
 
     def case_findings(self, _rows: list[Row]) -> dict[str, Any]:
         steps = self.searches[0].steps
         return {
             "resolution": steps.resolution,
             "limit": steps.value(steps.limit),
-            "completed": all(search.next() is None for search in self.searches),
+            "completed": all(map(self._is_over, range(len(self.cases)))),
             "offsets": self.definition.offsets,
             "cases": [
-                {**case.findings, **_search_findings(search), "seeds": case.seeds[0]}
-                for case, search in zip(self.cases, self.searches, strict=True)
+                {
+                    **case.findings,
+                    **_search_findings(search, case, self.columns),
+                    **self._follow_up_findings(index),
+                    "theory": self._theory(case.setting, search),
+                }
+                for index, (case, search) in enumerate(zip(self.cases, self.searches, strict=True))
             ],
-        }
+        }  # fmt: skip
+
+    def _is_over(self, index: int) -> bool:
+        others = self.follow_ups.get(index)
+        return others is not None and all(each.next() is None for each in others.values())
+
+    def _follow_up_findings(self, index: int) -> dict[str, Any]:
+        """Return the findings about patterns, disturbances and remedies that were asked for."""
+        has_patterns, helps = self.definition.pattern is not None, self.definition.what_helps
+        found = dict[str, Any].fromkeys([*_OF_PATTERNS * has_patterns, *["what_helps"] * helps])
+        setting = self.cases[index].setting
+        for name, search in self.follow_ups.get(index, {}).items():
+            if isinstance(search, PatternSearch):
+                found |= search.findings(self.searches[index].rows[search.steps.limit])
+            elif isinstance(search, Trials) and search.next() is None:
+                kind = remedies if name == "what_helps" else disturbances
+                found[name] = kind.findings(setting, search)
+        return found
+
+    def _theory(self, setting: Setting, search: MarginSearch) -> dict[str, Any] | None:
+        """Return what theory says about a delay, when all runs have shown that the law works."""
+        is_wanted = search.next() is None and self.definition.quantity == "delay"
+        return theory_of(setting.base) if is_wanted else None
 
 
-def _search_findings(search: MarginSearch) -> dict[str, Any]:
+def _search_findings(
+    search: MarginSearch, case: Case, columns: Mapping[str, str]
+) -> dict[str, Any]:
+    all_rows = [row for rows in search.rows.values() for row in rows]
+
     def value(steps: int | None) -> float | None:
         return None if steps is None else search.steps.value(steps)
 
@@ -188,22 +243,19 @@ def _search_findings(search: MarginSearch) -> dict[str, Any]:
         "held_again": list(map(value, search.held_again)),
         "growth": search.steps.growth,
         "completed": search.next() is None,
+        "seeds": seeds_of(all_rows),
+        "doubts": doubts(case.setting, all_rows, columns),
         "probes": [
             {
                 "value": value(steps),
                 "held": search.outcomes.get(steps),
                 "points": sorted({row["point"] for row in rows}),
-                "worst_point": max(_in_order(rows), key=badness)["point"],
-                **spread_of_runs(_in_order(rows)),
+                "worst_point": max(in_order(rows), key=badness)["point"],
+                **spread_of_runs(in_order(rows)),
             }
             for steps, rows in sorted(search.rows.items())
         ],
     }
-
-
-def _in_order(rows: list[Row]) -> list[Row]:
-    """Return rows by point and seed, in any order of execution."""
-    return sorted(rows, key=lambda row: (row["point"], row["seed"]))
 
 
 def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:

@@ -1,36 +1,41 @@
-"""Quantities that grow until a law loses its bounds: of the link, or any number of a scenario."""
+"""Quantities that grow until a law loses its bounds: of the link, or any number of a scenario.
+
+Also the search for the value where that happens.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import did_you_mean
-from controller.reference import sample_positions
+from deploy.judge.run_rows import Row
+from deploy.scenario.held_arm import Direction
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import SEED, require_effect
 from deploy.scenario.uncertainty import number_at, number_keys
-from deploy.scenario.yaml_files import override, plain
+from deploy.scenario.yaml_files import ScenarioError, override, plain
+from deploy.study.plants import Variant
 
+_BEYOND = (1.5, 2.0)
 RAMP_FROM_S, RAMP_FOR_S = 1.0, 2.0
 """Start and duration of the gradual change in a running loop."""
+_PULSE_SHARE, _PULSE_S = 0.01, 0.02
+"""Share of a joint's largest torque, and duration, of the pulse that excites a running loop."""
+EXCITATION = (
+    f"running loops: {100 * _PULSE_SHARE:g} % of each joint's largest torque for"
+    f" {1e3 * _PULSE_S:g} ms at {RAMP_FROM_S + RAMP_FOR_S:g} s"
+)
 
 _UNITS = {
     "_rad_s": "rad/s", "_m_s": "m/s", "_nm_s": "", "_per_s": "1/s", "_ms": "ms", "_kg": "kg",
     "_rad": "rad", "_nm": "N m", "_hz": "Hz", "_s": "s", "_m": "m",
 }  # fmt: skip
 """Units by the ends of keys, longer ones first."""
-
-Direction = Literal["both", "uplink", "downlink"]
-
-_OTHER_DIRECTION = {"uplink": "downlink", "downlink": "uplink"}
-_CEILING_STEP_S = 1e-4
-_AT_A_TIME_S = 0.5
-_LATEST_CEILING_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,77 @@ class Steps:
 
     def value(self, steps: int) -> float:
         return round(self.origin + self.growth * steps * self.resolution, 9)
+
+
+@dataclass
+class MarginSearch:
+    """Search that selects the next value to probe, in whole steps of the resolution.
+
+    From zero, values are doubled until one fails; the interval between the last that held and the
+    first that failed is halved until they are neighbours. Finally two larger values are probed, as
+    bounds may be kept again beyond a failure.
+
+    Attributes:
+        steps: the values that can be probed.
+        outcomes: whether each probed value held.
+        rows: rows of its runs, by the probed value in steps.
+        variants: starts, or patterns from all starts, to run at each value.
+        requested: number of variants that were requested, by the probed value in steps.
+    """
+
+    steps: Steps
+    outcomes: dict[int, bool] = field(default_factory=dict)
+    rows: dict[int, list[Row]] = field(default_factory=dict)
+    variants: list[Variant] = field(default_factory=list)
+    requested: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def first_failure(self) -> int | None:
+        """Smallest value that failed."""
+        return min((value for value, held in self.outcomes.items() if not held), default=None)
+
+    @property
+    def margin(self) -> int | None:
+        """Largest value up to which all probes held; None if zero failed."""
+        failure = self.first_failure
+        holding = (value for value, held in self.outcomes.items() if held)
+        return max((v for v in holding if failure is None or v < failure), default=None)
+
+    @property
+    def held_again(self) -> list[int]:
+        """Values beyond the first failure that held."""
+        failure = self.first_failure
+        if failure is None:
+            return []
+        return sorted(value for value, held in self.outcomes.items() if held and value > failure)
+
+    @property
+    def probes_left(self) -> int:
+        """Number of remaining probes, if the next one of a bracketing fails."""
+        margin, failure = self.margin, self.first_failure
+        if failure is None:
+            step = max(self.steps.first, margin or 0)
+            return 1 + step.bit_length() + len(_BEYOND)
+        left = (failure - margin - 1).bit_length() if margin is not None else 0
+        return left + sum(value not in self.outcomes for value in self._beyond(failure))
+
+    def next(self) -> int | None:
+        """Return the value to probe next; None when the search is over."""
+        margin, failure = self.margin, self.first_failure
+        if failure is None:
+            if margin is None:
+                return 0
+            grown = min(2 * margin or self.steps.first, self.steps.limit)
+            return grown if grown > margin else None
+        if margin is not None and failure - margin > 1:
+            return (margin + failure) // 2
+        untried = (value for value in self._beyond(failure) if value not in self.outcomes)
+        return next(untried, None)
+
+    def _beyond(self, failure: int) -> list[int]:
+        """Return the values to probe beyond a failure."""
+        further = (round(factor * failure) for factor in _BEYOND)
+        return [value for value in further if failure < value <= self.steps.limit]
 
 
 @dataclass(frozen=True)
@@ -115,7 +191,8 @@ class Quantity:
         end = self.limit if limit is None else limit
         if end is None or size is None:
             missing = "limit" if end is None else "resolution"
-            raise ConfigurationError(missing, None, f"must be given for {self.title}")
+            where = f"--{missing}, or {missing} in a study's file"
+            raise ScenarioError(f"{where}: must be given for {self.title}")
         growth = -1 if end < self.origin and not self.is_of_link else 1
         last = math.floor(growth * (end - self.origin) / size + 1e-9)  # except for rounding
         if last < 1:
@@ -197,30 +274,20 @@ def _link_quantity(name: str, direction: Direction, running: Setup | None) -> Qu
     return replace(quantity, keys=tuple(f"{channel}.{key}" for channel in channels))
 
 
-def held_arm_ceiling_ms(setup: Setup, direction: Direction = "both") -> float | None:
-    """Return the delay at which an arm that is held at its start leaves the funnel, ms.
-
-    No law can start with a longer delay: until the first command acts, one round trip after the
-    start, the brakes hold the arm while reference and funnel move on.
-
-    Args:
-        setup: a scenario, for its reference, funnel and start.
-        direction: direction of the delay; the scenario's delay of the other is included.
-
-    Returns:
-        The delay to 0.1 ms; None if it is beyond the end of the run, or 5 s.
-    """
-    last_s = min(setup.scenario.duration_s, _LATEST_CEILING_S)
-    for from_s in np.arange(0.0, last_s, _AT_A_TIME_S):
-        times = np.arange(from_s, min(from_s + _AT_A_TIME_S, last_s), _CEILING_STEP_S)
-        reference = sample_positions(setup.reference, times, setup.robot.joints)
-        error = setup.start_position_rad - reference
-        upper, lower = setup.funnel.bounds(times)
-        outside = ((error > upper) | (error < lower)).any(axis=1)
-        if outside.any():
-            ceiling = round(1e3 * float(times[np.argmax(outside)]), 1)
-            if direction == "both":
-                return ceiling
-            other_ms: float = getattr(setup.scenario.link, _OTHER_DIRECTION[direction]).delay_ms
-            return round(max(0.0, ceiling - other_ms), 1)
-    return None
+def excitation(base: Setup) -> tuple[str, ...]:
+    """Return the override that pushes each joint of a loop, forwards and backwards in turn."""
+    plant = base.scenario.plant
+    disturbance, rated_nm = plant.disturbance, plant.actuator.saturation_nm
+    if not disturbance.enabled or not disturbance.scale:
+        return ()
+    rated_nm = base.robot.effort_limits_nm if rated_nm is None else rated_nm
+    pushes_nm = np.broadcast_to(_PULSE_SHARE / disturbance.scale * rated_nm, base.robot.joints)
+    pushes_nm = pushes_nm * (-1.0) ** np.arange(base.robot.joints)
+    when = {"start_s": RAMP_FROM_S + RAMP_FOR_S, "duration_s": _PULSE_S}
+    pulses = [
+        {"joint": joint, "kind": "pulse", "torque_nm": push_nm, **when}
+        for joint, push_nm in zip(base.robot.joint_names, pushes_nm.tolist(), strict=True)
+        if math.isfinite(push_nm)
+    ]
+    terms = [term.model_dump() for term in disturbance.terms]
+    return (override("plant.disturbance.terms", [*terms, *pulses]),) if pulses else ()

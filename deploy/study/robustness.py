@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,14 +11,16 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from bus_schema.configuration import Number, Whole
-from deploy.judge.run_rows import Row, held, left_nothing
+from deploy.judge.run_rows import Row, tolerated
 from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
 from deploy.scenario.yaml_files import ScenarioError, plain
 from deploy.study import cases, plants
+from deploy.study.doubts import doubts
 from deploy.study.losses import rank_losses, share_kept
 from deploy.study.margin import Margin, MarginDefinition
 from deploy.study.statistics import badness, spread_of_runs
-from deploy.study.study import Different, PlannedRun, Seeds, StudyOfRuns, rows_by
+from deploy.study.study import Different, PlannedRun, Seeds, StudyOfRuns
+from deploy.study.trials.sequential_test import SequentialTest
 
 _WORST_POINTS = 3
 
@@ -26,7 +29,8 @@ class RobustnessDefinition(cases.CasesDefinition, plants.UncertainDefinition):
     """Trials on many plants, as in a study's YAML file.
 
     Attributes:
-        plants: number of drawn plants; each one is tried at every value with every law.
+        plants: number of drawn plants. At every value with every law, so many are tried in order
+            that their share is decided nearly as surely as by all of them.
         values: values of the quantity.
         kept_share: share of the plants that must keep their bounds for a value to count as
             tolerated.
@@ -49,6 +53,7 @@ class Robustness(cases.StudyOfCases):
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         super().__init__(values, source)
         self.columns = {**cases.CASE_COLUMNS, **plants.draw_columns(self.definition, self.bases)}
+        self.test = SequentialTest(self.definition.kept_share, self.definition.plants)
 
     @property
     def own_keys(self) -> dict[str, str]:
@@ -64,64 +69,81 @@ class Robustness(cases.StudyOfCases):
         return plants.draw_plants(self.definition, setting.base, [*keys, LAW, SEED])
 
     def first(self) -> Iterable[PlannedRun]:
-        for index in range(len(self.cases)):
+        for index, case in enumerate(self.cases):
             for at, value in enumerate(self.definition.values):
-                yield from self.runs_at(index, at, value)
+                yield from self.begin(self.runs_at(index, at, value, case.variants), self.test)
 
-    def case_findings(self, rows: list[Row]) -> dict[str, Any]:
-        wanted, by_point = self.definition, rows_by(rows, lambda row: row["point"])
+    @property
+    def expected(self) -> int:
+        if not self.trials:
+            return len(self.cases) * len(self.definition.values) * self.definition.plants
+        return sum(trial.expected for trial in self.all_trials)
+
+    def case_findings(self, _rows: list[Row]) -> dict[str, Any]:
+        wanted, trials = self.definition, self.all_trials
+        is_begun = len(trials) == len(self.cases) * len(wanted.values)
         return {
             "values": wanted.values,
             "plants": wanted.plants,
             "plant_seed": wanted.plant_seed,
             "kept_share": wanted.kept_share,
-            "completed": len(rows) == self.expected and not any(map(left_nothing, rows)),
+            "test": None if wanted.is_exhaustive else self.test.error_probabilities,
+            "completed": is_begun and all(trial.known.outcome is not None for trial in trials),
             "uncertainty": {
                 base.scenario.name: plain(plants.uncertainty_of(wanted, base))
                 for base in self.bases
             },
-            "cases": [
-                self._case_findings(index, case, by_point) for index, case in enumerate(self.cases)
-            ],
+            "cases": [self._case_findings(index, case) for index, case in enumerate(self.cases)],
         }
 
-    def _case_findings(
-        self, index: int, case: cases.Case, by_point: Mapping[str, list[Row]]
-    ) -> dict[str, Any]:
-        found, lost = [], []
+    def _case_findings(self, index: int, case: cases.Case) -> dict[str, Any]:
+        found, tried_rows = list[dict[str, Any]](), list[Row]()
+        count = len(self.definition.values)
+        lost = np.full((count, len(case.variants)), np.nan)
         for at, value in enumerate(self.definition.values):
-            tried = [
-                by_point.get(cases.point_name(index, at, plant), []) for plant in case.variants
-            ]
-            judged = [
-                rows
-                for rows, seeds in zip(tried, case.seeds, strict=True)
-                if len(rows) == len(seeds) and not any(map(left_nothing, rows))
-            ]
-            found.append({"value": value, **_value_summary(value, case, judged)})
-            if len(judged) == len(tried):
-                lost.append([not _is_kept(rows) for rows in judged])
+            trial = self.trials.get(cases.point_name(index, at, case.variants[0]))
+            judged = [] if trial is None else [rows for _, rows in trial.known.judged]
+            outcome = None if trial is None else trial.known.outcome
+            tried_rows += [] if trial is None else trial.rows.values()
+            found.append({"value": value, **self._value_summary(value, case, judged, outcome)})
+            if outcome is not None:
+                lost[at, : len(judged)] = [not _is_kept(rows) for rows in judged]
         base = case.setting.base
         quantities = plants.measured(
             plants.uncertainty_of(self.definition, base), case.variants, base
         )
-        was_lost = np.array(lost, dtype=bool).reshape(-1, len(case.variants))
         return {
             **case.findings,
-            "kept_up_to": self._kept_up_to(found),
+            "kept_up_to": _kept_up_to(found),
+            "doubts": doubts(case.setting, tried_rows, self.columns),
             "values": found,
-            "losses": rank_losses(quantities, was_lost),
+            "losses": rank_losses(quantities, lost),
         }
 
-    def _kept_up_to(self, found: list[dict[str, Any]]) -> float | None:
-        """Return the largest value up to which enough plants were kept, with all plants judged."""
-        largest = None
-        for one in found:
-            enough = one["kept"] >= self.definition.kept_share * self.definition.plants
-            if one["total"] < self.definition.plants or not enough:
-                break
-            largest = one["value"]
-        return largest
+    def _value_summary(
+        self, value: float, case: cases.Case, judged: list[list[Row]], outcome: bool | None
+    ) -> dict[str, Any]:
+        """Summarise the plants at one value, from a list of rows for each judged plant."""
+        kept, total = sum(map(_is_kept, judged)), len(judged)
+        worst = sorted(judged, key=lambda rows: max(map(badness, rows)), reverse=True)
+        share = share_kept(kept, total)
+        interval = share["wilson_95"]
+        if not self.definition.is_exhaustive:  # which ends at any number of plants
+            interval = None if outcome is None else list(self.test.interval(kept, total - kept))
+        return {
+            **share,
+            "interval_95": interval,
+            "tolerated": outcome,
+            "beyond_held_arm_ceiling": sum(value >= c for c in case.ceilings_ms),
+            "worst_points": [rows[0]["point"] for rows in worst[:_WORST_POINTS]],
+            **spread_of_runs([row for rows in judged for row in rows]),
+        }
+
+
+def _kept_up_to(found: list[dict[str, Any]]) -> float | None:
+    """Return the largest value up to which all values are tolerated."""
+    tolerated = itertools.takewhile(lambda one: one["tolerated"], found)
+    return max((one["value"] for one in tolerated), default=None)
 
 
 def margin_study(values: Mapping[str, Any], source: Path) -> StudyOfRuns:
@@ -144,17 +166,5 @@ def margin_study(values: Mapping[str, Any], source: Path) -> StudyOfRuns:
     return Robustness(values, source) if of_many else Margin(values, source)
 
 
-def _value_summary(value: float, case: cases.Case, judged: list[list[Row]]) -> dict[str, Any]:
-    """Summarise the plants at one value, from a list of rows for each judged plant."""
-    kept = sum(map(_is_kept, judged))
-    worst = sorted(judged, key=lambda rows: max(map(badness, rows)), reverse=True)[:_WORST_POINTS]
-    return {
-        **share_kept(kept, len(judged)),
-        "beyond_held_arm_ceiling": sum(value >= c for c in case.ceilings_ms),
-        "worst_points": [rows[0]["point"] for rows in worst],
-        **spread_of_runs([row for rows in judged for row in rows]),
-    }
-
-
 def _is_kept(rows: list[Row]) -> bool:
-    return all(held(row) for row in rows)
+    return all(map(tolerated, rows))

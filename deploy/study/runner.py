@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Protocol
 
 from deploy.judge.run_rows import Row
@@ -60,32 +61,77 @@ def carry_out(
         stop: set to end early, with all finished rows kept.
         progress: called with every row.
     """
-    wanted, in_flight = deque(study.first()), 0
-    most_in_flight = max(_LEAST_IN_FLIGHT, _IN_FLIGHT_PER_WORKER * workers.count)
+    wanted, crew = deque(study.first()), _Crew(workers, study, folder)
+
+    def take(run: PlannedRun, values: Row, *, was_known: bool) -> None:
+        wanted.extend(study.follow(run, values))
+        progress(values, study.expected, was_known)
+
     try:
-        while (wanted or in_flight) and not stop.is_set():
-            while wanted and in_flight < most_in_flight:
+        while (wanted or crew.needed) and not stop.is_set():
+            while wanted and len(crew.needed) < crew.most_in_flight:
                 run = wanted.popleft()
-                known = folder.find_done(run)
-                if known is None:
-                    workers.submit(folder.placed(_on_our_engine(run, study)))
-                    in_flight += 1
-                else:
+                if (known := folder.find_done(run)) is not None:
                     folder.keep_scenario(run)
-                    wanted.extend(study.follow(run, known))
-                    progress(known, study.expected, True)
-            finished = workers.finished(_POLL_S) if in_flight else None
-            if finished is not None:
-                run, values = finished
-                in_flight -= 1
-                folder.add(run, values)
-                wanted.extend(study.follow(run, values))
-                progress(values, study.expected, False)
+                    take(run, known, was_known=True)
+                else:
+                    crew.request(run)
+            if crew.needed:
+                crew.work_ahead()
+                for run, values in crew.finished():
+                    folder.add(run, values)
+                    take(run, values, was_known=False)
     finally:
         folder.write()
     if stop.is_set():
         retrace(study, folder, wanted)
     return not stop.is_set()
+
+
+class _Crew:
+    """The workers, with the runs that a study has requested, and with others ahead of that.
+
+    Attributes:
+        needed: the requested runs that are not finished.
+        most_in_flight: number of runs to request at a time.
+    """
+
+    def __init__(self, workers: Workers, study: StudyOfRuns, folder: StudyFolder) -> None:
+        self._workers, self._study, self._folder = workers, study, folder
+        self._count = workers.count
+        self.most_in_flight = max(_LEAST_IN_FLIGHT, _IN_FLIGHT_PER_WORKER * self._count)
+        self.needed: set[tuple[str, int]] = set()
+        self._at_work: set[tuple[str, int]] = set()
+        self._done: dict[tuple[str, int], tuple[PlannedRun, Row]] = {}
+
+    def request(self, run: PlannedRun) -> None:
+        """Have a run executed, unless that was done ahead of its request."""
+        self.needed.add(run.key)
+        if run.key not in self._at_work and run.key not in self._done:
+            self._submit(run)
+
+    def work_ahead(self) -> None:
+        """Give idle workers runs that may be requested later; of others the rows are dropped."""
+        busy = self._at_work | self._done.keys()
+        idle = max(0, self._count - len(self._at_work))
+        new = (r for r in self._study.ahead() if r.key not in busy and not self._folder.has(r))
+        for run in islice(new, idle):
+            self._submit(run)
+
+    def finished(self) -> Iterator[tuple[PlannedRun, Row]]:
+        """Yield requested runs that are finished, after one has been, or for some time none."""
+        if not (self.needed & self._done.keys()):
+            if (one := self._workers.finished(_POLL_S)) is None:
+                return
+            self._at_work.discard(one[0].key)
+            self._done[one[0].key] = one
+        for key in sorted(self.needed & self._done.keys()):
+            self.needed.remove(key)
+            yield self._done.pop(key)
+
+    def _submit(self, run: PlannedRun) -> None:
+        self._at_work.add(run.key)
+        self._workers.submit(self._folder.placed(_on_our_engine(run, self._study)))
 
 
 def _on_our_engine(run: PlannedRun, study: StudyOfRuns) -> PlannedRun:

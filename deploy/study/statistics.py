@@ -4,23 +4,33 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from deploy.judge.run_rows import Row, held
+from deploy.judge.run_rows import PROVENANCE, Row, held, is_whole
+
+NO_EFFECT = "none of its values changed any result of a run"
 
 
 def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return common values and spread of runs that differ in seed or start."""
+    """Return common values and spread of runs that differ in seed or start.
+
+    If one has ended at its loss, the spread of what only whole runs have is unknown.
+    """
+    whole = rows if all(map(is_whole, rows)) else []
     return {
         "runs": len(rows),
         "runs_kept": sum(held(row) for row in rows),
+        "runs_growing": sum(bool(row.get("growing")) for row in rows),
+        "losses": dict(Counter(filter(None, (row.get("loss_reason") for row in rows)))),
         "runs_failed": sum(row["error"] is not None for row in rows),
-        "violation_fraction": spread([row["violation_fraction"] for row in rows]),
-        "margin_min": spread([row["margin_min"] for row in rows]),
-        "worst_rms_rad": spread([worst(row["rms_rad"]) for row in rows]),
+        "first_violation_s": spread([row.get("first_violation_s") for row in rows]),
+        "violation_fraction": spread([row["violation_fraction"] for row in whole]),
+        "margin_min": spread([row["margin_min"] for row in whole]),
+        "worst_rms_rad": spread([worst(row["rms_rad"]) for row in whole]),
         "worst_total_variation_nm_per_s": spread(
-            [worst(row["total_variation_nm_per_s"]) for row in rows]
+            [worst(row["total_variation_nm_per_s"]) for row in whole]
         ),
     }
 
@@ -40,9 +50,23 @@ def seeds_of(rows: Sequence[Row]) -> list[int]:
     return sorted({row["seed"] for row in rows})
 
 
-def badness(row: Row) -> tuple[bool, float]:
-    """Return a sort key for the worst of several runs: failure, then ticks outside its bounds."""
-    return row["error"] is not None, row["violation_fraction"] or 0.0
+def in_order(rows: list[Row]) -> list[Row]:
+    """Return rows by point and seed, in any order of execution."""
+    return sorted(rows, key=lambda row: (row["point"], row["seed"]))
+
+
+def badness(row: Row) -> tuple[bool, bool, float, float]:
+    """Return a sort key for the worst of several runs.
+
+    Failed ones are the worst, then lost ones, with most ticks outside, or lost first.
+    """
+    outside, lost_s = row["violation_fraction"] or 0.0, row.get("first_violation_s")
+    return (
+        row["error"] is not None,
+        not held(row),
+        outside,
+        -math.inf if lost_s is None else -lost_s,
+    )
 
 
 def without_effect(
@@ -56,9 +80,11 @@ def without_effect(
         columns: all columns that identify a run, except point and seed.
     """
     inputs = {"point", "seed", *columns}
-    sound = [row for row in rows if row["error"] is None]
+    # Until a command acts, all runs are alike.
+    sound = [row for row in rows if row["error"] is None and row.get("loss_reason") != "start"]
     results = [
-        {key: row[key] for key in row.keys() - inputs if row[key] is not None} for row in sound
+        {key: row[key] for key in row.keys() - inputs - {PROVENANCE} if row[key] is not None}
+        for row in sound
     ]
     idle = []
     for keys in varied:

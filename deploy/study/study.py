@@ -20,18 +20,23 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
+from controller.laws.read_files import files_read
 from deploy.judge.conditions import Conditions, conditions_of_runs
-from deploy.judge.run_rows import Row, failed_row, row
+from deploy.judge.loss_reason import AFTER_S
+from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
-from deploy.run.execute import execute
+from deploy.run.execute import InProcess, execute
 from deploy.run.run_folder import RunFolder, provenance
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.warnings import all_warnings
+from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import find_yaml, override, read_yaml
+from deploy.study.provenance import provenance_of
 from deploy.study.statistics import commonest_error, seeds_of
+from plant_emulator.plant_loop import PlantLoop
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
@@ -96,8 +101,10 @@ def scenario_name(name_or_path: str, folder: Path) -> str:
     Raises:
         ScenarioError: there is no such scenario.
     """
-    found = find_yaml(name_or_path, SHIPPED_SCENARIOS, folder)
-    return found.stem if found.parent == SHIPPED_SCENARIOS else str(found)
+    file, arguments = split_arguments(name_or_path)
+    found = find_yaml(file, SHIPPED_SCENARIOS, folder)
+    words = [f"{name}:={value}" for name, value in arguments.items()]
+    return found.stem if found.parent == SHIPPED_SCENARIOS else " ".join([str(found), *words])
 
 
 def is_sweep(file: Path) -> bool:
@@ -117,6 +124,7 @@ class PlannedRun:
         columns: varied values, by column of its table; with the seed, they identify a run.
         confirm: simulate it on other physics too.
         recording: the folder to record it to, below the study's; None keeps only its row.
+        ends_early: it ends soon after its first tick outside, unless a program of its own controls.
     """
 
     point: str
@@ -126,6 +134,7 @@ class PlannedRun:
     columns: dict[str, Any]
     confirm: bool = False
     recording: Path | str | None = None
+    ends_early: bool = False
 
     @property
     def key(self) -> tuple[str, int]:
@@ -134,20 +143,42 @@ class PlannedRun:
 
 
 def row_of(run: PlannedRun) -> Row:
-    """Run and judge; any error becomes the row's `error`."""
+    """Run and judge; any error becomes the row's `error`. The row holds its provenance."""
     try:
-        setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
-        with _folder(setup, run) as folder:
-            done = execute(setup, None, folder)
-            values = row(done.summary, run.seed)
-            if run.confirm:
-                values = confirmed_row(setup, done.data, done.summary)
-                done.summary[CONFIRMATION] = confirmations([values])
-            if folder is not None:
-                done.keep(folder)
+        with files_read() as read:
+            setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
+            values = _judged(setup, run)
+        made_by = provenance_of(setup, run.confirm, _inputs(read, run))
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
         return failed(run, f"{type(error).__name__}: {error}")
-    return {**values, **run.columns, "point": run.point}
+    return {**values, **run.columns, "point": run.point, PROVENANCE: made_by}
+
+
+def _judged(setup: Setup, run: PlannedRun) -> Row:
+    plants, is_ours = list[PlantLoop](), setup.scenario.controller.process is None
+
+    def begin(plant: PlantLoop) -> None:
+        plant.end_after_loss(AFTER_S)
+        plants.append(plant)
+
+    with _folder(setup, run) as folder:
+        done = execute(setup, InProcess(begin) if run.ends_early and is_ours else None, folder)
+        values = row(done.summary, run.seed)
+        if any(plant.ended_early for plant in plants):
+            values = early_row(values)
+        if run.confirm:
+            values = confirmed_row(setup, done.data, done.summary)
+            done.summary[CONFIRMATION] = confirmations([values])
+        if folder is not None:
+            done.keep(folder)
+    return values
+
+
+def _inputs(read: Mapping[str, str], run: PlannedRun) -> dict[str, str]:
+    """Return the files read except the scenario, of which a study keeps a digest, and results."""
+    results = f"{run.recording}/"
+    own = str(Path(run.scenario).resolve())
+    return {k: v for k, v in read.items() if k != own and not k.startswith(results)}
 
 
 def _folder(setup: Setup, run: PlannedRun) -> AbstractContextManager[RunFolder | None]:
@@ -244,6 +275,10 @@ class StudyOfRuns(ABC):
         """Return the runs requested after a run's row."""
         return ()
 
+    def ahead(self) -> Iterable[PlannedRun]:
+        """Return runs that may be requested later, for idle workers."""
+        return ()
+
     @abstractmethod
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         """Return the results, and whether the study is `completed`, ready for JSON."""
@@ -264,6 +299,9 @@ class StudyOfRuns(ABC):
             CONFIRMATION: confirmations(rows),
             **self.findings(rows),
         }
+
+    def keep_files(self, summary: dict[str, Any], folder: Path) -> None:  # noqa: B027 (few have any)
+        """Add files to the folder of the study, and their paths to its summary."""
 
     def provenance(self) -> dict[str, Any]:
         """Return what was run, with what, and where, for ``manifest.json``."""

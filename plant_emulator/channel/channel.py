@@ -129,6 +129,7 @@ class Channel(Generic[Item]):
         next_due_ns: when the next item comes out; `NEVER_NS` if nothing is on its way.
         mean_delay_ns: what the delay's distribution says at the start of the run. Neither the
             queue of a bandwidth limit nor waiting for others counts, nor that no delay is negative.
+            A pattern counts with its largest delay.
     """
 
     def __init__(self, delay_ns: int) -> None:
@@ -194,7 +195,7 @@ class TracedChannel(Channel[Item]):
         self._sent_ns, self._delays_ns = array("q"), array("q")
 
     def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:  # noqa: ARG002 (for others)
-        traced_ns = self._replay.delay_ns(now_ns)
+        traced_ns = self._replay.delay_ns(now_ns, item)
         self._sent_ns.append(now_ns)
         if traced_ns is None:
             self._delays_ns.append(LOST_NS)

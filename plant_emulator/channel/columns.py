@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import io
+import re
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -14,13 +17,19 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import shown
-from bus_schema.user_files import read_bytes
+from bus_schema.errors import did_you_mean
+from bus_schema.user_files import open_parquet, read_bytes
+from plant_emulator.channel.foreign_files import refuse_foreign
 
 MOST_BYTES = 500_000_000
 """Ten million samples as text take less."""
-PARQUET = b"PAR1"
-"""How files of that format begin."""
+PARQUET, _GZIP = b"PAR1", b"\x1f\x8b"
+"""How files of these formats begin."""
+_LONGEST_LIST = 100
+Names = Sequence[str]
 _DELIMITERS = ",;\t"
+_NUMBERS = re.compile(r"u?int\d+|halffloat|float|double|decimal.*|null")
+"""Names of Arrow's types of numbers."""
 
 
 @dataclass(frozen=True)
@@ -56,61 +65,120 @@ class Columns:
             raise self.refusal(int(np.argmax(is_wrong)), column, allowed)
 
 
-def read_columns(path: Path, required: Sequence[str], optional: Sequence[str]) -> Columns:
+def read_columns(path: Path, required: Names, optional: Names | None) -> Columns:
     """Read the columns of a file.
 
     Args:
         path: a Parquet file, or CSV whose first line has the names; lines before it may be
             comments with ``#``. Commas, semicolons or tabs separate cells.
         required: columns that must be there.
-        optional: columns that may be there; others may not.
+        optional: columns that may be there; others may not. None: others may, and are not read.
 
     Raises:
         ValueError: it cannot be read, or holds something else; the message names line and column.
     """
-    try:
-        content = read_bytes(path, MOST_BYTES)
-    except OSError as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
+    content = _content(path)
+    if not content.startswith(PARQUET):
+        refuse_foreign(path, content)
     return (_parquet if content.startswith(PARQUET) else _csv)(path, content, required, optional)
 
 
-def _parquet(
-    path: Path, content: bytes, required: Sequence[str], optional: Sequence[str]
-) -> Columns:
+def column_names(path: Path) -> list[str]:
+    """Return the names of a file's columns; those of lists with an index, as ``action[2]``.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    content = _content(path)
+    if content.startswith(PARQUET):
+        names: list[str] = _table(path, content).column_names
+        return names
+    return _header(content)[2]
+
+
+def _content(path: Path) -> bytes:
+    """Return what is in a file, unpacked if it is compressed by gzip."""
+    try:
+        content = read_bytes(path, MOST_BYTES)
+        if content.startswith(_GZIP):
+            with gzip.open(io.BytesIO(content)) as packed:
+                content = packed.read(MOST_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if len(content) > MOST_BYTES:
+        raise ValueError(f"{path} cannot be read: is larger than {MOST_BYTES / 1e6:g} MB unpacked")
+    return content
+
+
+def _parquet(path: Path, content: bytes, required: Names, optional: Names | None) -> Columns:
     import pyarrow as pa  # heavy, and needed by few scenarios
-    from pyarrow import parquet
 
     try:
-        table = parquet.read_table(pa.BufferReader(content))
-        _check_names(path, "", table.column_names, required, optional)
-        doubles = table.cast(pa.schema([(name, pa.float64()) for name in table.column_names]))
-    except pa.ArrowException as error:
+        file = open_parquet(pa.BufferReader(content))
+        has_all = set(required) <= set(file.schema_arrow.names)  # else some are elements of lists
+        table = file.schema_arrow.empty_table() if has_all else _table(path, content)
+        names = _check_names(str(path), table.column_names, required, optional)
+        for field in map(table.schema.field, names):
+            is_flag = pa.types.is_boolean(field.type) and field.name == "lost"
+            if not (is_flag or _NUMBERS.fullmatch(str(field.type))):
+                what = f"column {field.name} holds values of type {field.type}"
+                raise ValueError(f"{path}, {what}: must be numbers")
+        table = file.read(names) if has_all else table.select(names)
+        doubles = table.cast(pa.schema([(name, pa.float64()) for name in names]))
+    except (pa.ArrowException, OSError) as error:
         raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
     return Columns(path, _vectors(doubles))
 
 
-def _csv(path: Path, content: bytes, required: Sequence[str], optional: Sequence[str]) -> Columns:
+def _table(path: Path, content: bytes) -> Any:
+    """Return the table of a Parquet file; each element of lists of one length is a column."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    try:
+        table = open_parquet(pa.BufferReader(content)).read()
+        for name in table.column_names:
+            kind = table.schema.field(name).type
+            if not (pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)):
+                continue
+            lengths = pc.unique(pc.list_value_length(table[name])).to_pylist()
+            if len(lengths) == 1 and 0 < (lengths[0] or 0) <= _LONGEST_LIST:
+                for index in range(lengths[0]):
+                    element = pc.list_element(table[name], index)
+                    table = table.append_column(f"{name}[{index}]", element)
+    except (pa.ArrowException, OSError) as error:
+        raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
+    return table
+
+
+def _csv(path: Path, content: bytes, required: Names, optional: Names | None) -> Columns:
     import pyarrow as pa  # heavy, and needed by few scenarios
     from pyarrow import csv as fast_csv
 
-    number, header = next(_lines(content), (1, ""))
-    delimiter = max(_DELIMITERS, key=header.count)
-    names = [name.strip().strip('"') for name in header.split(delimiter)]
-    _check_names(path, f", line {number}", names, required, optional)
+    number, delimiter, names = _header(content)
+    wanted = _check_names(f"{path}, line {number}", names, required, optional)
     try:
         table = fast_csv.read_csv(
             pa.BufferReader(content),
             fast_csv.ReadOptions(column_names=names, skip_rows=number),
             fast_csv.ParseOptions(delimiter=delimiter),
             fast_csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pa.float64()), null_values=["", "nan", "NaN"]
+                include_columns=wanted,
+                column_types=dict.fromkeys(wanted, pa.float64()),
+                null_values=["", "nan", "NaN"],
             ),
         )
     except pa.ArrowException as error:
-        _refuse_line(path, content, delimiter, names)
+        _refuse_line(path, content, delimiter, names, wanted)
         raise ValueError(f"{path} cannot be read as CSV: {error}") from error
     return Columns(path, _vectors(table), content)
+
+
+def _header(content: bytes) -> tuple[int, str, list[str]]:
+    """Return number, delimiter and names of the first line of a CSV file."""
+    number, header = next(_lines(content), (1, ""))
+    delimiter = max(_DELIMITERS, key=header.count)
+    return number, delimiter, [name.strip().strip('"') for name in header.split(delimiter)]
 
 
 def _vectors(table: Any) -> dict[str, Vector]:
@@ -118,24 +186,25 @@ def _vectors(table: Any) -> dict[str, Vector]:
     return {name: column.to_numpy().astype(np.float64, copy=False) for name, column in columns}
 
 
-def _check_names(
-    path: Path, where: str, names: Sequence[str], required: Sequence[str], optional: Sequence[str]
-) -> None:
-    """Refuse missing and unknown columns: an unknown one may be a misspelt one."""
-    known = [*required, *optional]
-    allowed = f"the columns are {', '.join(required)}"
+def _check_names(where: str, names: Names, required: Names, optional: Names | None) -> list[str]:
+    """Return the names to read; refuse missing and unknown ones, as these may be misspelt."""
+    known = [*required, *(optional or ())]
+    allowed = f"the columns are {', '.join(names if optional is None else required)}"
     if optional:
         allowed += f", and perhaps {', '.join(optional)}"
     for place, name in enumerate(names, start=1):
-        if name not in known or names.count(name) > 1:
-            said = "occurs twice" if name in known else "is unknown"
-            raise ValueError(f"{path}{where}, column {place} {shown(name)} {said}: {allowed}")
+        is_unknown = name not in known and optional is not None
+        if is_unknown or (name in known and names.count(name) > 1):
+            said = "is unknown" if is_unknown else "occurs twice"
+            raise ValueError(f"{where}, column {place} {shown(name)} {said}: {allowed}")
     for name in required:
         if name not in names:
-            raise ValueError(f"{path}{where}: column {name} is missing: {allowed}")
+            hint = did_you_mean(name, names)
+            raise ValueError(f"{where}: column {name} is missing: {allowed}{hint}")
+    return [name for name in names if name in known]
 
 
-def _refuse_line(path: Path, content: bytes, delimiter: str, names: Sequence[str]) -> None:
+def _refuse_line(path: Path, content: bytes, delimiter: str, names: Names, wanted: Names) -> None:
     """Raise a ValueError that names the first line that has not a number per column."""
     for number, line in islice(_lines(content), 1, None):
         cells = line.split(delimiter)
@@ -144,7 +213,7 @@ def _refuse_line(path: Path, content: bytes, delimiter: str, names: Sequence[str
             raise ValueError(f"{path}, line {number} {what}")
         for name, cell in zip(names, cells, strict=True):
             try:
-                float(cell.strip() or "nan")
+                float(cell.strip() or "nan") if name in wanted else None
             except ValueError:
                 what = f"column {name} = {shown(cell.strip())}: is not a number"
                 raise ValueError(f"{path}, line {number}, {what}") from None

@@ -11,6 +11,7 @@ from bus_schema.link.channel_configuration import (
     ChannelConfiguration,
     Outage,
 )
+from plant_emulator.channel.pattern import delay_in_pattern_ns
 
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6
 _CHAIN = ("p", "r", "loss_in_bad", "loss_in_good")
@@ -43,6 +44,12 @@ class Conditions(NamedTuple):
     duplicate: float = 0.0
     ns_per_byte: float = 0.0
 
+    @property
+    def is_random(self) -> bool:
+        """Whether random numbers decide about a message."""
+        chances = (self.loss, self.p, self.loss_in_good, self.duplicate)
+        return self.jitter_ns != 0.0 or any(0.0 < chance < 1.0 for chance in chances)
+
 
 class ConditionFault(Protocol):
     """A temporary change of a channel's conditions."""
@@ -71,7 +78,7 @@ class ConditionsSchedule:
     def __init__(
         self, configuration: ChannelConfiguration, faults: Sequence[ConditionFault] = ()
     ) -> None:
-        self._faults = faults
+        self._faults, self._pattern = faults, configuration.pattern
         self._settled = target = Conditions(**_given(configuration))
         self._changes: deque[_Change] = deque()
         self._outages: deque[tuple[int, int]] = deque()
@@ -94,6 +101,9 @@ class ConditionsSchedule:
             self._outages.popleft()
         if self._outages and self._outages[0][0] <= now_ns:
             conditions = conditions._replace(loss=1.0)
+        if self._pattern is not None:
+            delay_ns = delay_in_pattern_ns(self._pattern, conditions.delay_ns, now_ns)
+            conditions = conditions._replace(delay_ns=delay_ns)
         for fault in self._faults:
             if fault.is_active(now_ns):
                 conditions = fault.changed(conditions)

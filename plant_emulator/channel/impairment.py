@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.link.channel_configuration import ChannelConfiguration, TraceConfiguration
 from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.runtime.randomness import generator, report_use
 from plant_emulator.channel.channel import (
     NEVER_NS,
     Channel,
@@ -26,7 +28,7 @@ from plant_emulator.channel.conditions import ConditionFault, Conditions, Condit
 from plant_emulator.channel.jitter import Jitter, endless
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.trace import TraceReplay
-from plant_emulator.channel.trace_file import LOST_NS
+from plant_emulator.channel.trace_file import LOST_NS, read_trace
 from plant_emulator.command_gate import Command
 
 
@@ -69,7 +71,8 @@ class ImpairedChannel(Channel[Item]):
 
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
-        seed: seed of everything random here.
+        seed: seed of everything random here, but of the trace.
+        replay: of its trace, if it has one.
         faults: scheduled faults of this direction.
     """
 
@@ -77,31 +80,36 @@ class ImpairedChannel(Channel[Item]):
         self,
         configuration: ChannelConfiguration,
         seed: np.random.SeedSequence,
+        replay: TraceReplay | None = None,
         faults: Sequence[ConditionFault] = (),
     ) -> None:
         super().__init__(configuration.delay_ns)
-        randoms = [np.random.default_rng(child) for child in seed.spawn(6)]
+        randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
         self._jitter, self._copy_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
         self._duplicate_numbers = endless(randoms[4].random)
-        self._trace = _replay(configuration, randoms[5])
+        self._trace = replay
         self._schedule = ConditionsSchedule(configuration, faults)
         self._may_overtake = configuration.reorder
         self._under_way: list[tuple[int, _Transit, Item]] = []
         self._latest_due_ns = self._bandwidth_free_ns = 0
         self._statistics = TransportStatistics(trace=self._trace)
-        start = self._schedule.at(0)
+        self._is_random = False
+        report_use(lambda: self._is_random)
+        largest = configuration.model_copy(update={"pattern": None})
+        start = ConditionsSchedule(largest, faults).at(0)
         mean_ns = 0 if self._trace is None else self._trace.mean_delay_ns
         self.mean_delay_ns = round(mean_ns + start.delay_ns + self._jitter.mean * start.jitter_ns)
 
     def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:
         conditions, statistics = self._schedule.at(now_ns), self._statistics
+        self._is_random = self._is_random or conditions.is_random
         jitter = self._jitter.draw(conditions.correlation)
         is_lost = self._loss.loses_next(conditions)
         is_doubled = next(self._duplicate_numbers) < conditions.duplicate
         traced_ns = 0
         if self._trace is not None:
-            found_ns = self._trace.delay_ns(now_ns)
+            found_ns = self._trace.delay_ns(now_ns, item)
             is_lost = is_lost or found_ns is None
             traced_ns = found_ns or 0
         transit = _Transit(statistics.sent, now_ns, is_copy=False)
@@ -183,7 +191,8 @@ def open_downlink(
         ValueError: its file of delays cannot be used.
     """
     channel: Channel[Command] = open_channel(link.downlink, seed, DOWNLINK, faults)
-    return PlayoutBuffer(channel, link.playout_ns) if link.playout_ns else channel
+    plays_out = link.playout_ns or link.plays_automatically
+    return PlayoutBuffer(channel, link.playout_ns) if plays_out else channel
 
 
 def open_channel(
@@ -205,19 +214,23 @@ def open_channel(
     """
     if configuration.is_constant and not faults:
         return Channel(configuration.delay_ns)
-    seeds = np.random.SeedSequence(seed, spawn_key=(stream,))
+    replay = _replay(configuration.trace, seed, stream)
     without = configuration.model_copy(update={"trace": None})
-    if without.is_constant and not (faults or configuration.reorder):
-        replay = _replay(configuration, np.random.default_rng(seeds.spawn(6)[5]))
-        assert replay is not None  # or it were constant
+    if replay is not None and without.is_constant and not (faults or configuration.reorder):
         return TracedChannel(configuration.delay_ns, replay)
-    return ImpairedChannel(configuration, seeds, faults)
+    seeds = np.random.SeedSequence(seed, spawn_key=(stream,))
+    return ImpairedChannel(configuration, seeds, replay, faults)
 
 
-def _replay(configuration: ChannelConfiguration, random: np.random.Generator) -> TraceReplay | None:
-    """Return the trace of a direction, if it has one."""
-    trace = configuration.trace
-    return None if trace is None else TraceReplay(trace, random)
+def _replay(trace: TraceConfiguration | None, seed: int, stream: int) -> TraceReplay | None:
+    """Return the trace of a direction; both halves of round trips start at the same time."""
+    if trace is None:
+        return None
+    is_halved = read_trace(Path(trace.file)).is_round_trip
+    seeds = np.random.SeedSequence(seed, spawn_key=(UPLINK if is_halved else stream,)).spawn(6)
+    replay = TraceReplay(trace, generator(seeds[5]))
+    replay.is_second_half = is_halved and stream == DOWNLINK
+    return replay
 
 
 UPLINK, DOWNLINK = 100, 101

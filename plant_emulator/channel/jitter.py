@@ -19,6 +19,7 @@ from bus_schema.arrays import Vector, elementwise
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.user_files import read_bytes
 from plant_emulator.channel.columns import MOST_BYTES, PARQUET, read_columns
+from plant_emulator.channel.foreign_files import refuse_foreign
 
 _BLOCK = 256
 _HEADER_BYTES = 1000
@@ -60,6 +61,7 @@ def read_delays_ms(path: Path) -> Vector:
         raise ValueError(f"{path} cannot be read: {error}") from error
     if content.startswith(PARQUET) or b"delay_ms" in content[:_HEADER_BYTES]:
         return np.sort(_named_delays_ms(path))
+    refuse_foreign(path, content)
     try:
         lines = content.decode().splitlines()
     except UnicodeDecodeError as error:
@@ -122,11 +124,7 @@ class Jitter:
         self._normal = endless(random.standard_normal)
         self._z = next(self._normal)
         self._correlation, self._keep, self._renew = 0.0, 0.0, 1.0
-        if configuration.distribution_file is None:
-            self._quantile, self.mean = QUANTILES[configuration.distribution], 0.0
-        else:
-            delays_ms = read_delays_ms(Path(configuration.distribution_file))
-            self._quantile, self.mean = _empirical(delays_ms), float(delays_ms.mean())
+        self._quantile, self.mean = quantile_of(configuration)
 
     def draw(self, correlation: float) -> float:
         """The next draw, correlated like this with the one before."""
@@ -140,6 +138,18 @@ class Jitter:
     @cached_property
     def _copula(self) -> tuple[Vector, Vector]:
         return copula_correlations(self._quantile)
+
+
+def quantile_of(configuration: ChannelConfiguration) -> tuple[Quantile, float]:
+    """Return the quantile function of a direction's jitter, and its mean.
+
+    Raises:
+        ValueError: its file of delays cannot be used.
+    """
+    if configuration.distribution_file is None:
+        return QUANTILES[configuration.distribution], 0.0
+    delays_ms = read_delays_ms(Path(configuration.distribution_file))
+    return _empirical(delays_ms), float(delays_ms.mean())
 
 
 def copula_correlations(quantile: Quantile) -> tuple[Vector, Vector]:

@@ -30,19 +30,21 @@ class TraceReplay:
 
     Attributes:
         mean_delay_ns: mean of what it gives, but for losses.
+        is_second_half: set it where commands get the half of a round trip that belongs to the state
+            that they answer.
     """
 
     def __init__(self, configuration: TraceConfiguration, random: np.random.Generator) -> None:
         self.trace = trace = read_trace(Path(configuration.file))
-        self._configuration = configuration
+        self._configuration, self.is_second_half = configuration, False
         self._offset_ns, self._scale = round(configuration.offset_ms * 1e6), configuration.scale
         self._is_linear = configuration.interpolation == "linear"
         self._times, self._delays = trace.times_ns.data, trace.delays_ns.data
         first, last = trace.seam
         self._first_ns, self._seam_ns = self._times[first], self._times[last] + trace.gap_ns
-        drawn = random.random()
         if configuration.start_s is None:
-            self._shift_ns = self._first_ns + int(drawn * (self._seam_ns - self._first_ns))
+            span_ns = self._seam_ns - self._first_ns
+            self._shift_ns = self._first_ns + int(random.random() * span_ns)
         else:
             self._shift_ns = round(configuration.start_s * 1e9)
         # What lies beyond the seam plays where the start is there, and without repetition.
@@ -52,8 +54,10 @@ class TraceReplay:
         self._held: int | None = None
         self.mean_delay_ns = self._offset_ns + round(self._scale * trace.mean_delay_ns)
 
-    def delay_ns(self, now_ns: int) -> int | None:
+    def delay_ns(self, now_ns: int, item: object = None) -> int | None:
         """Return the delay of a message that is sent now, not yet cut off at zero; None if lost."""
+        if self.is_second_half:
+            now_ns = min(now_ns, getattr(item, "stamp_ns", now_ns))
         place_ns = now_ns + self._shift_ns
         if place_ns < self._next_ns:
             return self._held if not self._is_linear else self._between(place_ns)

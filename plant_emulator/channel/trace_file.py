@@ -14,6 +14,8 @@ from plant_emulator.channel.columns import read_columns
 LOST_NS = -1
 """Stands for a delay where a message was lost."""
 LONGEST_MS = 60_000.0
+ONE_WAY, ROUND_TRIP = DELAYS = ("delay_ms", "round_trip_ms")
+"""Columns of delays, of which a trace has one."""
 _END_SHARE = 20
 _WINDOW = 16
 _MOST_CANDIDATES = 400
@@ -26,10 +28,12 @@ class Trace:
     Attributes:
         times_ns: when each message was sent, from 0 on, not decreasing; shape (messages,).
         delays_ns: how long it took, or `LOST_NS`; shape (messages,).
+        is_round_trip: the delays are halves of round trips, and each direction has one half.
     """
 
     times_ns: NDArray[np.int64]
     delays_ns: NDArray[np.int64]
+    is_round_trip: bool = False
 
     @cached_property
     def gap_ns(self) -> int:
@@ -73,8 +77,8 @@ def read_trace(path: Path) -> Trace:
     """Read a trace.
 
     Args:
-        path: CSV or Parquet with columns ``time_s`` and ``delay_ms`` (empty: lost), and perhaps
-            ``lost`` (0 or 1) and ``size``, which is ignored.
+        path: CSV or Parquet with columns ``time_s`` and either ``delay_ms`` or ``round_trip_ms``
+            (empty: lost), and perhaps ``lost`` (0 or 1) and ``size``, which is ignored.
 
     Raises:
         ValueError: it cannot be read, or holds something else; the message names line and column.
@@ -88,8 +92,11 @@ def read_trace(path: Path) -> Trace:
 
 @lru_cache(maxsize=4)  # each run of a study needs it, and a large one takes seconds to read
 def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
-    columns = read_columns(path, ["time_s", "delay_ms"], ["lost", "size"])
-    times_s, delays_ms = columns.values["time_s"], columns.values["delay_ms"]
+    columns = read_columns(path, ["time_s"], [*DELAYS, "lost", "size"])
+    given = [name for name in DELAYS if name in columns.values]
+    if len(given) != 1:
+        raise ValueError(f"{path}: one of the columns {' and '.join(DELAYS)} must be there")
+    times_s, delays_ms = columns.values["time_s"], columns.values[given[0]]
     if columns.rows < 2:
         raise ValueError(f"{path}: a trace needs at least two rows")
     is_lost = np.isnan(delays_ms)
@@ -98,13 +105,16 @@ def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
     columns.refuse_where(is_earlier, "time_s", "must not be earlier than in the row before")
     columns.refuse_where(
         ~is_lost & ~((delays_ms >= 0.0) & (delays_ms <= LONGEST_MS)),
-        "delay_ms", f"must be 0 to {LONGEST_MS:g} ms, or empty for a lost message",
+        given[0], f"must be 0 to {LONGEST_MS:g} ms, or empty for a lost message",
     )  # fmt: skip
     if "lost" in columns.values:
-        allowed = "must be 1 if delay_ms is empty, otherwise 0"
+        allowed = f"must be 1 if {given[0]} is empty, otherwise 0"
         columns.refuse_where(columns.values["lost"] != is_lost, "lost", allowed)
     if is_lost.all() or times_s[-1] == times_s[0]:
         raise ValueError(f"{path}: a trace must have a duration, and some messages must arrive")
-    delays_ns = np.rint(np.where(is_lost, 0.0, delays_ms) * 1e6).astype(np.int64)
+    is_round_trip = given[0] == ROUND_TRIP
+    scale = 0.5e6 if is_round_trip else 1e6
+    delays_ns = np.rint(np.where(is_lost, 0.0, delays_ms) * scale).astype(np.int64)
     delays_ns[is_lost] = LOST_NS
-    return Trace(np.rint((times_s - times_s[0]) * 1e9).astype(np.int64), delays_ns)
+    times_ns = np.rint((times_s - times_s[0]) * 1e9).astype(np.int64)
+    return Trace(times_ns, delays_ns, is_round_trip)

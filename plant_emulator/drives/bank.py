@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +37,11 @@ class DriveBank:
     """
 
     def __init__(
-        self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
+        self, protocol: type[Drive[Any]], settings: Sequence[DriveSettings[Any]], send: Send
     ) -> None:
         self._most_bytes, self._takes_extended = protocol.most_bytes, protocol.takes_extended
         self._drives = [protocol(each, send) for each in settings]
-        self._routes: dict[int, list[Drive]] = {}
+        self._routes: dict[int, list[Drive[Any]]] = {}
         for drive in self._drives:
             drive.on_set_up = self._routes.clear
         self.node_ids = tuple(each.node_id for each in settings)
@@ -171,8 +172,8 @@ class DriveBank:
             raise InvalidMessageError("no_classical_frame", f"drives do not use {frame}")
         concerned = self._routes.get(frame.identifier)
         if concerned is None:
-            concerned = [each for each in self._drives if frame.identifier in each.heard]
-            if concerned:  # of 29-bit identifiers there are too many to keep those of nobody
+            concerned = [each for each in self._drives if frame.identifier in each.identifiers]
+            if concerned:  # do not store the many 29-bit identifiers of no drive
                 self._routes[frame.identifier] = concerned
         understood = False
         for drive in concerned:

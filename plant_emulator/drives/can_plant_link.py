@@ -75,7 +75,7 @@ class CanPlantLink(PlantLink):
         self._request_ns, self._waited_ns = -run.grid.period_ns, 0
         self._lot = _LOT if run.lockstep else _REALTIME_LOT
         self._empty_ns = 0  # when nothing more was to be read
-        self._heard_ns = 0
+        self._read_ns = 0
         self._waiting: deque[CanFrame] = deque()
         self._arrivals: deque[CommandArrival] = deque()
         self._controller_was_seen = False
@@ -93,7 +93,7 @@ class CanPlantLink(PlantLink):
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
         """Wait until the master has enabled the drives and requests the first tick."""
-        last_frame_s, heard_ns = time.monotonic(), time.monotonic_ns()
+        last_frame_s, read_ns = time.monotonic(), time.monotonic_ns()
         while not is_stop_requested():
             self._drives.advance(self._clock.now_ns())
             frame = self._drives.receive(_POLL_S)
@@ -103,15 +103,15 @@ class CanPlantLink(PlantLink):
                 continue
             last_frame_s = time.monotonic()
             if self._codec.is_sampling(frame):
-                heard_ns = time.monotonic_ns()
+                read_ns = time.monotonic_ns()
                 self._waiting.append(frame)
                 break
             self._drives.handle(frame, self._clock.now_ns())
         self._telemetry.require_same_scenario(Role.CONTROLLER, SCENARIO_WAIT_S)
-        self._clock.anchor(self._lead_ns + time.monotonic_ns() - heard_ns)
+        self._clock.anchor(self._lead_ns + time.monotonic_ns() - read_ns)
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
-        # Until the master hears of the first state, drives have nothing to miss.
+        # Before the master receives the first state, no drive misses a frame.
         self._drives.begin_run(self._clock.now_ns() - self._run.link.uplink.delay_ns)
         self._controller_was_seen = self._telemetry.sees(Role.CONTROLLER)
 
@@ -126,7 +126,7 @@ class CanPlantLink(PlantLink):
         bus_off_s = self._run.link.can.faults.bus_off_s
         if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
             self._drives.lose_bus(now_ns)
-        self._drives.advance(self._heard_until_ns(now_ns))
+        self._drives.advance(self._read_until_ns(now_ns))
         self.publish(topics.PLANT_STATUS, status)
 
     def wait_until(self, clock: Clock, instant_ns: int) -> int:
@@ -141,7 +141,7 @@ class CanPlantLink(PlantLink):
             self._serve(clock, instant_ns)
             late_ns = clock.now_ns() - instant_ns
             if is_past or late_ns > self._run.grid.period_ns:
-                # Nobody has waited for frames, or for too long none was read.
+                # This host did not wait for frames, or read none for too long.
                 self._catch_up(clock)
         except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
             self._failure = f"frames are no longer processed: {type(error).__name__}: {error}"
@@ -161,9 +161,6 @@ class CanPlantLink(PlantLink):
     def controller_has_left(self) -> bool:
         is_gone = self._controller_was_seen and not self._telemetry.sees(Role.CONTROLLER)
         return is_gone or self._drives.is_off
-
-    def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (on this bus, all are one)
-        return False
 
     def take_commands(self) -> list[CommandArrival]:
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
@@ -224,10 +221,10 @@ class CanPlantLink(PlantLink):
             frame = self._next_frame(0.0)
             if was_awaited := frame is None:
                 frame = self._next_frame(max(0.0, (until_ns - clock.now_ns()) * 1e-9))
-            self._heard_ns = clock.now_ns()
+            self._read_ns = clock.now_ns()
             if was_awaited:
-                self._empty_ns = self._heard_ns
-            if frame is not None and self._heard_ns >= until_ns:
+                self._empty_ns = self._read_ns
+            if frame is not None and self._read_ns >= until_ns:
                 self._waiting.appendleft(frame)
             elif frame is not None:
                 self._take(frame)
@@ -237,18 +234,18 @@ class CanPlantLink(PlantLink):
         give_up_ns = clock.now_ns() + self._run.grid.period_ns
         while clock.now_ns() < give_up_ns and (frame := self._next_frame(0.0)) is not None:
             self._take(frame)
-        self._heard_ns = clock.now_ns()
+        self._read_ns = clock.now_ns()
 
-    def _heard_until_ns(self, now_ns: int) -> int:
+    def _read_until_ns(self, now_ns: int) -> int:
         """Time until which drives may miss frames. In real time, unread frames are not missed.
 
         Where the loop that reads them is held up, the drives would find their master silent.
         """
         if self._run.lockstep or self._failure is not None:
             return now_ns
-        heard_ns = min(now_ns, self._heard_ns + _POLL_NS)
-        self._lateness.note(now_ns - heard_ns, now_ns)
-        return heard_ns
+        read_ns = min(now_ns, self._read_ns + _POLL_NS)
+        self._lateness.note(now_ns - read_ns, now_ns)
+        return read_ns
 
     def _next_frame(self, timeout_s: float) -> CanFrame | None:
         return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
@@ -264,7 +261,7 @@ class CanPlantLink(PlantLink):
         else:
             self._drives.handle(frame, now_ns)
         commanded = self._codec.read_torque(frame, self._torque)
-        self._strangers.hear(frame, commanded, now_ns)
+        self._strangers.note(frame, commanded, now_ns)
         for answer in self._drives.answers:
             fields = self._sampled.fields
             self._codec.read_state(answer, fields["position"], fields["velocity"])
@@ -278,7 +275,7 @@ class CanPlantLink(PlantLink):
         if self._is_commanded(commanded):
             self._is_sampled = False
             self._publish_command()
-            self._drives.medium.catch_up(self._lot)  # now that until the next tick nobody waits
+            self._drives.medium.catch_up(self._lot)  # no node waits until the next tick
 
     def _note_request(self, now_ns: int) -> None:
         """Note when the sampling under way was asked for, if the known time is of another one."""

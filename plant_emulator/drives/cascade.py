@@ -30,7 +30,7 @@ class CascadeGains(NamedTuple):
 
 
 UNTUNED = CascadeGains(20.0, 20.0)
-"""Of a drive that nobody has tuned to its joint."""
+"""Gains of a drive that is not tuned to its joint."""
 
 
 @dataclass

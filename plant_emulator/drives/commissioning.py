@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from plant_emulator.drives.drive import Drive, DriveSettings, Send
 
 _LARGEST_PER_MILLE = 32_767
 
-DRIVES: Registry[Drive] = Registry(
+DRIVES: Registry[Drive[Any]] = Registry(
     "link.can.protocol",
     {
         "cia402": "plant_emulator.drives.cia402.drive:Cia402Drive",
@@ -37,7 +38,7 @@ def commission(
     robot: RobotDescription,
     plant: PlantConfiguration,
     tuned: DriveGains | None = None,
-) -> tuple[DriveSettings, ...]:
+) -> tuple[DriveSettings[Any], ...]:
     """Return the settings of each joint's drive; arguments as for `build_bank`.
 
     Raises:
@@ -49,11 +50,10 @@ def commission(
     largest = np.minimum(robot.effort_limits_nm, rated * _LARGEST_PER_MILLE / 1000.0)
     protocol = PROTOCOLS.build(can.protocol)
     node_ids = protocol.node_ids(can, robot.joints)
-    own = protocol.own_settings(can, robot.joints)
+    own = protocol.own_settings(can, robot)
     return tuple(
         DriveSettings(
             node_id=node_id,
-            rated_torque_nm=float(rated[joint]),
             max_torque_nm=float(largest[joint]),
             max_velocity_rad_s=float(robot.velocity_limits_rad_s[joint]),
             counts_per_turn=can.counts_per_turn,
@@ -101,7 +101,7 @@ def build_bank(
     """
     settings = commission(can, robot, plant, tuned)
     if polled:
-        settings = tuple(replace(each, estimates_ms=0) for each in settings)
+        settings = tuple(replace(each, is_polled=True) for each in settings)
     elif "command_timeout_ms" not in can.model_fields_set:
         settings = tuple(replace(each, watchdog_ms=0.0) for each in settings)
     return DriveBank(DRIVES.load(can.protocol), settings, send)

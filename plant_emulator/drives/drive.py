@@ -1,7 +1,7 @@
 """The interface of an emulated drive, between its protocol and its joint.
 
-Drives are passive: they live in the time they are given, have no thread and look at no clock, so
-that the same frames at the same instants always give the same answers, whatever carries them.
+Drives are passive: all times are arguments, and they have no thread and no clock. So the same
+frames at the same instants give the same answers on every bus.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cascade import UNTUNED, CascadeGains
@@ -129,41 +129,41 @@ _LASTING = (DriveFault.ENCODER, DriveFault.OVER_TEMPERATURE)
 """Faults that a drive notices, and that no reset removes while their cause remains."""
 
 
+Own = TypeVar("Own")
+
+
 @dataclass(frozen=True)
-class DriveSettings:
+class DriveSettings(Generic[Own]):
     """Settings of a drive for its joint; all values at the joint, without a gear.
 
     Attributes:
         node_id: address on the bus.
-        rated_torque_nm: unit of CiA 402's torques.
-        max_torque_nm: the most the drive ever gives.
-        max_velocity_rad_s: the fastest a loop of the drive may want; CiA 402 drives: no limit.
+        max_torque_nm: largest torque of the drive.
+        own: settings of its protocol alone, see `DriveProtocol.own_settings`.
+        max_velocity_rad_s: highest target speed of its loops; CiA 402 drives have no limit.
         counts_per_turn: encoder resolution.
         lower_rad: lower end of the joint's range (-inf for none).
         upper_rad: upper end of the joint's range (inf for none).
         stop_damping_nm_s: torque per rad/s against the motion while the drive slows down.
-        watchdog_ms: CANSimple: time without a frame after which the axis is disarmed; 0 for never.
-            CiA 402 has timeouts that the master sets instead.
-        estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
-        gains: of the loops that the drive closes in position and velocity modes, until a master
-            sets others.
-        fd_process_data: CiA 402: process data goes in frames of CAN FD.
-        own: what the drive's protocol alone has, see `DriveProtocol.own_settings`.
+        watchdog_ms: time without a frame after which the drive stops; 0 for never. CiA 402 drives
+            have timeouts that the master sets instead.
+        is_polled: a master requests the states, so the drive sends none without a request.
+        gains: gains of its position and velocity loops, until a master sets others.
+        fd_process_data: its frames in the cycle are CAN FD frames.
     """
 
     node_id: int
-    rated_torque_nm: float
     max_torque_nm: float
+    own: Own
     max_velocity_rad_s: float = float("inf")
     counts_per_turn: int = 1 << 20
     lower_rad: float = float("-inf")
     upper_rad: float = float("inf")
     stop_damping_nm_s: float = 20.0
     watchdog_ms: float = 0.0
-    estimates_ms: int = 10
+    is_polled: bool = False
     fd_process_data: bool = False
     gains: CascadeGains = UNTUNED
-    own: object = None
 
 
 class Cycle:
@@ -189,7 +189,7 @@ def _ignore() -> None:
     """Do nothing."""
 
 
-class Drive(ABC):
+class Drive(ABC, Generic[Own]):
     """One axis of one protocol.
 
     A drive defines `targets` and `samplings` as class attributes or properties.
@@ -199,8 +199,8 @@ class Drive(ABC):
         send: takes the frames that it sends.
 
     Attributes:
-        heard: identifiers of the frames that it may take; all others are for others.
-        on_set_up: called when `heard` has become another one.
+        identifiers: identifiers of the frames for this drive.
+        on_set_up: called when `identifiers` has changed.
         is_silent: its bus connection is cut.
         targets_taken: targets that the bank has counted.
         most_bytes: of a frame that it may take.
@@ -209,9 +209,9 @@ class Drive(ABC):
 
     most_bytes, takes_extended = 8, False
 
-    heard: Collection[int]
+    identifiers: Collection[int]
 
-    def __init__(self, settings: DriveSettings, send: Send) -> None:
+    def __init__(self, settings: DriveSettings[Own], send: Send) -> None:
         self._settings, self._send = settings, send
         self.on_set_up: Callable[[], None] = _ignore
         self._reading = JointReading()

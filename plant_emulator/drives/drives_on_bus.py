@@ -13,6 +13,7 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.drive import Send
 from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
+from plant_emulator.faults.fault import report_nothing
 
 
 class DrivesOnBus:
@@ -20,16 +21,16 @@ class DrivesOnBus:
 
     Args:
         bus: the bus.
-        faults: what goes wrong with drives, in the time of the run.
-        build: makes the drives, given where they send to.
-        medium: keeps the bus's time and its log.
-        delay_ns: how long a master that is far away takes to reach the drives in the run.
+        faults: faults of drives, in the time of the run.
+        build: returns the drives, given the function that sends their frames.
+        medium: times and logs the frames.
+        delay_ns: delay from a remote master to the drives during the run.
 
     Attributes:
         bank: the drives.
+        medium: as above.
         delay_ns: as above.
-        answers: frames that the drives sent in answer to the last frame, or when they last had
-            their turn.
+        answers: frames that the drives sent during the last `handle` or `advance`.
         is_off: the bus is lost for good.
     """
 
@@ -61,7 +62,7 @@ class DrivesOnBus:
         return self._bus.dropped()
 
     def begin_run(self, now_ns: int) -> None:
-        """The run's time 0 is now. The drives' own time goes on: they have been on for a while."""
+        """Set the run's time 0 to now; the drives' own time continues."""
         self._began_ns, self._is_running = now_ns, True
         self._faults.postpone(now_ns)
         self.medium.start_counting()
@@ -88,15 +89,15 @@ class DrivesOnBus:
             return
         self.bank.receive(frame, self._began_ns + now_ns)
         self._send_answers()
-        if not frame.is_error:  # else it never was on the bus
+        if not frame.is_error:  # an error frame is a report of the local controller
             self.medium.carry((frame,), now_ns)
         self.medium.carry(self.answers, now_ns)
 
-    def advance(self, now_ns: int) -> None:
-        """Apply planned faults, and advance the drives."""
+    def advance(self, now_ns: int, on_fault: Callable[[str], None] = report_nothing) -> None:
+        """Apply planned faults, each announced by `on_fault`, and advance the drives."""
         self.answers.clear()
         if self._is_running:
-            self._faults.run_due(self._began_ns + now_ns)
+            self._faults.run_due(self._began_ns + now_ns, on_fault)
         self.bank.advance(self._began_ns + now_ns)
         self._send_answers()
         self.medium.carry(self.answers, now_ns)
@@ -116,18 +117,18 @@ class DrivesOnBus:
             self.answers.append(frame)
 
     def _send_answers(self) -> None:
-        """Nobody who waits for them has to wait for them to be timed and written down."""
+        """Send the answers before they are timed and logged, which the receivers need not await."""
         if self.answers:
             self._bus.send_all(self.answers)
 
 
 class DrivenArm(ArmPlant):
-    """An arm with drives: what a command says is theirs to carry out, and so is every stop."""
+    """An arm whose drives carry out all commands and stops."""
 
     _drives: DrivesOnBus | None = None
 
     def attach(self, drives: DrivesOnBus) -> None:
-        """Give the joints their drives; of the safe stop that is configured nothing is needed."""
+        """Connect the joints to their drives, which replace the configured safe stop."""
         self._drives, self._safe_stop = drives, "zero_torque"
 
     def advance(self, first: int, end: int) -> None:

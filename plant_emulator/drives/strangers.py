@@ -14,7 +14,7 @@ _MORE = 2
 
 
 class Strangers:
-    """Counts frames that neither the one master nor these drives can have sent.
+    """Counts frames of other masters and drives.
 
     Args:
         codec: the cyclic frames.
@@ -28,7 +28,7 @@ class Strangers:
         self._scratch = np.zeros(len(node_ids)), np.zeros(len(node_ids))
         self._ticks = 0
 
-    def hear(self, frame: CanFrame, commanded: int | None, now_ns: int) -> None:
+    def note(self, frame: CanFrame, commanded: int | None, now_ns: int) -> None:
         """Note a frame that arrived from the bus at this time of the run.
 
         Args:

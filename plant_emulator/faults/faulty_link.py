@@ -16,10 +16,12 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.messages.types import stamp_of
 from bus_schema.runtime.clock import Clock
+from bus_schema.runtime.randomness import generator
 from plant_emulator.channel.jitter import endless
 from plant_emulator.command_gate import CommandGate
 from plant_emulator.faults.fault import FOREVER_NS, Fault, FaultScheduler, ScheduledAction
 from plant_emulator.faults.message_faults import (
+    SECOND_COMMANDER,
     Direction,
     MessageEditor,
     MessageFault,
@@ -39,7 +41,6 @@ class FaultyLink:
         link: the wrapped link.
         clock: the plant's clock.
         gate: the gate that checks commands.
-        joint_names: names of the joints.
         faults: all faults of the plant; those of other parts are only announced.
         process_actions: actions requested from the process that started the run.
         seed: the scenario's seed.
@@ -50,7 +51,6 @@ class FaultyLink:
         link: PlantLink,
         clock: Clock,
         gate: CommandGate,
-        joint_names: tuple[str, ...],
         faults: Sequence[Fault],
         process_actions: Iterable[ScheduledAction],
         seed: int,
@@ -61,7 +61,7 @@ class FaultyLink:
         self._message_faults = sorted(message_faults, key=lambda fault: fault.happens_on_the_way)
         self._commanders = [fault for fault in faults if isinstance(fault, SecondCommander)]
         stream = np.random.SeedSequence(seed, spawn_key=(_STREAM,))
-        self._editor = MessageEditor(joint_names, endless(np.random.default_rng(stream).random))
+        self._editor = MessageEditor(gate.layout, endless(generator(stream).random))
         self._schedule = FaultScheduler([*process_actions, *_announcements(faults)])
         self._sent_stamp_ns: int | None = None
         self._was_unreadable = False
@@ -98,11 +98,15 @@ class FaultyLink:
             taken.append(arrival._replace(payload=payload))
         return taken
 
+    def note_commander(self, sender: bytes) -> None:
+        if sender != SECOND_COMMANDER:  # its commands are no messages
+            self._link.note_commander(sender)
+
     def _changed(self, messages: tuple[bytes, ...], direction: Direction) -> tuple[bytes, ...]:
         now_ns = self._clock.now_ns()
         for fault in self._message_faults:
-            if fault.acts_on() == direction and fault.is_active(now_ns):
-                messages = fault.changed(messages, self._editor)
+            if fault.is_active(now_ns):
+                messages = fault.changed(direction, messages, self._editor)
         return messages
 
     def _added(self, arrival: CommandArrival) -> Iterable[CommandArrival]:

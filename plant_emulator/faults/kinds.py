@@ -29,6 +29,7 @@ FAULT_KINDS: list[type[Fault]] = [
     message_faults.NonFiniteCommand,
     message_faults.SecondCommander,
     message_faults.ClockStep,
+    message_faults.ClockDrift,
     process_faults.ProcessKilled,
     process_faults.ProcessFrozen,
     process_faults.ProcessRestarted,

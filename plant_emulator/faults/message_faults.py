@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
-from typing import ClassVar, Literal
+from collections.abc import Callable, Iterable, Iterator
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Number, Positive
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.interface import CommandArrival
-from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.layout import MessageLayout, Record
 from bus_schema.messages.types import stamp_of, with_stamp
 from plant_emulator.channel.conditions import Conditions
 from plant_emulator.faults.fault import Fault, FaultContext, Share
 
 Direction = Literal["uplink", "downlink"]
+Messages = tuple[bytes, ...]
 
 
 class LinkFault(Fault):
@@ -80,13 +82,13 @@ class MessageEditor:
     """Edits messages for faults.
 
     Args:
-        joint_names: names of the joints.
+        layout: of commands.
         uniform: random numbers from 0 to below 1.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], uniform: Iterator[float]) -> None:
-        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
-        self._command = Record(self._layout)
+    def __init__(self, layout: MessageLayout, uniform: Iterator[float]) -> None:
+        self._layout = layout
+        self._command = Record(layout)
         self._uniform = uniform
 
     def happens(self, probability: float) -> bool:
@@ -98,10 +100,10 @@ class MessageEditor:
         return payload[: int(next(self._uniform) * len(payload))]
 
     @staticmethod
-    def with_later_stamp(payload: bytes, by_ns: int) -> bytes:
-        """Return a message whose header's stamp is later by so much, but not before 0."""
+    def restamped(payload: bytes, change: Callable[[int], int]) -> bytes:
+        """Return a message whose header's stamp is changed, but not to before 0."""
         stamp_ns = stamp_of(payload)
-        return payload if stamp_ns is None else with_stamp(payload, max(0, stamp_ns + by_ns))
+        return payload if stamp_ns is None else with_stamp(payload, max(0, change(stamp_ns)))
 
     def with_torque(self, command: bytes, torque_nm: float, *, joints: slice) -> bytes:
         """Return a command with another torque; an unreadable command is not changed."""
@@ -123,14 +125,11 @@ class MessageFault(LinkFault):
     happens_on_the_way: ClassVar[bool] = False
 
     @abstractmethod
-    def acts_on(self) -> Direction:
-        """Select the faulty messages."""
-
-    @abstractmethod
-    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
-        """Return messages that are sent together as the fault changes them.
+    def changed(self, direction: Direction, messages: Messages, editor: MessageEditor) -> Messages:
+        """Return messages that are sent together as the fault changes them, if it does.
 
         Args:
+            direction: their direction on the link.
             messages: on the uplink a joint state and its plant status, on the downlink a command.
             editor: edits them.
         """
@@ -148,10 +147,9 @@ class LinkCorrupted(MessageFault):
     share: Share = 1.0
     happens_on_the_way: ClassVar[bool] = True
 
-    def acts_on(self) -> Direction:
-        return self.direction
-
-    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
+    def changed(self, direction: Direction, messages: Messages, editor: MessageEditor) -> Messages:
+        if direction != self.direction:
+            return messages
         first, *others = messages
         return (editor.cut_off(first), *others) if editor.happens(self.share) else messages
 
@@ -161,10 +159,9 @@ class NonFiniteCommand(MessageFault):
 
     kind: Literal["non_finite_command"]
 
-    def acts_on(self) -> Direction:
-        return "downlink"
-
-    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
+    def changed(self, direction: Direction, messages: Messages, editor: MessageEditor) -> Messages:
+        if direction == "uplink":
+            return messages
         return tuple(editor.with_torque(each, math.nan, joints=slice(1)) for each in messages)
 
 
@@ -180,11 +177,37 @@ class ClockStep(MessageFault):
     side: Literal["plant", "controller"]
     step_ms: Number
 
-    def acts_on(self) -> Direction:
-        return "uplink" if self.side == "plant" else "downlink"
+    def changed(self, direction: Direction, messages: Messages, editor: MessageEditor) -> Messages:
+        if direction != ("uplink" if self.side == "plant" else "downlink"):
+            return messages
+        step_ns = round(self.step_ms * 1e6)
+        return tuple(editor.restamped(each, step_ns.__add__) for each in messages)
 
-    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
-        return tuple(editor.with_later_stamp(each, round(self.step_ms * 1e6)) for each in messages)
+
+class ClockDrift(MessageFault):
+    """The controller's clock runs faster than the plant's from the start of the fault on.
+
+    The controller follows its reference by its own clock, so ever further ahead of the plant's.
+
+    Attributes:
+        ppm: by how much; negative for a slower clock. 100 ppm are 2 ms after 20 s.
+    """
+
+    kind: Literal["clock_drift"]
+    ppm: Annotated[Number, Field(ge=-100_000, le=100_000)]
+    for_s: None = None
+
+    def changed(self, direction: Direction, messages: Messages, editor: MessageEditor) -> Messages:
+        ppb, is_uplink = round(self.ppm * 1e3), direction == "uplink"
+
+        def shifted_ns(stamp_ns: int) -> int:
+            elapsed_ns = max(0, stamp_ns - self.start_ns)
+            if is_uplink:
+                return stamp_ns + elapsed_ns * ppb // 10**9
+            # The inverse in whole numbers, never later: the plant would know no such state yet.
+            return stamp_ns - elapsed_ns * ppb // (10**9 + ppb)
+
+        return tuple(editor.restamped(each, shifted_ns) for each in messages)
 
 
 class SecondCommander(LinkFault):

@@ -219,7 +219,8 @@ def _compiled(path: Path, urdf: str, followers: tuple[Follower, ...]) -> Any:
             _tie(spec, follower)
         return spec.compile()
     except ValueError as error:
-        raise RobotDescriptionError(f"{path}: MuJoCo: {error}") from error
+        reason = " ".join(str(error).split())
+        raise RobotDescriptionError(f"{path}: MuJoCo: {reason}") from error
 
 
 _checked = lru_cache(maxsize=16)(_compiled)

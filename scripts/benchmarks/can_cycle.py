@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from bus_schema.can.cia402.codec import Cia402Codec
+from bus_schema.can.cia402.codec import Cia402Codec, Cia402Settings
 from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.exchange import FrameExchange
 from bus_schema.can.frame import CanFrame
@@ -116,7 +116,8 @@ def _ours(interface: str, size: int) -> Iterator[Cycle]:
     virtual = interface == "virtual"
     ends = [exchange.join() if virtual else open_can_bus(can) for _ in range(2)]
     with TemporaryDirectory() as folder, ThreadPoolExecutor(1) as executor:
-        settings = [DriveSettings(node, _RATED_NM, _LARGEST_NM) for node in can.node_ids_of(size)]
+        own = Cia402Settings(_RATED_NM)
+        settings = [DriveSettings(node, _LARGEST_NM, own) for node in can.node_ids_of(size)]
         drives = DrivesOnBus(
             ends[1], [], lambda send: DriveBank(Cia402Drive, settings, send),
             CanMedium(can, 1, CandumpLog(Path(folder) / "can.log", "bench")),

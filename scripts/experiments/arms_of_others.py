@@ -146,7 +146,7 @@ def starter(arm: str) -> tuple[RobotDescription, dict[str, Any]]:
     begin = tuple(starts.split()) or ("",)
     chosen = [name for name in whole.joint_names if name.startswith(begin)]
     robot = load_robot(path, chosen, repair=True)
-    return robot, starter_scenario(robot, joints=True, repair=True)
+    return robot, starter_scenario(robot)
 
 
 def result(case: Case, more: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -38,7 +38,7 @@ import numpy as np
 import yaml
 from rich.progress import track
 
-from controller.laws import LAWS
+from controller.laws import COMPARED_LAWS as LAWS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import plain, read_yaml

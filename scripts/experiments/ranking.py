@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from controller.laws import LAWS
+from controller.laws import COMPARED_LAWS
 from deploy.run.execute import execute
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -87,7 +87,7 @@ def verdict_table(scenario: str, overrides: Sequence[str]) -> Iterator[str]:
         "| for tuning: RMS | Σ\\|Δτ\\| | bounds | cost |"
     )
     yield "|---|---|---|---|---|---|---|---|---|"
-    for law in LAWS:
+    for law in COMPARED_LAWS:
         clean = evaluate(load_setup(scenario, [*overrides, f"controller.law={law}"]))
         harder_setup = tuning_setup(scenario, law, overrides)
         harder = evaluate(harder_setup)

@@ -34,9 +34,12 @@ class Counting:
         return np.array([[tracking.time_s], [2.0]])
 
 
-def answers(law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0):
+def answers(law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0, first_ms=None):
     """Torques and targets at each tick."""
-    timing = AnswerTiming(every, 1e-3 * inference_ms, 1e-3 * jitter_ms, between, PERIOD_S, seed=1)
+    timing = AnswerTiming(
+        every, 1e-3 * inference_ms, 1e-3 * jitter_ms, between, PERIOD_S, seed=1,
+        first_s=1e-3 * (inference_ms if first_ms is None else first_ms),
+    )  # fmt: skip
     slow, tracking = SlowLaw(law, timing), Tracking(1)
     torques, targets = [], []
     for tick in range(ticks):
@@ -95,7 +98,7 @@ def test_answers_of_a_wrong_shape_or_without_a_number_are_refused(torques, targe
 
 def test_inference_times_repeat_after_a_reset():
     law = Counting()
-    timing = AnswerTiming(2, 0.003, 0.002, "hold", PERIOD_S, seed=1)
+    timing = AnswerTiming(2, 0.003, 0.002, "hold", PERIOD_S, seed=1, first_s=0.003)
     slow, tracking, runs = SlowLaw(law, timing), Tracking(1), []
     for _ in range(2):
         torques = []
@@ -120,3 +123,19 @@ def test_law_may_have_data_called_target():
     law = Counting()
     law.target = np.zeros(1)
     assert answers(law, 2, every=2)[0] == [1, 1]
+
+
+def test_first_inference_in_motion_takes_its_own_time():
+    # Asked at ticks 0, 1 and 5; the answer of tick 1 acts at tick 5, the next two ticks later.
+    answered = answers(Counting(), 9, inference_ms=2.0, first_ms=4.0)[0]
+    assert answered == [1, 1, 1, 1, 1, 2, 2, 3, 3]
+
+
+def test_first_inference_alone_makes_a_law_slow():
+    slow = load_setup("paper_arm", ["duration_s=0.1", "controller.first_inference_ms=40"])
+    as_others = ["controller.inference_ms=5", "controller.first_inference_ms=5"]
+    same = load_setup("paper_arm", ["duration_s=0.1", *as_others])
+    default = load_setup("paper_arm", ["duration_s=0.1", as_others[0]])
+    digests = [simulate(setup).data().digest for setup in (slow, same, default)]
+    assert digests[1] == digests[2] != digests[0]
+    assert digests[0] != simulate(load_setup("paper_arm", ["duration_s=0.1"])).data().digest

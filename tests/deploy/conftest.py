@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 
 import pytest
 
@@ -9,11 +8,22 @@ from deploy.cli import run_and_simulate
 from deploy.run.processes import roles
 from tests.warm_process import here
 
+STUDIES = {"compare", "margin", "sweep"}
+
 
 @pytest.fixture(scope="session")
 def funnel_hil():
-    """Exit code and output of a command."""
-    return partial(here, COLUMNS="200")
+    """Exit code and output of a command; a study has one worker unless the words say otherwise.
+
+    Every worker costs 2 s of CPU time to start.
+    """
+
+    def run(*words, **environment):
+        if words and words[0] in STUDIES and not {"--workers", "--scheduler"} & set(words):
+            words = (*words, "--workers", "1")
+        return here(*words, COLUMNS="200", **environment)
+
+    return run
 
 
 @pytest.fixture

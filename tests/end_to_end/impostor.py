@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from running import Running, await_true
+from running import PAPER_ARM_JOINTS, Running, await_true
 
 from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.zenoh.access import bundle_key_expression, recorded_key_expression
@@ -47,9 +48,11 @@ class Impostor(AbstractContextManager["Impostor"]):
         settings = {"mode": "client", **(security or {})}
         self.session = ZenohSession([], [endpoint], low_latency=False, security=settings)
         self.truth: Delivery | None = None
+        self.state: Delivery | None = None
         self.spans: list[Span] = []
         self._publishers: dict[str, bytes] = {}
         self.session.subscribe(topics.PLANT_TRUTH.key_expression(0), self._hear)
+        self.session.subscribe(topics.JOINT_STATES.key_expression(0), self._hear_state)
         self.session.subscribe(bundle_key_expression(0, Role.PLANT), self._hear_bundle)
         self.session.watch_tokens(graph_key_expression(0), self._on_token)
 
@@ -78,6 +81,17 @@ class Impostor(AbstractContextManager["Impostor"]):
         for topic, payload, attachment in messages:
             self.session.publisher(topic.key_expression(0)).put(payload, attachment)
 
+    def forge_states(self, count: int, later_ns: int) -> None:
+        """Send states as the plant does, with other positions, for a time that is to come."""
+        publisher = self.session.publisher(topics.JOINT_STATES.key_expression(0))
+        layout = topics.layout(topics.JOINT_STATES, PAPER_ARM_JOINTS)
+        record = Record(layout)
+        for _ in range(count):
+            assert self.state is not None
+            record.stamp_ns = layout.decode(self.state.payload, record) + later_ns
+            record.fields["position"][:] += 0.3
+            publisher.put(record.payload(), self.state.attachment)
+
     def speak_as_recorder(self) -> None:
         """Announce a recorder that has everything."""
         name = node_name(Role.RECORDER)
@@ -90,6 +104,9 @@ class Impostor(AbstractContextManager["Impostor"]):
 
     def _hear(self, delivery: Delivery) -> None:
         self.truth = delivery
+
+    def _hear_state(self, delivery: Delivery) -> None:
+        self.state = delivery
 
     def _hear_bundle(self, delivery: Delivery) -> None:
         span = Span.decode(delivery.attachment)

@@ -90,6 +90,14 @@ PATIENT = settings(link__reply_timeout_s=60, link__connect_timeout_s=HANG_S)
 ENDLESS = settings(duration_s=3600.0, reference__x__velocity_m_s=0.0)
 """Of paper_arm: a run to act upon that the test ends, and that no machine is too slow for. The path
 of the scenario itself leaves the arm's reach after 97 s."""
+WIDE = settings(
+    funnel__widest_rad=3.0,
+    funnel__convergence_margin_rad=3.0,
+    funnel__overshoot_margin_rad=3.0,
+    funnel__final_rad=3.0,
+)
+"""A funnel that an arm does not leave when the machine holds up a real-time run for half a second:
+its commands missing for 0.4 s, paper_arm uses 5 % of it."""
 
 
 def funnel_hil(*words: str, out: Path | None, with_report: bool = False) -> Finished:

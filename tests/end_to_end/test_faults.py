@@ -20,6 +20,7 @@ from running import (
     HANG_S,
     PATIENT,
     ROOT,
+    WIDE,
     Finished,
     Running,
     Watcher,
@@ -237,7 +238,7 @@ def test_recorder_frozen_beyond_its_lease_records_again_and_the_gap_is_unknown(
 ) -> None:
     """Others close a connection over which nothing has come for 10 s."""
     realtime = settings(clock="realtime", plant__command_timeout_ms=60_000.0)
-    words = ["run", "paper_arm", *ENDLESS, *realtime]
+    words = ["run", "paper_arm", *ENDLESS, *WIDE, *realtime]
     with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
 
         def wait(duration_s: float) -> None:

@@ -22,6 +22,7 @@ from running import (
     assert_as_simulated,
     await_true,
     free_endpoint,
+    funnel_hil_here,
     settings,
     started,
 )
@@ -108,8 +109,13 @@ def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Pat
     downlink = run.summary["transport"]["downlink"]
     assert downlink["rejected"] == dict(sent)
     assert downlink["delivered"] >= run.summary["ticks"] - 1  # the last may have been on its way
-    names = ("joint_states", "plant_status", "plant_truth")
+    names = ("joint_states", "joint_commands", "plant_status", "plant_truth")
     assert_as_simulated(run, come_s, tmp_path / "simulation", *names)
+    assert max(run.summary["torque"]["peak_nm"]) < HUGE_NM
+    assert run.summary["recorder"]["lost"] == 0
+    assert len(run.log.payloads["rejected_commands"]) == sum(sent.values())
+    replayed = funnel_hil_here("replay", str(run.folder), out=None)
+    assert "identical" in replayed.output, replayed.output
 
 
 @pytest.mark.parametrize("ids", ["own", "copied"])
@@ -133,6 +139,26 @@ def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
     assert f"{reason}: " in ended.output
     assert ended.summary["verdict"] == "unknown"
     assert not ended.summary["bounds"]["kept"]
+
+
+@pytest.mark.parametrize(
+    "later_ns", [0, 250_000, 20_000_000], ids=["a second answer", "between ticks", "to come"]
+)
+def test_states_forged_with_the_attachment_of_the_plant_leave_the_verdict_unknown(
+    tmp_path: Path, later_ns: int
+) -> None:
+    """The controller takes them for the plant's, but its answers show them to the plant."""
+    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
+    with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
+        stranger.await_plant(run)
+        await_true(lambda: stranger.state is not None, "the plant sends states")
+        stranger.forge_states(3, later_ns)
+        ended, _ = run.end_later(0.5)
+    assert ended.code == 130, ended.output
+    assert ended.summary["faults"] == []
+    assert ended.summary["recording"]["rejected"]["forged_state"] >= 1
+    assert ended.summary["verdict"] in ("unknown", "lost")
+    assert "forged_state: " in ended.output
 
 
 def test_second_recorder_that_has_everything_ends_no_run(tmp_path: Path) -> None:

@@ -134,7 +134,8 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
     assert set(summary) == {
         "scenario", "law", "clock", "link", "duration_s", "ticks", "completed", "faults",
         "real_time_factor", "bounds", "tracking", "torque", "timing", "transport", "recorder",
-        "limits", "identified", "digest", "recording", "commander", "verdict",
+        "limits", "identified", "digest", "motion", "recording", "commander", "verdict",
+        "seed_used", "growing", "loss",
     }  # fmt: skip
     assert set(summary["bounds"]) == {
         "kept", "violation_fraction", "first_violation_s", "margin_min", "margin_min_joint",

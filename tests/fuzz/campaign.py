@@ -11,10 +11,12 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from can_frames import PROTOCOLS, CanTarget
+from can_frames import CanTarget
 from decoding import Target
 from recordings import try_recordings
 from scenarios import try_files
+
+from tests.plant_emulator.drives.dialects import DIALECTS
 
 _WARM_UP = 20_000
 _PROGRESS = 50_000
@@ -39,7 +41,7 @@ def main(
         target.close()
         print(f"accepted, and right: {target.accepted}; rejected: {dict(target.rejected)}")
         print(f"memory after the first {_WARM_UP}: {_peak_kib() - before_kib:+d} KiB")
-        for protocol in PROTOCOLS:
+        for protocol in DIALECTS:
             drives = CanTarget(protocol, 1, folder)
             for _ in range(frames):
                 drives.attack()

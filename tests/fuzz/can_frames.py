@@ -20,17 +20,10 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive
 from plant_emulator.drives.cia402.drive import Cia402Drive
-from plant_emulator.drives.damiao.drive import DamiaoDrive
-from plant_emulator.drives.drive import DriveSettings
-from plant_emulator.drives.mit.drive import MitDrive
-from plant_emulator.drives.moteus.drive import MoteusDrive
+from tests.plant_emulator.drives.dialects import DIALECTS
 
 NODES = (1, 2, 3)
 RATED_NM, LIMIT_NM = 20.0, 60.0
-PROTOCOLS = {
-    "cia402": Cia402Drive, "cansimple": CanSimpleDrive, "mit": MitDrive, "damiao": DamiaoDrive,
-    "moteus": MoteusDrive,
-}  # fmt: skip
 _FROM_MASTER = {
     "cia402": re.compile(r"^(000|080|77F|[236]0[123])#"),
     # requests without data, and axis states, modes, torques and cleared errors
@@ -54,7 +47,7 @@ class CanTarget:
     """
 
     def __init__(self, protocol: str, seed: int, folder: Path) -> None:
-        self._protocol, self._torque_in = PROTOCOLS[protocol], _TORQUES[protocol]
+        self._dialect, self._torque_in = DIALECTS[protocol], _TORQUES[protocol]
         self._is_fd = protocol == "moteus"
         self._most_bytes = 64 if self._is_fd else 8
         self._mutator = Mutator(seed)
@@ -81,9 +74,11 @@ class CanTarget:
 
     def _switch_on(self) -> None:
         self.reasons.update(self._bank.rejections.counts if self._now_ns else {})
-        settings = DriveSettings(0, RATED_NM, LIMIT_NM, watchdog_ms=50, fd_process_data=self._is_fd)
-        drives = [replace(settings, node_id=node) for node in NODES]
-        self._bank = DriveBank(self._protocol, drives, self._sent.append)
+        drives = [
+            replace(self._dialect.settings(node, LIMIT_NM, 50.0), fd_process_data=self._is_fd)
+            for node in NODES
+        ]
+        self._bank = DriveBank(self._dialect.drive, drives, self._sent.append)
         self._bank.advance(self._now_ns)
 
     def _send(self, frame: CanFrame, *, is_mutated: bool) -> None:
@@ -100,7 +95,7 @@ class CanTarget:
         after_nm = self._bank.torque_nm
         assert np.abs(after_nm).max() <= LIMIT_NM
         assert not after_nm[self._bank.braked].any()
-        if self._bank.closes_loops and self._protocol in (Cia402Drive, CanSimpleDrive):
+        if self._bank.closes_loops and self._dialect.drive in (Cia402Drive, CanSimpleDrive):
             return  # a mutation has switched a drive to position: torques are its own
         changed = np.flatnonzero((after_nm != before_nm) & (after_nm != 0.0))
         if changed.size == 0:

@@ -7,13 +7,14 @@ import os
 import signal
 
 import pytest
-from can_frames import PROTOCOLS, CanTarget
+from can_frames import CanTarget
 from decoding import Target
 from forked import try_forked
 from recordings import try_recordings
 from scenarios import try_files
 
 from bus_schema.recording.mcap_log import read_log
+from tests.plant_emulator.drives.dialects import DIALECTS
 
 MUTATIONS = 20_000
 FRAMES = 5_000
@@ -31,7 +32,7 @@ def test_mutations_crash_nothing_and_no_wrong_command_comes_through(tmp_path):
     assert read_log(tmp_path / "fuzz.mcap").complete
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("protocol", DIALECTS)
 def test_mutated_frames_crash_no_drive_and_give_no_torque_but_what_they_say(
     protocol, tmp_path, caplog
 ):

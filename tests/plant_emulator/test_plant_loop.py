@@ -52,9 +52,6 @@ class Station(PlantLink):
         self.messages.append((state, status))
         self.clock.wait_until(self.clock.now_ns() + self.stall_ns.get(record.stamp_ns, 0))
 
-    def sender_has_left(self, sender):
-        return False
-
     def take_commands(self):
         now_ns = self.clock.now_ns()
         here = [arrival for arrival in self.to_come if arrival.arrival_ns <= now_ns]
@@ -159,6 +156,21 @@ def test_rows_of_a_command_act_tick_by_tick_and_the_last_one_stays(run):
     assert [torques_nm[at] for at in (5 * MS, 5_250_000)] == [0.0, 0.0]
     assert [torques_nm[at] for at in (5_500_000, 5_750_000)] == [2.0, 2.0]  # the row for 5 ms
     assert {nm for at, nm in steps if at >= 6 * MS} == {3.0}
+
+
+def test_rows_of_a_command_that_says_when_it_acts_count_from_then(run):
+    """Rows of 1, 2, 3 and 4 Nm answer the state of 2 ms, and act from 5 ms on."""
+    record = Record(topics.layout(topics.JOINT_COMMANDS, NAMES, has_acting_time=True, rows=4))
+    record.fields["effort"][:] = np.repeat([1.0, 2.0, 3.0, 4.0], 3)
+    record.stamp_ns, record.acts_after_ns = 2 * MS, 3 * MS
+    for arrives_ns, first in ((2_600_000, 5), (6_100_000, 7)):  # in time, and too late for 5 ms
+        arrivals = [CommandArrival(record.payload(), 1, b"", arrives_ns)]
+        _, steps = run("controller.delay_compensation.enabled=true", arrivals=arrivals)
+        torques_nm = dict(steps)
+        assert {nm for at, nm in steps if at <= min(arrives_ns, 4_750_000)} == {0.0}
+        assert [torques_nm[tick * MS] for tick in range(first, 12)] == [
+            min(tick - 4, 4) for tick in range(first, 12)
+        ]
 
 
 def test_a_newer_command_ends_the_rows_of_the_one_before(run):

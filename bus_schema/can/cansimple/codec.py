@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.codec import AxisState, CanCodec
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
@@ -42,6 +43,17 @@ class Command(IntEnum):
     CLEAR_ERRORS = 0x18
     SET_POS_GAIN = 0x1A
     SET_VEL_GAINS = 0x1B
+
+
+class OdriveState(IntEnum):
+    """The axis states in use."""
+
+    IDLE = 1
+    CLOSED_LOOP_CONTROL = 8
+
+
+PASSTHROUGH = 1
+"""Input mode in which an axis uses its inputs unchanged."""
 
 
 class CanSimpleMode(NamedTuple):
@@ -75,7 +87,7 @@ def identifier(node_id: int, command: int) -> int:
     return node_id << COMMAND_BITS | command
 
 
-class CanSimpleCodec:
+class CanSimpleCodec(CanCodec):
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
@@ -98,43 +110,32 @@ class CanSimpleCodec:
         self.mode = TORQUE if gains is None else POSITION
         self.cycle = self.mode.cycle
         estimates = [identifier(node_id, Command.GET_ENCODER_ESTIMATES) for node_id in node_ids]
-        self._inputs = [identifier(node_id, self.mode.input) for node_id in node_ids]
-        self._requests = tuple(CanFrame(each, is_remote=True) for each in estimates)
+        super().__init__(node_ids, [CanFrame(each, is_remote=True) for each in estimates])
         self._joint_of_estimates = {each: joint for joint, each in enumerate(estimates)}
-        self._joint_of_input = {each: joint for joint, each in enumerate(self._inputs)}
+        self._inputs = [identifier(node_id, self.mode.input) for node_id in node_ids]
         self._torque_scale = 1.0 if gains is None else self._scales.input_torque_scale
-        self._seen = np.zeros((2, len(node_ids)))
 
-    def sampling_frames(self) -> Sequence[CanFrame]:
-        return self._requests
-
-    def is_sampling(self, frame: CanFrame) -> bool:
-        return frame.is_remote and frame.identifier in self._joint_of_estimates
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
+    def reply(self, frame: CanFrame) -> tuple[int, AxisState] | None:
         joint = self._joint_of_estimates.get(frame.identifier)
         if joint is None or not is_data(frame, _ESTIMATES.size):
             return None
-        turns, turns_per_s = _ESTIMATES.unpack(frame.data)
-        position[joint] = turns * TURN_RAD
-        velocity[joint] = turns_per_s * TURN_RAD
-        if self.gains is not None:
-            self._seen[:, joint] = position[joint], velocity[joint]
-        return joint
+        turns, turns_s = _ESTIMATES.unpack(frame.data)
+        return joint, AxisState(self._node_ids[joint], turns * TURN_RAD, turns_s * TURN_RAD)
 
     def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
         pack = self.mode.layout.pack
         if self.gains is None:
             torques = zip(self._inputs, torque_nm.tolist(), strict=True)
             return [CanFrame(each, pack(torque)) for each, torque in torques]
-        turns, turns_s = (self._seen if target is None else target) / TURN_RAD
+        turns, turns_s = self._target_or_last(target) / TURN_RAD
         velocities = _words(turns_s * self._scales.input_vel_scale)
         forwards = _words(torque_nm * self._torque_scale)
         rows = zip(self._inputs, turns.tolist(), velocities, forwards, strict=True)
         return [CanFrame(each, pack(*values)) for each, *values in rows]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
-        joint = self._joint_of_input.get(frame.identifier)
+        node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
+        joint = self._joint_of.get(node_id) if command == self.mode.input else None
         if joint is None or not is_data(frame, self.mode.layout.size):
             return None
         torque_nm[joint] = self.mode.layout.unpack(frame.data)[-1] / self._torque_scale

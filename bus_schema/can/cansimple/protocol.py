@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.can.cansimple.codec import (
     COMMAND_BITS,
+    PASSTHROUGH,
     TURN_RAD,
     CanSimpleCodec,
     Command,
+    OdriveState,
     identifier,
 )
 from bus_schema.can.frame import CanBus, CanFrame, is_data
@@ -23,8 +25,6 @@ from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration, CanSimpleConfiguration
 from bus_schema.robot_description import RobotDescription
 
-_IDLE, _CLOSED_LOOP_CONTROL = 1, 8
-_PASSTHROUGH = 1
 _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _GAIN, _GAINS = struct.Struct("<f"), struct.Struct("<ff")
 _BEAT = struct.Struct("<IBB")
@@ -32,14 +32,14 @@ _OF_MASTER = {
     Command.SET_AXIS_STATE, Command.SET_CONTROLLER_MODE, Command.SET_INPUT_POS,
     Command.SET_INPUT_TORQUE, Command.CLEAR_ERRORS,
 }  # fmt: skip
-"""Commands that tell of another master."""
+"""Commands that only a master sends."""
 
 
 class CanSimpleMaster(CanMaster):
     """The master; the arguments are those of `CanMaster`.
 
-    What an axis is doing, its heartbeats report; they can be requested. In position control the
-    master sets the axes' gains; their integrals are off.
+    Heartbeats report the state of an axis; they can be requested. In position control the master
+    sets the gains of the axes, without integral.
     """
 
     _codec: CanSimpleCodec
@@ -51,20 +51,17 @@ class CanSimpleMaster(CanMaster):
         self._states = [0] * len(node_ids)
         self._errors = [0] * len(node_ids)
 
-    def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        if not self._await_drives(timeout_s, is_stop_requested):
-            return False
+    def _set_up(self) -> None:
         self._faults.clear()
-        return True
 
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:
-            self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
+            self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(OdriveState.IDLE))
             torque_nm = np.zeros_like(torque_nm)
         super().command(torque_nm)
 
     def leave(self) -> None:
-        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(OdriveState.IDLE))
 
     def _ask(self) -> None:
         """Ask all axes to follow their inputs, and for the heartbeats that say whether they do."""
@@ -73,9 +70,9 @@ class CanSimpleMaster(CanMaster):
         self._is_powered = [False] * len(self._node_ids)
         self._send_to_all(Command.CLEAR_ERRORS, b"\0")
         self._send_to_all(
-            Command.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
+            Command.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, PASSTHROUGH)
         )
-        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(OdriveState.CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
 
     def _send_gains(self) -> None:
@@ -97,7 +94,7 @@ class CanSimpleMaster(CanMaster):
         for node_id, state, errors in zip(self._node_ids, self._states, self._errors, strict=True):
             if state == 0:
                 sentences.append(f"no answer from axis {node_id} within {timeout_s:g} s")
-            elif state != _CLOSED_LOOP_CONTROL:
+            elif state != OdriveState.CLOSED_LOOP_CONTROL:
                 sentences.append(f"axis {node_id} stays in state {state}, errors 0x{errors:X}")
         return "; ".join(sentences)
 
@@ -123,7 +120,7 @@ class CanSimpleMaster(CanMaster):
         if joint is None or command != Command.HEARTBEAT or len(frame.data) < _BEAT.size:
             return
         self._errors[joint], self._states[joint], _ = _BEAT.unpack_from(frame.data)
-        self._is_powered[joint] = self._states[joint] == _CLOSED_LOOP_CONTROL
+        self._is_powered[joint] = self._states[joint] == OdriveState.CLOSED_LOOP_CONTROL
         if self._errors[joint]:
             self._faults.append(f"axis {node_id}: error 0x{self._errors[joint]:X}")
         elif not self._is_powered[joint]:
@@ -164,9 +161,9 @@ class CanSimpleProtocol(DriveProtocol):
         return (node_id, "heartbeat", 1.0) if is_beat and node_id else None
 
     def own_settings(
-        self, can: CanConfiguration, joints: int
+        self, can: CanConfiguration, robot: RobotDescription
     ) -> tuple[CanSimpleConfiguration, ...]:
-        return (can.cansimple,) * joints
+        return (can.cansimple,) * robot.joints
 
 
 def _check_position_control(

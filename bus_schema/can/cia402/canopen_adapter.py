@@ -46,7 +46,7 @@ def object_dictionary(eds: Path | str, node_id: int) -> ObjectDictionary:
     """The objects of a node; they hold no values, so all nodes of an address can share them.
 
     Raises:
-        Exception: whatever canopen's parser makes of a file that is no EDS.
+        Exception: any error of canopen's parser, for a file that is no EDS.
     """
     return _parsed(str(eds), Path(eds).stat().st_mtime_ns, node_id)
 
@@ -68,7 +68,7 @@ def check_eds(eds: str, *, takes_targets: bool) -> None:
             for variable in (each,) if isinstance(each, ODVariable) else each.values():
                 if (variable.data_type or 1) < 1:
                     raise ValueError(f"{variable.name} has data type {variable.data_type}")
-    except Exception as error:  # the parser raises whatever comes its way
+    except Exception as error:  # the parser raises any type
         allowed = f"must be a file that is an EDS of a CiA 402 drive: {error}"
         raise ConfigurationError("link.can.eds", eds, allowed) from error
     ours = object_dictionary(CIA402_EDS, 1)
@@ -88,9 +88,18 @@ def _difference(
         return f"it lacks {name}"
     if found.data_type != wanted.data_type:
         return f"{name} has data type 0x{found.data_type or 0:04X}, not 0x{wanted.data_type:04X}"
-    if (index, subindex) in _MAPPED + _MAPPED_TORQUE and found.default != wanted.default:
-        return f"{name} maps 0x{found.default or 0:08X}, not 0x{wanted.default:08X}"
+    # A DCF has the value that is written into a drive beside the drive's own default.
+    value = found.default if found.value is None else found.value
+    if (index, subindex) in _MAPPED + _MAPPED_TORQUE and value != wanted.default:
+        return f"{name} maps {_mapped(value, subindex)}, not {_mapped(wanted.default, subindex)}"
     return None
+
+
+def _mapped(value: int | None, subindex: int) -> str:
+    """Name a value of a mapping: the number of objects, or one object with its length in bits."""
+    if subindex == 0:
+        return f"{value or 0} object" + "s" * (value != 1)
+    return f"0x{value:08X}" if value else "nothing"
 
 
 @cache

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.codec import AxisState, CanCodec
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.configuration import ConfigurationError, expand
@@ -31,7 +32,6 @@ ENABLE_OPERATION, QUICK_STOP = 0x000F, 0x0002
 
 _STATE = struct.Struct("<ii")
 _OFFSET = struct.Struct("<i")
-_SYNC_FRAMES = (CanFrame(SYNC),)
 
 PEAK_TO_RATED = 32.0
 """Effort limit to rated torque by default: the limit is 32000 ‰, nearly all that 16 bits hold."""
@@ -72,6 +72,16 @@ POSITION = Cia402Mode(
 )  # fmt: skip
 
 
+class Cia402Settings(NamedTuple):
+    """Settings of one drive that both sides must agree on.
+
+    Attributes:
+        rated_torque_nm: unit of its torques is a thousandth of this.
+    """
+
+    rated_torque_nm: float
+
+
 def rated_torque_nm(can: CanConfiguration, robot: RobotDescription) -> Vector:
     """Rated torque of each drive, shape (joints,).
 
@@ -87,7 +97,7 @@ def rated_torque_nm(can: CanConfiguration, robot: RobotDescription) -> Vector:
     return np.asarray(robot.effort_limits_nm / PEAK_TO_RATED)
 
 
-class Cia402Codec:
+class Cia402Codec(CanCodec):
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
@@ -115,6 +125,7 @@ class Cia402Codec:
         gains: DriveGains | None = None,
         is_fd: bool = False,
     ) -> None:
+        super().__init__(node_ids, [CanFrame(SYNC)])
         self._is_fd = is_fd
         self.mode = TORQUE if gains is None else POSITION
         self.loop_gains = [] if gains is None else loop_gains(gains)
@@ -130,28 +141,18 @@ class Cia402Codec:
         self._offsets = [RPDO_4 + node_id for node_id in node_ids]
         self._joint_of_tpdo = {TPDO_1 + node: joint for joint, node in enumerate(node_ids)}
         self._joint_of_rpdo = {rpdo: joint for joint, rpdo in enumerate(self._rpdos)}
-        self._seen = np.zeros((2, len(node_ids)))
 
-    def sampling_frames(self) -> Sequence[CanFrame]:
-        return _SYNC_FRAMES
-
-    def is_sampling(self, frame: CanFrame) -> bool:
-        return frame.identifier == SYNC and is_data(frame, 0)
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
+    def reply(self, frame: CanFrame) -> tuple[int, AxisState] | None:
         joint = self._joint_of_tpdo.get(frame.identifier)
         if joint is None or not is_data(frame, _STATE.size, is_fd=self._is_fd):
             return None
-        counts, counts_per_s = _STATE.unpack(frame.data)
-        position[joint] = counts * self._rad_per_count
-        velocity[joint] = counts_per_s * self._rad_per_count
-        if self.mode is POSITION:
-            self._seen[:, joint] = position[joint], velocity[joint]
-        return joint
+        counts, counts_s = _STATE.unpack(frame.data)
+        scale = self._rad_per_count
+        return joint, AxisState(self._node_ids[joint], counts * scale, counts_s * scale)
 
     def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
         if self.mode is POSITION:
-            return self._position_frames(torque_nm, self._seen if target is None else target)
+            return self._position_frames(torque_nm, self._target_or_last(target))
         controlword, is_fd, pack = self._controlword, self._is_fd, self.mode.layout.pack
         # One by one: NumPy's three calls take longer for the joints of an arm.
         return [

@@ -72,6 +72,7 @@ class Cia402Master(CanMaster):
         self._is_in_cycle = [False] * len(node_ids)
         self._start_timeout_ms = float(can.heartbeat_timeout_ms)
         self._emergencies = [""] * len(node_ids)
+        self._alarmed: set[int] = set()
         self._lost: BusError | None = None
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
@@ -199,8 +200,12 @@ class Cia402Master(CanMaster):
     def _note_emergency(self, joint: int, data: bytes) -> None:
         """Remember why a drive may be about to stop; that it does, its statusword reports."""
         code, register, _ = _EMERGENCY.unpack(data)
-        meaning = EmcyError(code, register, b"", 0.0).get_desc()
-        self._emergencies[joint] = f", emergency 0x{code:04X} ({meaning})" if code else ""
+        text = f"emergency 0x{code:04X} ({EmcyError(code, register, b'', 0.0).get_desc()})"
+        self._emergencies[joint] = f", {text}" if code else ""
+        # 0x82xx is about a frame that the drive ignores. One of each drive: many may be forged.
+        if code and code >> 8 != 0x82 and joint not in self._alarmed:
+            self._alarmed.add(joint)
+            self.emergencies.append(f"drive {self._node_ids[joint]} sent {text}")
 
     def _note_status(self, joint: int, node_id: int, word: int) -> None:
         states = [name for name, (mask, bits) in State402.SW_MASK.items() if word & mask == bits]
@@ -248,7 +253,7 @@ class Cia402Master(CanMaster):
         """Hand frames to canopen, on a thread, since its requests wait for their answers.
 
         Raises:
-            BusError: the bus was lost meanwhile, whatever followed from that.
+            BusError: the bus was lost meanwhile, even if another error followed.
         """
         over = threading.Event()
 

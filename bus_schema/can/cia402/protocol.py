@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping, Sequence
 
 from bus_schema.can.cia402.canopen_adapter import check_eds
-from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
+from bus_schema.can.cia402.codec import Cia402Codec, Cia402Settings, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.protocol import DriveProtocol
@@ -55,6 +55,11 @@ class Cia402Protocol(DriveProtocol):
         rated, turn = _ASKED.values()
         torques_mnm = self.codec(can, robot).rated_mnm.tolist()
         return [{rated: torque_mnm, turn: can.counts_per_turn} for torque_mnm in torques_mnm]
+
+    def own_settings(
+        self, can: CanConfiguration, robot: RobotDescription
+    ) -> tuple[Cia402Settings, ...]:
+        return tuple(map(Cia402Settings, rated_torque_nm(can, robot).tolist()))
 
     def check(self, can: CanConfiguration, *, takes_targets: bool) -> None:
         if can.eds is not None:

@@ -10,7 +10,7 @@ register, value. The answer comes at the motor's feedback identifier in the same
 have the numbers of `openarm_can`'s RID and of `damiao-motor`'s REGISTER_TABLE.
 
 A motor answers every frame with its state. A cycle is, for each motor, the frame that asks for the
-state (0xCC to identifier 0x7FF), the answer, the command, and its answer, which nobody uses.
+state (0xCC to identifier 0x7FF), the answer, the command, and its answer, which is not used.
 """
 
 from __future__ import annotations
@@ -21,17 +21,15 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.codec import AxisState
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.mit.codec import (
     COMMAND_BYTES,
     MitCodec,
     MitRanges,
-    MitReply,
     packed_reply,
     reply_of,
-    special,
 )
 from bus_schema.drive_feedback import DriveGains
 
@@ -113,14 +111,14 @@ def target_of(mode: Mode, data: bytes) -> Target | None:
     return target if all(map(math.isfinite, target)) else None
 
 
-def packed_feedback(state: MitReply, ranges: MitRanges, mosfet_c: int) -> bytes:
+def packed_feedback(state: AxisState, ranges: MitRanges, mosfet_c: int) -> bytes:
     """Data of a feedback frame; the state's error is a `Status`, its temperature the rotor's."""
     first = state.error << 4 | state.node_id & _NIBBLE
     packed = packed_reply(state._replace(node_id=first), ranges, _STATE_BYTES)
     return packed + bytes([mosfet_c, state.temperature_c])
 
 
-def feedback_of(data: bytes, ranges: MitRanges) -> MitReply:
+def feedback_of(data: bytes, ranges: MitRanges) -> AxisState:
     """State in a feedback frame, see `packed_feedback`."""
     state = reply_of(data[:_STATE_BYTES], ranges)
     return state._replace(
@@ -235,23 +233,8 @@ class DamiaoCodec(MitCodec):
             "{n} × (request + command + 2 states, 8 bytes each)", is_fd=is_fd,
         )  # fmt: skip
 
-    def frame(self, identifier: int, data: bytes) -> CanFrame:
-        """A frame in the format of these motors."""
-        return CanFrame(identifier, data, is_fd=self.is_fd)
-
-    def special_frames(self, kind: int) -> Sequence[CanFrame]:
-        return [self.frame(node_id, special(kind)) for node_id in self._node_ids]
-
-    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+    def reply(self, frame: CanFrame) -> tuple[int, AxisState] | None:
         joint = self._joint_at.get(frame.identifier)
         if joint is None or not is_data(frame, COMMAND_BYTES, is_fd=self.is_fd):
             return None
         return joint, feedback_of(frame.data, self.ranges[joint])
-
-    def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
-        frames = super().command_frames(torque_nm, target)
-        return [frame._replace(is_fd=self.is_fd) for frame in frames]
-
-    def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
-        is_ours = frame.is_fd == self.is_fd
-        return super().read_torque(frame._replace(is_fd=False), torque_nm) if is_ours else None

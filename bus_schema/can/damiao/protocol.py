@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from bus_schema.can.damiao.codec import (
@@ -25,7 +25,7 @@ from bus_schema.can.mit.codec import COMMAND_BYTES, MitRanges, Special
 from bus_schema.can.mit.protocol import MitMaster, MitProtocol
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.link.can_configuration import CanConfiguration, DamiaoMotorName
 from bus_schema.robot_description import RobotDescription
 
 _MS = 1_000_000
@@ -41,21 +41,13 @@ class DamiaoMaster(MitMaster):
 
     _codec: DamiaoCodec
 
-    def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        if not self._await_drives(timeout_s, is_stop_requested):
-            return False
-        self._await_quiet()
-        for joint in range(len(self._node_ids)):
-            self._check_ranges(joint)
-            self._write(joint, Register.CTRL_MODE, Mode.MIT)
-            timeout_ns = self._can.command_timeout_ms * _MS
-            self._write(joint, Register.TIMEOUT, timeout_ns // TIMEOUT_STEP_NS)
-            self._tell(joint, Special.CLEAR_ERROR)
-            self._tell(joint, Special.ENABLE)
-        if errors := self._missed_heartbeats():
-            raise DriveError("; ".join(errors))
-        self._is_powered = [True] * len(self._node_ids)
-        return True
+    def _set_up_drive(self, joint: int) -> None:
+        self._check_ranges(joint)
+        self._write(joint, Register.CTRL_MODE, Mode.MIT)
+        timeout_ns = self._can.command_timeout_ms * _MS
+        self._write(joint, Register.TIMEOUT, timeout_ns // TIMEOUT_STEP_NS)
+        self._switch(joint, Special.CLEAR_ERROR)
+        self._switch(joint, Special.ENABLE)
 
     def _only_master_sends(self, frame: CanFrame) -> str | None:
         if frame.identifier == REGISTER_IDENTIFIER:
@@ -86,8 +78,8 @@ class DamiaoMaster(MitMaster):
                     " misread"
                 )
 
-    def _tell(self, joint: int, kind: Special) -> None:
-        """Send a special frame, and note the state in the answer."""
+    def _switch(self, joint: int, kind: Special) -> None:
+        """Send a special frame, and store the error code in the answer."""
         self._send([self._codec.special_frames(kind)[joint]])
         give_up_s = time.monotonic() + self._can.answer_timeout_s
         while self._next_answering(POLL_S) != joint:
@@ -165,7 +157,7 @@ class DamiaoProtocol(MitProtocol):
         return DamiaoCodec(node_ids, ranges, feedback_ids, is_fd=is_fd, gains=gains)
 
     def ranges(self, can: CanConfiguration, joints: int) -> tuple[MitRanges, ...]:
-        return tuple(each.motor.ranges for each in self.own_settings(can, joints))
+        return tuple(MOTORS[name].ranges for name in _motors(can, joints))
 
     def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
         node_ids = can.node_ids_of(joints)
@@ -198,15 +190,20 @@ class DamiaoProtocol(MitProtocol):
             for ranges in self.ranges(can, robot.joints)
         ]
 
-    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[DamiaoSettings, ...]:
-        names = can.damiao.motor
-        if len(names) not in (1, joints):
-            raise ConfigurationError(
-                "link.can.damiao.motor", list(names), f"one, or one for each of the {joints} joints"
-            )
-        names = names * joints if len(names) == 1 else names
-        rows = zip(names, _feedback_ids(can, joints), strict=True)
-        return tuple(DamiaoSettings(MOTORS[name], feedback_id) for name, feedback_id in rows)
+    def own_settings(
+        self, can: CanConfiguration, robot: RobotDescription
+    ) -> tuple[DamiaoSettings, ...]:
+        motors = [MOTORS[name] for name in _motors(can, robot.joints)]
+        return tuple(map(DamiaoSettings, motors, _feedback_ids(can, robot.joints)))
+
+
+def _motors(can: CanConfiguration, joints: int) -> tuple[DamiaoMotorName, ...]:
+    names = can.damiao.motor
+    if len(names) not in (1, joints):
+        raise ConfigurationError(
+            "link.can.damiao.motor", list(names), f"one, or one for each of the {joints} joints"
+        )
+    return names * joints if len(names) == 1 else names
 
 
 def _feedback_ids(can: CanConfiguration, joints: int) -> tuple[int, ...]:

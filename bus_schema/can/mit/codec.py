@@ -6,18 +6,17 @@ and zero itself is no step of a range around it.
 
 A drive replies with its state to every frame. A cycle is, for each drive, the frame that enters
 motor mode, which the AK manual has as the way to ask for the state; the reply; the command; and the
-reply to that, which nobody uses.
+reply to that, which is not used.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.codec import CanCodec
+from bus_schema.can.codec import AxisState, CanCodec
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
@@ -71,17 +70,6 @@ class MitCommand(NamedTuple):
     torque_nm: float = 0.0
 
 
-class MitReply(NamedTuple):
-    """What a drive answers to every frame; the last two are those of newer firmware."""
-
-    node_id: int
-    position_rad: float
-    velocity_rad_s: float
-    torque_nm: float
-    temperature_c: int = 0
-    error: int = MitError.NONE
-
-
 def special(kind: int) -> bytes:
     """Data of a special frame."""
     return _SPECIAL + bytes([kind])
@@ -133,24 +121,24 @@ def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
     return MitCommand(*_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
 
 
-def packed_reply(reply: MitReply, ranges: MitRanges, reply_bytes: int) -> bytes:
+def packed_reply(reply: AxisState, ranges: MitRanges, reply_bytes: int) -> bytes:
     """The bytes of a reply, as many as the firmware sends."""
     bits = (reply.node_id & _BYTE) << 40 | _packed(reply, _STATE, ranges)
     rest = bytes([reply.temperature_c - _COLDEST_C, reply.error])
     return (bits.to_bytes(REPLY_BYTES[0], "big") + rest)[:reply_bytes]
 
 
-def reply_of(data: bytes, ranges: MitRanges) -> MitReply:
+def reply_of(data: bytes, ranges: MitRanges) -> AxisState:
     """What six or eight bytes report."""
     packed = int.from_bytes(data[: REPLY_BYTES[0]], "big")
     position, velocity, torque = _unpacked(packed, _STATE, ranges)
-    reply = MitReply(data[0], position, velocity, torque)
+    reply = AxisState(data[0], position, velocity, torque)
     if len(data) == REPLY_BYTES[0]:
         return reply
     return reply._replace(temperature_c=data[6] + _COLDEST_C, error=data[7])
 
 
-def _packed(values: MitCommand | MitReply, numbers: Sequence[_Number], ranges: MitRanges) -> int:
+def _packed(values: MitCommand | AxisState, numbers: Sequence[_Number], ranges: MitRanges) -> int:
     packed = 0
     for name, bits, is_signed in numbers:
         value, limit = getattr(values, name), getattr(ranges, name)
@@ -169,9 +157,9 @@ def _unpacked(packed: int, numbers: Sequence[_Number], ranges: MitRanges) -> lis
     return values[::-1]
 
 
-def is_command(frame: CanFrame) -> bool:
-    """Whether a frame is a command: one that looks like a special frame is none."""
-    return is_data(frame, COMMAND_BYTES) and ending_of(frame.data) is None
+def is_command(frame: CanFrame, *, is_fd: bool = False) -> bool:
+    """Whether a frame is a command, and no special frame."""
+    return is_data(frame, COMMAND_BYTES, is_fd=is_fd) and ending_of(frame.data) is None
 
 
 def is_reply(frame: CanFrame) -> bool:
@@ -179,42 +167,7 @@ def is_reply(frame: CanFrame) -> bool:
     return any(is_data(frame, length) for length in REPLY_BYTES)
 
 
-class RequestCodec(CanCodec, ABC):
-    """Frames of a cycle in which drives answer requests with their states, see `CanCodec`.
-
-    Args:
-        node_ids: addresses of the drives, one for each joint.
-        sampling: the requests.
-    """
-
-    def __init__(self, node_ids: Sequence[int], sampling: Sequence[CanFrame]) -> None:
-        self._node_ids, self._sampling = tuple(node_ids), sampling
-        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
-
-    @abstractmethod
-    def special_frames(self, kind: int) -> Sequence[CanFrame]:
-        """A special frame to each drive, which answers with its state."""
-
-    @abstractmethod
-    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
-        """Joint and content of a reply, None for any other frame."""
-
-    def sampling_frames(self) -> Sequence[CanFrame]:
-        return self._sampling
-
-    def is_sampling(self, frame: CanFrame) -> bool:
-        return frame in self._sampling
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        found = self.reply(frame)
-        if found is None:
-            return None
-        joint, reply = found
-        position[joint], velocity[joint] = reply.position_rad, reply.velocity_rad_s
-        return joint
-
-
-class MitCodec(RequestCodec):
+class MitCodec(CanCodec):
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
@@ -226,7 +179,10 @@ class MitCodec(RequestCodec):
 
     Attributes:
         ranges: as above.
+        is_fd: all frames are CAN FD frames.
     """
+
+    is_fd = False
 
     def __init__(
         self,
@@ -236,8 +192,8 @@ class MitCodec(RequestCodec):
         reply_bytes: int,
         gains: DriveGains | None = None,
     ) -> None:
-        requests = [CanFrame(node_id, special(Special.ENABLE)) for node_id in node_ids]
-        super().__init__(node_ids, requests)
+        super().__init__(node_ids, ())
+        self._sampling = self.special_frames(Special.ENABLE)
         self._gains, self.ranges = gains, tuple(ranges)
         self._reply_identifier = reply_identifier
         self.cycle = CycleFrames(
@@ -245,10 +201,15 @@ class MitCodec(RequestCodec):
             f"{{n}} × (request 8 bytes + command 8 bytes + 2 replies of {reply_bytes} bytes)",
         )  # fmt: skip
 
-    def special_frames(self, kind: int) -> Sequence[CanFrame]:
-        return [CanFrame(node_id, special(kind)) for node_id in self._node_ids]
+    def frame(self, identifier: int, data: bytes) -> CanFrame:
+        """Return a frame in the format of these drives."""
+        return CanFrame(identifier, data, is_fd=self.is_fd)
 
-    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+    def special_frames(self, kind: int) -> Sequence[CanFrame]:
+        """Return a special frame for each drive."""
+        return [self.frame(node_id, special(kind)) for node_id in self._node_ids]
+
+    def reply(self, frame: CanFrame) -> tuple[int, AxisState] | None:
         if frame.identifier != self._reply_identifier or not is_reply(frame):
             return None
         joint = self._joint_of.get(frame.data[0])
@@ -264,12 +225,13 @@ class MitCodec(RequestCodec):
             commands = [MitCommand(*row) for row in zip(*columns, strict=True)]
         rows = zip(self._node_ids, commands, self.ranges, strict=True)
         return [
-            CanFrame(node_id, packed_command(command, ranges)) for node_id, command, ranges in rows
+            self.frame(node_id, packed_command(command, ranges))
+            for node_id, command, ranges in rows
         ]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of.get(frame.identifier)
-        if joint is None or not is_command(frame):
+        if joint is None or not is_command(frame, is_fd=self.is_fd):
             return None
         torque_nm[joint] = command_of(frame.data, self.ranges[joint]).torque_nm
         return joint

@@ -17,9 +17,9 @@ from enum import IntEnum
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.codec import AxisState, CanCodec
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import FD_LENGTHS, CycleFrames
-from bus_schema.can.mit.codec import MitReply, RequestCodec
 
 TURN_RAD = 2.0 * math.pi
 ASKS_REPLY, BROADCAST, NOP = 0x8000, 0x7F, b"\x50"
@@ -97,7 +97,7 @@ def query_frame(node_id: int, *, stops: bool = False) -> CanFrame:
     return moteus_frame(ASKS_REPLY | node_id, _STOP + _QUERY if stops else _QUERY)
 
 
-def state_of(frame: CanFrame) -> MitReply | None:
+def state_of(frame: CanFrame) -> AxisState | None:
     """The answer to a query of master 0; None for any other frame.
 
     Its error is the fault code in mode FAULT, and the mode itself if that is TIMEOUT.
@@ -109,10 +109,10 @@ def state_of(frame: CanFrame) -> MitReply | None:
     if (first, second, third) != _STATE_HEADS:
         return None
     error = {Mode.FAULT: fault, Mode.TIMEOUT: mode}.get(mode, 0)
-    return MitReply(node_id, turns * TURN_RAD, turns_s * TURN_RAD, 0.0, error=error)
+    return AxisState(node_id, turns * TURN_RAD, turns_s * TURN_RAD, error=error)
 
 
-class MoteusCodec(RequestCodec):
+class MoteusCodec(CanCodec):
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
@@ -131,14 +131,11 @@ class MoteusCodec(RequestCodec):
             extended=1 + has_long_answers,
         )  # fmt: skip
 
-    def special_frames(self, kind: int) -> Sequence[CanFrame]:  # noqa: ARG002 (all stop)
-        return [query_frame(node_id, stops=True) for node_id in self._node_ids]
-
     def stop_frames(self) -> Sequence[CanFrame]:
         """Commands that stop the drives."""
         return [moteus_frame(node_id, _STOP) for node_id in self._node_ids]
 
-    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+    def reply(self, frame: CanFrame) -> tuple[int, AxisState] | None:
         state = state_of(frame)
         if state is None or state.node_id not in self._joint_of:
             return None

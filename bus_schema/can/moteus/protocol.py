@@ -7,23 +7,26 @@ from collections.abc import Sequence
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
-from bus_schema.can.mit.protocol import MitMaster
 from bus_schema.can.moteus.codec import BROADCAST, MoteusCodec, query_frame, state_of
 from bus_schema.can.protocol import DriveProtocol
+from bus_schema.can.request_master import RequestMaster
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 
 
-class MoteusMaster(MitMaster):
+class MoteusMaster(RequestMaster):
     """The master, whose address is 0; the arguments are those of `CanMaster`.
 
-    Drives are found by stopping them, which clears their faults; the first command starts them.
-    Requests are answered as in the MIT protocol, commands are not.
+    A stop clears the faults of a drive, and the first command starts it. Drives do not answer
+    commands.
     """
 
     _codec: MoteusCodec
+
+    def _stop_requests(self) -> Sequence[CanFrame]:
+        return [query_frame(node_id, stops=True) for node_id in self._node_ids]
 
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:

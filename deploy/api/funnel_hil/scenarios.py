@@ -17,10 +17,10 @@ from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
 from controller.laws.custom import Maker, laws_given
 from deploy.scenario.effective import effective_values
 from deploy.scenario.referenced_files import data_files
-from deploy.scenario.scenario import SHIPPED, build_setup, file_values, given_values
+from deploy.scenario.scenario import SHIPPED, build_setup, given_values, named_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, plain, set_value, to_yaml
+from deploy.scenario.yaml_files import ScenarioError, override, plain, set_value, to_yaml
 
 __all__ = [
     "ControlLaw", "Diagnostics", "Dynamics", "InputError", "Law", "Scenario", "ScenarioLike",
@@ -75,8 +75,7 @@ class Scenario:
         elif isinstance(source, Mapping):
             self._values, self._file = plain(dict(source)), Path("scenario")
         else:
-            self._file = find_yaml(str(source), SHIPPED)
-            self._values = file_values(self._file)
+            self._file, self._values = named_values(str(source))
         told = dict(_leaves(changes or {}))
         if law is not None:
             told[LAW], makers = named_law(law)

@@ -15,7 +15,13 @@ from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study_results
 from deploy.run.new_folder import new_folder
-from deploy.study.folder import StudyFolder, find_folder, opened
+from deploy.study.folder import (
+    StudyFolder,
+    find_folder,
+    here,
+    opened,
+    require_same_provenance,
+)
 from deploy.study.robustness import margin_study
 from deploy.study.runner import Workers, carry_out
 from deploy.study.study import PlannedRun, StudyOfRuns, row_of
@@ -93,7 +99,8 @@ def margin(
         progress: as for `sweep`.
         more: what else a study of margins may say: ``quantity`` (``delay``, ``jitter``, ``loss``,
             or a dotted key), ``resolution``, ``limit``, ``offsets``, ``compensation``,
-            ``drive_feedback``, ``duration_s``, ``plants`` with ``values``, and so on.
+            ``drive_feedback``, ``duration_s``, ``pattern`` (``any``), ``disturbances``,
+            ``what_helps``, ``plants`` with ``values``, and so on.
 
     Raises:
         InputError: something about it is wrong.
@@ -178,11 +185,14 @@ def carried_out(
         file.write_text(text, encoding="utf-8")
     study = build(file)
     with ExitStack() as stack:
-        folder = stack.enter_context(opened(study, find_folder(study, place), place))
+        path, now = find_folder(study, place), here
         team: Workers = _Here()
         if workers != 0 or scheduler is not None:
             from deploy.study.dask_workers import DaskWorkers  # heavy
 
-            team = stack.enter_context(DaskWorkers(workers or None, scheduler, study.laws))
+            team = dask = stack.enter_context(DaskWorkers(workers or None, scheduler, study.laws))
+            now = here if scheduler is None else dask.current
+        require_same_provenance(study, path, now)
+        folder = stack.enter_context(opened(study, path, place))
         carry_out(study, team, folder, threading.Event(), progress)
         yield study, folder

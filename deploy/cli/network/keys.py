@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from bus_schema.link.configuration import DEFAULT_FOLDER, KeyFolder
 from bus_schema.messages.topics import Role
+from deploy.run.console import Console
 from deploy.run.network.keys import common_name, create_authority, hosts_of, issue, read_certificate
 
 app = typer.Typer(help=__doc__, no_args_is_help=True, add_completion=False)

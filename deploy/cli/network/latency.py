@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,21 +13,30 @@ import typer
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
+from bus_schema.user_files import open_parquet
 from deploy.cli.network.trace import Unit
-from deploy.run.measure.latency import find_latency
-from deploy.run.measure.mcap_series import read_series
+from deploy.run.measure.latency import Latency, find_latency
+from deploy.run.measure.mcap_series import element_place, read_series
 from deploy.run.measure.trace_import import UNITS_MS
 
-_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+_ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
+_TIMES = ("time_s", "t", "time", "timestamp")
+_CLEARLY_LESS, _EXACT = 0.9, 1e-9
+"""Of what one interpolation leaves unexplained: less than this with the other, and it is named."""
 
 
 def latency(
-    file: Annotated[Path, typer.Argument(help="A CSV, Parquet or MCAP file.")],
+    file: Annotated[Path, typer.Argument(help="A CSV, Parquet, MCAP or rosbag2 file.")],
     command: Annotated[
-        str, typer.Option(help="Column of commands, as `action[2]`; in MCAP, `/topic.field[2]`.")
+        str,
+        typer.Option(
+            help="Column of commands, as `action[2]`; in MCAP, `/topic.field[2]` or `[joint]`."
+        ),
     ],
     response: Annotated[str, typer.Option(help="Column of responses, in the same form.")],
-    time: Annotated[str, typer.Option(help="Column of times.")] = "time_s",
+    time: Annotated[
+        str | None, typer.Option(help="Column of times.  [default: time_s, t, time or timestamp]")
+    ] = None,
     unit: Annotated[Unit, typer.Option(help="Unit of the times.")] = Unit.S,
     linear: Annotated[
         bool,
@@ -41,43 +52,71 @@ def latency(
 
     Both come with 95 % intervals. If a file has several episodes, the longest is used.
     """
-    if file.suffix == ".mcap":
-        if time != "time_s" or unit != Unit.S:
+    if file.is_dir() or file.suffix in (".mcap", ".db3"):
+        if time is not None or unit != Unit.S:
             raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
-        times_s, commands, responses = read_series(file, command, response, is_held=not linear)
+        held, on_lines = (
+            read_series(file, command, response, is_held=is_held) for is_held in (True, False)
+        )
     else:
         table = _table(file)
+        time = time or next((each for each in _TIMES if each in table.column_names), _TIMES[0])
         times_s, commands, responses = (
             _column(file, table, each) for each in (time, command, response)
         )
-        times_s = times_s * (UNITS_MS[unit] / 1e3)
-    starts = [0, *(np.flatnonzero(~(np.diff(times_s) > 0.0)) + 1).tolist(), len(times_s)]
-    first, end = max(zip(starts, starts[1:], strict=False), key=lambda each: each[1] - each[0])  # noqa: RUF007
-    rows = slice(first, end)
+        held = on_lines = times_s * (UNITS_MS[unit] / 1e3), commands, responses
+    longest_s, (series, others) = longest_ms / 1e3, (held, on_lines)[:: -1 if linear else 1]
     try:
-        found = find_latency(
-            times_s[rows], commands[rows], responses[rows], longest_ms / 1e3, is_held=not linear
-        )
+        found, seen_s, episodes = _fitted(*series, longest_s, is_held=not linear)
     except ValueError as error:
         raise InputError(f"{file}: {command}, {response}: {error}") from error
-    of = f" (the longest of {len(starts) - 1} episodes)" if len(starts) > 2 else ""
-    seen_s = times_s[rows][np.isfinite(responses[rows])]
+    try:
+        other, *_ = _fitted(*others, longest_s, is_held=linear)
+    except ValueError:
+        other = None
+    of = f" (the longest of {episodes} episodes)" if episodes > 1 else ""
     rate_hz = 1.0 / float(np.median(np.diff(seen_s)))
     kept = "on lines" if linear else "held"
     print(f"{len(seen_s):,} rows at {rate_hz:.4g} Hz{of}; commands are {kept}")
+    _print(found, other, other_choice="without --linear" if linear else "with --linear")
+
+
+def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
+    """Print what was found, whether the model fits, and whether the other interpolation does."""
     for name, (value, half), scale, suffix in (
         ("dead time", found.dead_time_s, 1e3, " ms"), ("lag", found.lag_s, 1e3, " ms"),
         ("gain", found.gain, 1.0, ""),
     ):  # fmt: skip
-        print(f"{name}: {scale * value:.3f} ± {scale * half:.3f}{suffix}")
-    print(f"explained: {100 * found.explained:.1f} % of the response's variance")
+        interval = "" if found.misfit else f" ± {scale * half:.3f}"
+        print(f"{name}: {scale * value:.3f}{interval}{suffix}")
+    print(f"explained: {100 * found.explained:.3f} % of the response's variance")
+    if found.misfit:
+        print(f"the model does not fit, so there are no intervals: {found.misfit}")
+    left, left_by_other = (1.0 - each.explained if each else 1.0 for each in (found, other))
+    if left_by_other < _CLEARLY_LESS * left and left > _EXACT:
+        print(f"{other_choice} the model fits better: it leaves {100 * left_by_other:.2g} %,"
+              f" not {100 * left:.2g} %, of the response's variance")  # fmt: skip
+
+
+def _fitted(
+    times_s: Vector, commands: Vector, responses: Vector, longest_s: float, *, is_held: bool
+) -> tuple[Latency, Vector, int]:
+    """Return the latency in the longest episode, its times of responses, and how many there are.
+
+    Raises:
+        ValueError: the rows do not say.
+    """
+    starts = [0, *(np.flatnonzero(~(np.diff(times_s) > 0.0)) + 1).tolist(), len(times_s)]
+    rows = slice(*max(itertools.pairwise(starts), key=lambda each: each[1] - each[0]))
+    found = find_latency(times_s[rows], commands[rows], responses[rows], longest_s, is_held=is_held)
+    return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
 def _table(file: Path) -> Any:
-    from pyarrow import ArrowException, csv, parquet  # heavy, and needed by few commands
+    from pyarrow import ArrowException, csv  # heavy, and needed by few commands
 
     try:
-        return parquet.read_table(file) if file.suffix == ".parquet" else csv.read_csv(file)
+        return open_parquet(file).read() if file.suffix == ".parquet" else csv.read_csv(file)
     except (ArrowException, OSError) as error:
         raise InputError(f"{file}: cannot be read: {error}") from error
 
@@ -92,9 +131,26 @@ def _column(file: Path, table: Any, name: str) -> Vector:
         raise InputError(f"{file}: column {column!r} is missing; there are {known}{hint}")
     try:
         values = np.array(table[column].to_pylist(), dtype=np.float64)
-        values = values if element is None else values[:, int(element[2])]
+        values = (
+            values
+            if element is None
+            else values[:, element_place(element[2], _names(file, column))]
+        )
     except (ValueError, TypeError, IndexError) as error:
         raise InputError(f"{file}: {name}: must be numbers: {error}") from error
     if values.ndim != 1 or not np.isfinite(values).all():
         raise InputError(f"{file}: {name}: must be one finite number in each row")
     return values
+
+
+def _names(file: Path, column: str) -> list[str]:
+    """Return the names of a column's elements in the data set's ``meta/info.json``, as LeRobot's.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    infos = (folder / "meta" / "info.json" for folder in file.absolute().parents)
+    info = next((each for each in infos if each.is_file()), None)
+    features = {} if info is None else json.loads(info.read_text()).get("features", {})
+    names: Any = features.get(column, {}).get("names") or []
+    return next(iter(names.values()), []) if isinstance(names, dict) else names

@@ -72,14 +72,15 @@ def import_trace(
 ) -> None:
     """Convert another program's measurement to a trace, and print the scenario lines for it.
 
-    For ping, the one-way delay is half of each round trip.
+    Of ping and of tshark's tcp.analysis.ack_rtt, each direction replays half of each round trip.
     """
     measured = _read(kind, file, sent, received, delay, unit, interval_s)
     if least_ms is not None:
         delays_ms = measured.delays_ms + (least_ms - np.nanmin(measured.delays_ms))
         measured = measured._replace(delays_ms=delays_ms)
     path = out or Path(f"{file.stem}_trace.csv")
-    write_trace(measured, path)
+    is_round_trip = kind is Kind.PING or delay == trace_import.ACK_ROUND_TRIP
+    write_trace(measured, path, is_round_trip=is_round_trip)
     print(measured.summary())
     print("\n".join(scenario_lines({"uplink": path, "downlink": path})))
 
@@ -95,6 +96,8 @@ def _read(
 ) -> Measured:
     if kind is Kind.PING:
         return trace_import.from_ping(file, interval_s)
+    if sent is not None and sent == received:
+        raise InputError(f"trace import {kind}: --from and --to must differ, both are {sent}")
     if sent is None:
         raise InputError(f"trace import {kind}: --from must be given")
     if kind is Kind.MCAP:

@@ -120,6 +120,10 @@ class MarginOptions(StudyOptions):
             metavar="off,on", help="off: full size from the start; on: ramp from 1 s to 3 s."
         ),
     ] = None
+    excitation: Annotated[
+        bool | None,
+        typer.Option(help="Push every joint of a running loop once: 1 % of its torque, 20 ms."),
+    ] = None
     quantity: Annotated[
         str | None, typer.Option(help="delay (round trip), jitter, loss, or a scenario's key.")
     ] = None
@@ -140,6 +144,23 @@ class MarginOptions(StudyOptions):
     limit: Annotated[
         float | None, typer.Option(help="Largest value to try, in the quantity's unit.")
     ] = None
+    pattern: Annotated[
+        str | None,
+        typer.Option(metavar="any", help="any: also the margin for every pattern of delays."),
+    ] = None
+    what_helps: Annotated[
+        bool | None,
+        typer.Option(
+            help="Try remedies at the first failure; on unless --study, --plants or gate."
+        ),
+    ] = None
+    exhaustive: Annotated[
+        bool | None,
+        typer.Option(
+            "--exhaustive",
+            help="Make every run, to its end, also where fewer decide; default with --confirm.",
+        ),
+    ] = None
     values: Annotated[
         str | None, typer.Option(metavar="A,B,…", help="Values to try on every plant.")
     ] = None
@@ -154,13 +175,16 @@ class MarginOptions(StudyOptions):
     ] = None
 
     def definition(self) -> dict[str, Any]:
+        costly = (self.study, self.plants, self.at_least, self.baseline)
         given: dict[str, Any] = {
+            "what_helps": True if all(each is None for each in costly) else None,
             "scenarios": self.scenario or None,
             "laws": parse_laws(self.laws),
             "seeds": None if self.seeds is None else option_value("--seeds", self.seeds),
             "duration_s": self.duration,
         }
-        given |= {name: getattr(self, name) for name in _AS_GIVEN}
+        as_given = {name: getattr(self, name) for name in _AS_GIVEN}
+        given |= {name: value for name, value in as_given.items() if value is not None}
         given |= {name: _listed(name, getattr(self, name)) for name in _LISTED}
         return super().definition() | {
             key: value for key, value in given.items() if value is not None
@@ -168,7 +192,10 @@ class MarginOptions(StudyOptions):
 
 
 _LISTED = ("compensation", "drive_feedback", "running", "offsets", "values")
-_AS_GIVEN = ("quantity", "direction", "resolution", "limit", "kept_share")
+_AS_GIVEN = (
+    "excitation", "quantity", "direction", "resolution", "limit", "kept_share", "pattern",
+    "what_helps", "exhaustive",
+)  # fmt: skip
 """Options with the same name as in a study's file: lists of values, and single values."""
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+from rich.text import Text
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import is_custom
@@ -15,6 +15,7 @@ from deploy.cli.options import NoReport, Out, Overwrite
 from deploy.cli.study.studies import conclude_comparison, report_study
 from deploy.cli.terminal.show_run import show_summary
 from deploy.judge.arithmetic import difference_of_arithmetic
+from deploy.judge.bounds import all_damage
 from deploy.judge.run_data import RunData
 from deploy.reports.comparison_tables import (
     difference_table,
@@ -25,6 +26,7 @@ from deploy.reports.comparison_tables import (
 from deploy.reports.results import conditions_in, write_diff_results, write_run_results
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL, damaged, verdict_on_runs
+from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.new_folder import new_folder
 from deploy.run.replay import Replay
@@ -76,7 +78,7 @@ def report(
     if read_summary(run_dir).get("kind") == KIND:  # its recordings are all that it needs
         with ResultFolder(run_dir.resolve()).lock() as of_laws:
             compared = conclude_comparison(of_laws, read_summary(run_dir), console)
-        if any(run.data.damage for run in compared.runs):
+        if any(run.summary["recording"]["damage"] for run in compared.runs):
             raise typer.Exit(FAULT)
     elif (run_dir / STUDY_FILE).is_file():
         report_study(run_dir, console)
@@ -91,7 +93,7 @@ def report(
                 summary = write_run_results(folder, data)
             show_summary(console, data, summary, conditions_in(folder, data))
             console.print(f"report: {folder.report}", soft_wrap=True)
-        raise typer.Exit(FAULT if data.damage else FINISHED)
+        raise typer.Exit(FAULT if summary["recording"]["damage"] else FINISHED)
 
 
 def _show_diff(
@@ -127,8 +129,9 @@ def replay(
         result = replay_run(data.setup, contents, master_skips=master_skips)
     stop_at_once()
     recorded = read_manifest(run_dir if run_dir.is_dir() else run_dir.parent)
-    _show_replay(result, data, difference_of_arithmetic(recorded, provenance()))
-    raise typer.Exit(FINISHED if result.is_identical and not data.damage else FAULT)
+    damage = all_damage(data)
+    _show_replay(result, data, damage, difference_of_arithmetic(recorded, provenance()))
+    raise typer.Exit(FINISHED if result.is_identical and not damage else FAULT)
 
 
 def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
@@ -145,10 +148,10 @@ def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool)
         )
 
 
-def _show_replay(result: Replay, data: RunData, difference: str) -> None:
+def _show_replay(result: Replay, data: RunData, damage: list[str], difference: str) -> None:
     console = Console()
-    if data.damage:
-        console.print(damaged(data.damage), markup=False)
+    if damage:
+        console.print(damaged(damage), markup=False)
     elif not data.complete:
         console.print(PARTIAL)
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
@@ -156,9 +159,10 @@ def _show_replay(result: Replay, data: RunData, difference: str) -> None:
     if result.failure:
         console.print(f"the replay stopped early: {result.failure}", markup=False, highlight=False)
     if not result.is_identical:
-        console.print(f"[bold red]different[/] from command {result.first_difference} on")
+        from_command = f" from command {result.first_difference} on"
+        console.print(Text.assemble(("different", "bold red"), from_command))
         if difference:
             console.print(difference, markup=False, highlight=False)
         return
-    until = " as far as can be read" if data.damage else " until it failed" * bool(result.failure)
-    console.print(f"[bold green]identical[/]{until}")
+    until = " as far as can be read" if damage else " until it failed" * bool(result.failure)
+    console.print(Text.assemble(("identical", "bold green"), until))

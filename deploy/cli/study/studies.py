@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
+from rich.text import Text
 
 from deploy.cli.common import CommandGate, judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
@@ -25,13 +25,14 @@ from deploy.cli.study.margin_options import (
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.run_rows import Row
 from deploy.reports.comparison_tables import law_table, verdict_table
+from deploy.reports.gate_numbers import compared_as
 from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.results import judge_rows, write_comparison_results, write_study_results
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import (
     losses_table,
-    margin_table,
     point_table,
+    result_tables,
     robustness_table,
     write_study_table,
 )
@@ -40,6 +41,7 @@ from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import bounds_sentence, recording_sentences
 from deploy.run.confirmation import check_confirmable
+from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.processes.program import require_program
 from deploy.run.run_folder import ResultFolder, read_summary
@@ -47,9 +49,17 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.comparison.comparison import KIND, ComparedRuns, Comparison
 from deploy.study.comparison.settling import SettlingTest
-from deploy.study.folder import StudyFolder, changes_since, find_folder, opened, read_study
+from deploy.study.folder import (
+    StudyFolder,
+    changes_since,
+    find_folder,
+    opened,
+    read_study,
+    require_same_provenance,
+)
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out, retrace
+from deploy.study.statistics import NO_EFFECT
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
 
@@ -101,11 +111,15 @@ def compare(options: CompareOptions) -> None:
         compared = conclude_comparison(done.folder, judge_rows(study, done.folder), console)
     if done.lost is not None:
         console.print(_GOES_ON.format(done.lost), markup=False)
+    ended = done.lost is None and not done.is_interrupted and compared.runs
+    whole = bool(ended) and all(run.summary["completed"] for run in compared.runs)
     leave(
         interrupted=done.is_interrupted,
-        whole=done.lost is None and all(run.summary["completed"] for run in compared.runs),
+        whole=whole,
         kept=(all(run.kept_bounds for run in compared.runs) or not options.require_bounds)
-        and gate.is_passed(read_summary(done.folder.path), console),
+        and (
+            not whole or gate.is_passed(read_summary(done.folder.path), console, done.folder.note)
+        ),
     )
 
 
@@ -168,12 +182,15 @@ def report_study(path: Path, console: Console) -> None:
 
 def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
     """Run or continue a study, and show its results."""
-    console, gate = Console(), CommandGate(options, study.definition.name, study.unit)
+    quantity, pattern = (getattr(study.definition, key, None) for key in ("quantity", "pattern"))
+    kind = compared_as(study.kind, quantity, patterns=pattern is not None)
+    console, gate = Console(), CommandGate(options, study.definition.name, study.unit, kind)
     with _carried_out(study, options, console) as done:
         completed = _conclude(study, done.folder, console)
     if completed:
         has_results = any(row["error"] is None for row in done.folder.rows)
-        kept = has_results and gate.is_passed(read_summary(done.folder.path), console)
+        summary = read_summary(done.folder.path)
+        kept = has_results and gate.is_passed(summary, console, done.folder.note)
         leave(interrupted=False, whole=has_results, kept=kept)
     console.print(_GOES_ON.format(done.lost or "stopped"), markup=False)
     raise typer.Exit(INTERRUPTED if done.is_interrupted else FAULT)
@@ -197,20 +214,26 @@ def _carried_out(
     say_oddities(*study.bases)
     stop = threading.Event()
     path = None if overwrite else find_folder(study, out)
-    with DaskWorkers(options.workers, scheduler, study.laws) as team:
-        if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
-            warning = _OPEN_SCHEDULER.format(scheduler)
-            Console(stderr=True).print(warning, markup=False, soft_wrap=True)
-        with opened(study, path, out, overwrite=overwrite) as folder:
-            on_stop(stop.set)
-            done = _CarriedOut(folder)
-            with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:
-                try:
-                    carry_out(study, team, folder, stop, RunCounter(shown).done)
-                except ClusterLostError as error:
-                    done.lost = error
-            done.is_interrupted = stop.is_set() and done.lost is None
-            yield done
+    with contextlib.ExitStack() as open_:
+        if scheduler is None:  # a folder is refused before any process starts
+            require_same_provenance(study, path)
+            folder = open_.enter_context(opened(study, path, out, overwrite=overwrite))
+        team = open_.enter_context(DaskWorkers(options.workers, scheduler, study.laws))
+        if scheduler is not None:  # its hosts have other versions and files
+            require_same_provenance(study, path, team.current)
+            if not scheduler.startswith(_AUTHENTICATED):
+                warning = _OPEN_SCHEDULER.format(scheduler)
+                Console(stderr=True).print(warning, markup=False, soft_wrap=True)
+            folder = open_.enter_context(opened(study, path, out, overwrite=overwrite))
+        on_stop(stop.set)
+        done = _CarriedOut(folder)
+        with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:
+            try:
+                carry_out(study, team, folder, stop, RunCounter(shown).done)
+            except ClusterLostError as error:
+                done.lost = error
+        done.is_interrupted = stop.is_set() and done.lost is None
+        yield done
 
 
 def conclude_comparison(
@@ -255,7 +278,8 @@ def _show(summary: dict[str, Any], folder: StudyFolder, console: Console) -> Non
 def show_study(console: Console, summary: dict[str, Any]) -> None:
     """Print the result as a table."""
     if summary["kind"] == "margin":
-        print_table(console, margin_table(summary))
+        for table in result_tables(summary):
+            print_table(console, table)
     elif summary["kind"] == "robustness":
         for table in (robustness_table(summary), losses_table(summary)):
             print_table(console, table)
@@ -263,10 +287,11 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
         table = point_table(summary)
         print_table(console, replace(table, rows=table.rows[:_SHOWN_POINTS]))
         for keys in summary.get("without_effect", ()):
-            said = f"warning: {keys}: none of its values changed any result of a run"
+            said = f"warning: {keys}: {NO_EFFECT}"
             console.print(said, markup=False, soft_wrap=True)
     for sentence in sentences(summary):
-        console.print(sentence, markup=False)
+        has_command = ": funnel-hil " in sentence  # to be copied whole
+        console.print(sentence, markup=False, soft_wrap=has_command)
     for table in confirmation_tables([summary]):
         print_table(console, table)
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
@@ -275,7 +300,8 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     print_conditions(console, summary.get("conditions", {}))
     if summary["runs_failed"]:
         count = f"{summary['runs_failed']} of {summary['runs']}"
-        console.print(f"[bold red]{count} runs failed[/]; their rows say why. The commonest error:")
+        failed = (f"{count} runs failed", "bold red")
+        console.print(Text.assemble(failed, "; their rows say why. The commonest error:"))
         console.print(summary["commonest_error"], markup=False, soft_wrap=True)
 
 

@@ -7,14 +7,17 @@ import time
 from collections.abc import Callable
 
 from rich.cells import cell_len
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column
 from rich.text import Text
 
+from deploy.run.console import Console
+
 _POLL_S = 0.1
 _PLAIN_LINE_S = 3.0
 _BAR_WIDTH = 12
+_LEAST_DONE, _STEADY = 0.1, 0.2
+"""The time left is shown from this share on, while recent and mean speed differ by less."""
 _WHOLE = Column(no_wrap=True, overflow="ellipsis")
 
 
@@ -40,6 +43,7 @@ class CommandProgress:
         )  # fmt: skip
         self._task = self._bar.add_task(name, total=total, line="starting")
         self._started_s = self._printed_s = time.monotonic()
+        self._marks = [(self._started_s, 0.0)]
         self._is_printed, self._printed_done = True, -1.0
         self._position: Callable[[], float] | None = None
         self._over = threading.Event()
@@ -67,6 +71,8 @@ class CommandProgress:
             note: what else there is to say; as before by default.
         """
         self._done = done
+        if done - self._done_before > self._marks[-1][1]:
+            self._marks.append((time.monotonic(), done - self._done_before))
         self._total = self._total if total is None else total
         self._note = self._note if note is None else note
         self._bar.update(self._task, completed=done, total=self._total, line=self._fitting_line())
@@ -79,6 +85,7 @@ class CommandProgress:
         """Leave earlier work out of the speed, and start to measure it now."""
         if self._done <= self._done_before:
             self._started_s = time.monotonic()
+            self._marks = [(self._started_s, 0.0)]
         self._done_before = done
 
     def follow(self, position: Callable[[], float], name: str) -> None:
@@ -125,6 +132,18 @@ class CommandProgress:
         if speed > 0.0:
             is_time = self._unit == "s"  # simulated seconds per second: the real-time factor
             line += f", speed {speed:.3g}" if is_time else f", {speed:.3g} {self._unit}/s"
-            if time_left and self._done < self._total:
-                line += f", {(self._total - self._done) / speed:.0f} s left"
+            recent = self._recent_speed()
+            if time_left and self._done < self._total and abs(recent - speed) < _STEADY * speed:
+                line += f", {(self._total - self._done) / recent:.0f} s left"
         return f"{line}, {self._note}" if self._note else line
+
+    def _recent_speed(self) -> float:
+        """Return the speed over the last half of what is done; 0 while too little is done.
+
+        The first runs of a study may be much shorter, or longer, than those that follow.
+        """
+        own = self._done - self._done_before
+        if own < _LEAST_DONE * (self._total - self._done_before):
+            return 0.0
+        at_s, then = next(mark for mark in reversed(self._marks) if mark[1] <= 0.5 * own)
+        return (own - then) / max(time.monotonic() - at_s, 1e-9)

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from bus_schema.runtime.compiled import say_that_it_compiles
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.conditions import Conditions
-from deploy.judge.link_delays import link_sentence
+from deploy.judge.link_delays import link_sentence, playout_sentence
 from deploy.judge.run_data import RunData
 from deploy.reports.run_tables import confirmation_tables, joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import verdict_on_run
+from deploy.run.console import Console
 from deploy.run.processes.child import VIEWER
 from deploy.run.processes.scheduling import missing_settings
 from deploy.run.processes.status import StatusMessage
@@ -68,9 +68,9 @@ def show_summary(
         _show_link(console, summary)
     if verdict.faults:
         first, *others = verdict.faults
-        console.print(f"[bold red]fault[/]  {escape(first)}", soft_wrap=True)
+        console.print(Text.assemble(("fault", "bold red"), f"  {first}"), soft_wrap=True)
         if others:
-            console.print(f"[dim]{len(others)} more that followed are in the report[/]")
+            console.print(f"{len(others)} more that followed are in the report", style="dim")
     headline = verdict.headline[0].lower() + verdict.headline[1:]
     console.print(headline, style=_STYLES[verdict.level])
     for reason in verdict.reasons:
@@ -101,10 +101,13 @@ def _show_link(console: Console, summary: dict[str, Any]) -> None:
         delays_ms = emulated if measured["max"] is None else measured
         if channel["sent"] and (channel["lost"] or delays_ms["max"]):
             said = link_sentence(
-                channel["sent"], summary["duration_s"], channel["lost"], delays_ms,
-                channel["reordered"],
+                channel["sent"], summary["duration_s"], channel["lost"],
+                (channel["loss_burst"] or {}).get("longest"), delays_ms, channel["reordered"],
             )  # fmt: skip
             console.print(f"{way}: {said}", highlight=False, soft_wrap=True)
+    playout = summary["transport"].get("playout")
+    if playout and playout["late"] is not None and playout["arrival_ms"]["max"] is not None:
+        console.print(playout_sentence(playout), highlight=False, soft_wrap=True)
 
 
 def show_relay(console: Console, held_back: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import plotly.graph_objects as go
 
+from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.run_data import RunData
@@ -14,6 +15,11 @@ from plant_emulator.channel.trace import PERCENTS
 
 _DASHES = {"did": ("channel", "solid"), "trace": ("trace", "dash")}
 _HEIGHT_PX = 380
+_PLAYOUT = (
+    (topics.CONTROL_STATUS, "horizon_ns", "acts"),
+    (topics.PLANT_STATUS, "arrival_delay_ns", "arrives, the last of a tick"),
+)
+"""Topic, field and name of the lines that show when commands act and arrive."""
 
 
 def trace_percentiles(run: RunData) -> go.Figure | None:
@@ -32,6 +38,20 @@ def trace_autocorrelation(run: RunData) -> go.Figure | None:
         return None
     figure = style.new_figure(_HEIGHT_PX, "lag (s)", "autocorrelation", lines, legend=True)
     return figure.update_xaxes(type="log")
+
+
+def playout(run: RunData) -> go.Figure | None:
+    """When commands arrived and when they acted, after their states; None if they did not say."""
+    if not run.setup.link.plays_automatically:
+        return None
+    lines = []
+    for number, (topic, field, name) in enumerate(_PLAYOUT):
+        values_ns = run.tables[topic.name][field]
+        given = values_ns > 0
+        times_s, values_ms = run.times_s(topic)[given], 1e-6 * values_ns[given]
+        lines.append(style.line(times_s, values_ms, style.palette(number), name))
+    figure = style.new_figure(_HEIGHT_PX, "time (s)", "after the state (ms)", lines, legend=True)
+    return figure.update_yaxes(rangemode="tozero")
 
 
 def _lines(run: RunData, key: str, places: list[float] | None = None) -> Iterator[go.Scatter]:

@@ -73,11 +73,13 @@ class StudyQuantity:
     def value(self, runs: Runs, which: str) -> float | None:
         """Return ``mean``, ``lowest`` or ``highest`` of some runs, in the unit of the axis.
 
-        The share of plants has its interval as spread.
+        The share of plants has its interval as spread, that of lost runs has none.
         """
         spread = runs.get(self.key)
+        if self is RUNS_LOST:
+            spread = {which: 1.0 - runs["runs_kept"] / runs["runs"]}
         if self is PLANTS_KEPT:
-            low, high = runs["wilson_95"] or (None, None)
+            low, high = runs.get("interval_95", runs["wilson_95"]) or (None, None)
             spread = {"mean": runs["fraction"], "lowest": low, "highest": high}
         return scaled(spread[which], self.factor) if spread else None
 
@@ -85,6 +87,7 @@ class StudyQuantity:
 TICKS_OUTSIDE = StudyQuantity(
     "violation_fraction", "Ticks outside the bounds", "ticks outside (%)", 100.0
 )
+RUNS_LOST = StudyQuantity("runs_lost", "Runs that lost their bounds", "runs lost (%)", 100.0)
 WORST_RMS = StudyQuantity(
     "worst_rms_rad", "RMS error of the worst joint", "RMS error (mrad)", 1e3, is_log=True
 )

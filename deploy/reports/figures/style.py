@@ -23,11 +23,13 @@ from plotly.subplots import make_subplots
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages.topics import Topic
 from deploy.judge.run_data import RunData
+from deploy.reports.terminal import without_middle
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 INK, MUTED, GRID, BAND, ALARM = "#1f2933", "#7b8794", "#e9edf1", "rgba(0,114,178,0.11)", "#c0392b"
 _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#5b5b5b")
 TOP_PX, BOTTOM_PX, _ROW_GAP_PX = 34, 50, 34
+_TITLE_LETTERS = 36  # as wide as a figure on a telephone
 _BUTTONS_PX, _LEGEND_ROW_PX, _ROW_TITLE_PX = 27, 21, 18
 MAX_POINTS = 4000
 MRAD = MM = 1e3
@@ -118,7 +120,7 @@ def _empty_joint_rows(names: tuple[str, ...]) -> go.Figure:
         cols=1,
         shared_xaxes=True,
         vertical_spacing=_ROW_GAP_PX / plot_px if rows > 1 else 0.0,
-        subplot_titles=[plain(name) for name in names],
+        subplot_titles=[plain(without_middle(name, _TITLE_LETTERS)) for name in names],
     )
     for joint, title in enumerate(figure.layout.annotations):
         title.update(x=0, xanchor="left", font={"size": 12, "color": palette(joint)})

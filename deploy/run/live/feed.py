@@ -238,8 +238,10 @@ def _folder() -> Path:
 
 
 def _clear(folder: Path) -> None:
-    """Remove the files of killed processes."""
-    for place in (each for each in folder.iterdir() if not each.name.startswith(".")):
+    """Remove the sockets of killed processes; others keep files of their own in this folder."""
+    for place in (each for each in folder.iterdir() if each.is_socket()):
+        if place.name.startswith("."):
+            continue  # it does not listen yet
         with _new_socket() as probe:
             try:
                 probe.connect(str(place))

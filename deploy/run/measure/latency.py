@@ -21,12 +21,14 @@ from bus_schema.runtime.compiled import compiled
 
 _FEWEST_ROWS = 50
 _DEAD_TIMES, _LAGS = 40, 10
-_SHORTEST_LAG_S, _FINEST_S = 1e-5, 1e-6
+_SHORTEST_LAG_S, _NO_LAG_S, _FINEST_S = 1e-5, 1e-12, 1e-6
 _LEAST_EXPLAINED = 0.5
 _WIDEST_S, _WIDEST_SHARE, _WIDEST_PERIODS = 2e-3, 0.1, 0.6
 _Z_95 = 1.96
 _SURELY_WORSE = _Z_95**2
 """A model whose deviance exceeds that of the best one by this is rejected at 95 %."""
+_SURE_DIRECTION, _LIKE_NEIGHBOURS, _EXACT = 3.0, 0.5, 1e-9
+"""Standard errors of a dependence on direction; correlation from row to row; share left over."""
 _NOTHING, _SHORT = 1e-15, 0.1
 _HALVINGS, _FINEST_RATIO = 8, 1e-4
 
@@ -40,12 +42,14 @@ class Latency:
         lag_s: time constant of what happens then.
         gain: response per command, in the end.
         explained: share of the response's variance that the model explains.
+        misfit: why the model does not fit, so that the intervals mean nothing; None if it fits.
     """
 
     dead_time_s: tuple[float, float]
     lag_s: tuple[float, float]
     gain: tuple[float, float]
     explained: float
+    misfit: str | None
 
 
 class _Fit:
@@ -74,7 +78,7 @@ class _Fit:
         columns = np.ones((len(self._seen), 2))
         _filter(
             self._times_s, self._command, self._slopes, self._first, dead_time_s,
-            max(lag_s, _SHORTEST_LAG_S), columns[:, 0],
+            lag_s if lag_s > _SHORTEST_LAG_S else _NO_LAG_S, columns[:, 0],
         )  # fmt: skip
         return columns[self._seen]
 
@@ -159,7 +163,32 @@ def find_latency(
             "the motion does not excite the system enough to separate dead time and lag; together"
             f" they are {1e3 * (dead_time_s + lag_s):.2f} ± {1e3 * of_sum:.2f} ms"
         )
-    return Latency(dead_time, lag, (float(gain), half[2]), explained)
+    is_exact = 1.0 - explained < _EXACT
+    filtered = gain * fit.regressors(dead_time_s, lag_s)[:, 0]
+    misfit = None if is_exact else _misfit(filtered, residuals)
+    return Latency(dead_time, lag, (float(gain), half[2]), explained, misfit)
+
+
+def _misfit(fitted: Vector, residuals: Vector) -> str | None:
+    """Say in which way residuals are no noise; None if they may be noise.
+
+    Args:
+        fitted: responses of the model; their slope has the direction of the motion.
+        residuals: what the model leaves, shape (responses,).
+    """
+    slope = np.gradient(fitted)
+    direction = np.sign(slope) * (np.abs(slope) > _SHORT * slope.std())
+    scores = ((direction - direction.mean()) * residuals)[:, np.newaxis]
+    errors = abs(float(scores.sum())) / math.sqrt(max(float(long_run(scores)[0, 0]), 1e-300))
+    if errors > _SURE_DIRECTION:
+        return (
+            f"what is left depends on the direction of motion ({errors:.1f} standard errors), as"
+            " with stiction, backlash or the wrong interpolation of commands"
+        )
+    alike = float((residuals[1:] * residuals[:-1]).sum() / (residuals**2).sum())
+    if alike > _LIKE_NEIGHBOURS:
+        return f"what is left is no noise: from row to row its correlation is {alike:.2f}"
+    return None
 
 
 def _intervals(
@@ -204,7 +233,14 @@ def _best(fit: _Fit, longest_s: float, period_s: float) -> _Place:
     """Dead time and lag with the least squares."""
     dead_times = np.linspace(0.0, longest_s, _DEAD_TIMES).tolist()
     lags = [0.0, *np.geomspace(min(period_s, 0.1 * longest_s) / 4, longest_s, _LAGS).tolist()]
-    best = min(_Place(fit.cost(d, lag), d, lag) for d in dead_times for lag in lags)
+    places = [_Place(fit.cost(d, lag), d, lag) for d in dead_times for lag in lags]
+    # Without a lag, nothing changes from one dead time to the next: no way leads from there.
+    starts = {min(places), min(place for place in places if place.lag_s > 0.0)}
+    return min(_refined(fit, start, longest_s) for start in starts)
+
+
+def _refined(fit: _Fit, best: _Place, longest_s: float) -> _Place:
+    """Dead time and lag with the least squares around these."""
     step_s = longest_s / _DEAD_TIMES
     while step_s > _FINEST_S:
         around = (min(max(best.dead_time_s + i * step_s, 0.0), longest_s) for i in (-1, 1))
@@ -231,16 +267,19 @@ def _with_best_lag(fit: _Fit, dead_time_s: float, lag_s: float) -> _Place:
 
 
 def _end(fit: _Fit, best: _Place, most: float, longest_s: float, step_s: float) -> _Place:
-    """The dead time farthest from the best one that leaves `most`, in steps of at most `step_s`."""
+    """Return the end of the dead times that leave `most`, in steps of at most `step_s`.
+
+    It is just outside: rows of commands without lag fit up to, and with, a whole number of periods.
+    """
     end = best
-    for _ in range(_HALVINGS):
+    while abs(step_s) > _FINEST_S / 2:
         while 0.0 <= end.dead_time_s + step_s <= longest_s:
             further = _with_best_lag(fit, end.dead_time_s + step_s, end.lag_s)
             if further.cost > most:
                 break
             end = further
         step_s /= 2.0
-    return end
+    return end._replace(dead_time_s=max(0.0, end.dead_time_s + math.copysign(_FINEST_S, step_s)))
 
 
 def _covariance(fit: _Fit, dead_time_s: float, lag_s: float, residuals: Vector) -> Matrix:
@@ -253,14 +292,19 @@ def _covariance(fit: _Fit, dead_time_s: float, lag_s: float, residuals: Vector) 
     ]
     slopes = [gain * (ends[at] - ends[at + 1]) / (2.0 * step_s) for at in (0, 2)]
     jacobian = np.column_stack([*slopes, fit.regressors(dead_time_s, lag_s)])
-    scores = jacobian * residuals[:, np.newaxis]
+    middle = long_run(jacobian * residuals[:, np.newaxis])
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    return np.asarray(inverse @ middle @ inverse)
+
+
+def long_run(scores: Matrix) -> Matrix:
+    """Covariance of the sums of columns whose rows resemble their neighbours (Newey and West)."""
     middle = scores.T @ scores
     window = round(4.0 * len(scores) ** (1.0 / 3.0))
     for lag in range(1, window):
         product = scores[lag:].T @ scores[:-lag]
         middle += (1.0 - lag / window) * (product + product.T)
-    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    return np.asarray(inverse @ middle @ inverse)
+    return np.asarray(middle)
 
 
 def _lag_end(fit: _Fit, place: _Place, most: float, ratio: float) -> float:

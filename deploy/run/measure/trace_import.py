@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,11 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.user_files import read_text
 from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.channel.columns import MOST_BYTES
+from plant_emulator.channel.columns import MOST_BYTES, read_columns
+from plant_emulator.channel.foreign_files import refuse_foreign
 
+ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
+"""tshark's field: the time from a TCP segment to its ACK."""
 UNITS_MS = {"s": 1e3, "ms": 1.0, "us": 1e-3, "ns": 1e-6}
 _PING = re.compile(r"(?:\[([\d.]+)\] )?.*seq=(\d+) .*?time[=<]([\d.]+) ms")
 _CAN_LOG = re.compile(r"\(([\d.]+)\)\s+\S+\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
@@ -30,7 +32,7 @@ def from_ping(file: Path, interval_s: float) -> Measured:
     """
     answers: dict[int, tuple[float, float]] = {}
     newest = 0
-    for line in _lines(file):
+    for line in _lines(file, "ping"):
         found = _PING.match(line)
         if found is None or "(DUP!)" in line:
             continue
@@ -46,6 +48,7 @@ def from_ping(file: Path, interval_s: float) -> Measured:
     known = sorted(answers)
     times_s = np.interp(numbers, known, [answers[number][0] for number in known])
     missing = (0.0, float("nan"))
+    times_s = np.maximum.accumulate(times_s)  # ping rounds long round trips to whole milliseconds
     return Measured(times_s, np.array([answers.get(int(n), missing)[1] for n in numbers]))
 
 
@@ -54,10 +57,14 @@ def from_candump(file: Path, request: str, answer: str) -> Measured:
 
     A frame that is followed by its like first was lost.
     """
-    wanted = {int(each, 16): each == request for each in (request, answer)}
+    try:
+        wanted = {int(request, 16): True, int(answer, 16): False}
+    except ValueError as error:
+        allowed = "must be CAN identifiers in hexadecimal"
+        raise ScenarioError(f"--from {request} --to {answer}: {allowed}") from error
     sent: list[float] = []
     delays: list[float] = []
-    for line in _lines(file):
+    for line in _lines(file, "candump"):
         found = _CAN_LOG.search(line)
         is_request = None if found is None else wanted.get(int(found[2], 16))
         if found is None or is_request is None:
@@ -79,28 +86,23 @@ def from_csv(file: Path, sent: str, received: str | None, delay: str | None, uni
         file: its first line has the names.
         sent: column of the times of sending.
         received: column of the times of reception; empty cells were lost.
-        delay: column of delays, in place of `received`.
+        delay: column of delays, in place of `received`; of `ACK_ROUND_TRIP`, halves are returned.
         unit: of all of them.
     """
-    from pyarrow import ArrowException, csv, float64  # heavy, and needed by few commands
-
-    names = [sent, str(received or delay)]
-    options = csv.ConvertOptions(
-        include_columns=names,
-        column_types=dict.fromkeys(names, float64()),
-        null_values=["", "nan", "NaN"],
-    )
+    end_name = str(received or delay)
     try:
-        table = csv.read_csv(file, convert_options=options)
-    except (ArrowException, KeyError, OSError) as error:
-        header = next(_lines(file), "")
-        raise ScenarioError(
-            f"{file}: {error}; the first line is {header[:200]!r}".replace("\n", " ")
-        ) from error
-    start, end = (table[name].to_numpy() * UNITS_MS[unit] for name in names)
-    order = np.argsort(start, kind="stable")
-    delays_ms = end - start if received else end
-    return Measured(start[order] / 1e3, delays_ms[order])
+        columns = read_columns(file, [sent, end_name], None)
+        no_time = ~np.isfinite(columns.values[sent])
+        columns.refuse_where(no_time, sent, "must be a time in each row")
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
+    start_ms, end_ms = (columns.values[name] * UNITS_MS[unit] for name in (sent, end_name))
+    if delay == ACK_ROUND_TRIP:  # beside the time of each ACK; no other packet has one
+        is_ack = np.isfinite(end_ms)
+        start_ms, end_ms = (start_ms - end_ms)[is_ack], 0.5 * end_ms[is_ack]
+    order = np.argsort(start_ms, kind="stable")
+    delays_ms = end_ms - start_ms if received else end_ms
+    return Measured(start_ms[order] / 1e3, delays_ms[order])
 
 
 def from_mcap(file: Path, topic: str, answer: str | None) -> Measured:
@@ -141,8 +143,12 @@ def from_mcap(file: Path, topic: str, answer: str | None) -> Measured:
     return Measured((starts - starts[0]) / 1e9, np.array(delays_ms))
 
 
-def _lines(file: Path) -> Iterator[str]:
+def _lines(file: Path, program: str) -> list[str]:
     try:
-        yield from read_text(file, MOST_BYTES).splitlines()
+        text = read_text(file, MOST_BYTES)
+        refuse_foreign(file, text.encode(), program)
     except OSError as error:
         raise ScenarioError(f"{file}: cannot be read: {error}") from error
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
+    return text.splitlines()

@@ -11,6 +11,7 @@ import numpy as np
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.channel.trace_file import ONE_WAY, ROUND_TRIP
 
 
 def write_table(columns: Mapping[str, Any], file: Path, *, is_parquet: bool) -> None:
@@ -31,8 +32,13 @@ def write_table(columns: Mapping[str, Any], file: Path, *, is_parquet: bool) -> 
     complete(file)
 
 
-def write_trace(measured: Measured, file: Path) -> None:
+def write_trace(measured: Measured, file: Path, *, is_round_trip: bool = False) -> None:
     """Write a trace.
+
+    Args:
+        measured: the messages.
+        file: where to.
+        is_round_trip: the delays are halves of round trips, to be replayed together.
 
     Raises:
         ScenarioError: there are not two messages, none arrived, or a delay is negative.
@@ -49,8 +55,9 @@ def write_trace(measured: Measured, file: Path) -> None:
             " smallest delay with --least MS"
         )
     times_s = np.round(sent_s - sent_s[0], 9)
-    delays = [None if np.isnan(each) else round(each, 6) for each in delays_ms.tolist()]
-    columns = {"time_s": times_s, "delay_ms": delays}
+    name, scale = (ROUND_TRIP, 2.0) if is_round_trip else (ONE_WAY, 1.0)
+    delays = [None if np.isnan(each) else round(scale * each, 6) for each in delays_ms.tolist()]
+    columns = {"time_s": times_s, name: delays}
     write_table(columns, file, is_parquet=file.suffix == ".parquet")
 
 

@@ -103,6 +103,10 @@ def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
          "tcp/ or tls/, the protocols of the relay"),
         ("link.router_endpoint", link.router_endpoint, link.router_endpoint is None,
          "left out, because messages could bypass the relay"),
+        *((f"link.{name}.pattern", given.pattern.model_dump(exclude_defaults=True), False,
+           "left out")
+          for name, given in (("uplink", link.uplink), ("downlink", link.downlink))
+          if given.pattern is not None),
     )  # fmt: skip
     for key, value, is_met, allowed in needs:
         if not is_met:
@@ -121,7 +125,8 @@ def knowing_real_delay(setup: Setup, round_trip_ms: float) -> Setup:
     controller = scenario.controller
     settings = controller.delay_compensation
     if settings.expected_round_trip_ms is None:
-        expected_ms = scenario.link.emulated_round_trip_ns * 1e-6 + round_trip_ms
+        tick_ms = setup.grid.period_ns * 1e-6  # of the bus and its processes
+        expected_ms = scenario.link.emulated_round_trip_ns * 1e-6 + round_trip_ms + tick_ms
         settings = settings.model_copy(update={"expected_round_trip_ms": expected_ms})
         controller = controller.model_copy(update={"delay_compensation": settings})
     update = {"controller": controller, "link": _knowing_real_delay(setup, round_trip_ms)}
@@ -130,7 +135,7 @@ def knowing_real_delay(setup: Setup, round_trip_ms: float) -> Setup:
 
 def _knowing_real_delay(setup: Setup, round_trip_ms: float) -> LinkConfiguration:
     scenario, link = setup.scenario, setup.scenario.link
-    if link.deadline_ms is not None:
+    if link.deadline_ms is not None or setup.link.plays_automatically:
         return link
     uplink: Channel[Any] = open_uplink(link, scenario.seed)
     downlink = open_downlink(link, scenario.seed)

@@ -9,7 +9,6 @@ import signal
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.process import BaseProcess
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bus_schema.errors import silent_peer
-from bus_schema.runtime.limited_process import signal_name
+from bus_schema.runtime.child import how_it_ended, last_line
 from deploy.run.exit_codes import BAD_INPUT, INTERRUPTED
 from deploy.run.processes.role_process import Options, start_role
 from deploy.run.processes.status import StatusMessage, StatusReporter
@@ -140,11 +139,9 @@ class ChildProcess(ABC):
         try:
             with self._errors.open("rb") as file:
                 file.seek(max(self._errors_before, file.seek(0, os.SEEK_END) - _LAST_BYTES))
-                lines = file.read().decode(errors="replace").splitlines()
+                return last_line(file.read())[:_LONGEST_LINE] or SILENT
         except OSError:
-            lines = []
-        last = deque((line for line in lines if line.strip()), maxlen=1)
-        return last[0].strip()[:_LONGEST_LINE] if last else SILENT
+            return SILENT
 
     @abstractmethod
     def failure(self) -> Failure | None:
@@ -195,7 +192,7 @@ class Child(ChildProcess):
         if code == INTERRUPTED and not self._faults:
             return None  # it was asked to stop, by any process, and left in order
         if code < 0:
-            return Failure(f"the {self.role} was killed by {signal_name(-code)}", is_cause=True)
+            return Failure(f"the {self.role} was {how_it_ended(code)}", is_cause=True)
         if self._faults:
             return self._faults[0]._replace(is_bad_input=code == BAD_INPUT)
         if code:

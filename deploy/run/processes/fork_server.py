@@ -6,17 +6,16 @@ loaded it and has few threads, takes no time for that. Each fork gets the enviro
 """
 
 import contextlib
-import ctypes
 import gc
 import logging
 import os
 import signal
-import sys
+
+from bus_schema.runtime.child import PR_SET_PDEATHSIG, set_process_option
 
 gc.disable()  # until all is loaded: garbage collection would take a sixth of that time
-if sys.platform == "linux":
-    # It would live as long as one of its processes, and these leave when it ends.
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+# It would live as long as one of its processes, and these leave when it ends.
+set_process_option(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 import numpy as np  # noqa: E402 (takes its time, in which the command may end)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.limited_process import signal_name
+from bus_schema.runtime.child import how_it_ended
 from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
 from deploy.run.processes.child import SILENT, ChildProcess, Failure
 from deploy.run.processes.role_process import CANNOT_START, start_program
@@ -114,10 +114,8 @@ class ControllerProcess(ChildProcess):
             return None
         if code == CANNOT_START:
             how = "could not be started"
-        elif code < 0:
-            how = f"was killed by {signal_name(-code)}"
         else:
-            how = f"failed with exit code {code}"
+            how = f"was {how_it_ended(code)}" if code < 0 else f"failed with exit code {code}"
         return Failure(f"the controller ({self._name}) {how}: {self._last_line()}", is_cause=True)
 
     def suspicion(self, *, plant_gave_up_first: bool) -> Failure | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from bus_schema.errors import InvalidMessageError, PeerSilentError
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
-from bus_schema.messages.topics import Role
+from bus_schema.messages.topics import Role, Topic
 from bus_schema.messages.types import stamp_of
 from bus_schema.zenoh.bundle_order import FORGED_NUMBER
 from bus_schema.zenoh.bundles import Received
@@ -145,7 +145,7 @@ class Recorder:
             pass
         self._write(self._mailbox.let_go())
         for topic, _, sequence, _, gid in chain.from_iterable(iter(self._mailbox.take, None)):
-            self._gaps.note(topic.name, gid, sequence)
+            self._note_number(topic, gid, sequence)
             self._gaps.missed[topic.name] += 1
         self._compare_with_the_plant()
         if self.rejected:
@@ -181,7 +181,7 @@ class Recorder:
         stamp_ns = self._last_stamp_ns
         feed = self._feed if self._feed is not None and self._feed.is_watched else None
         for topic, payload, sequence, source_time_ns, gid in messages:
-            self._gaps.note(topic.name, gid, sequence)
+            self._note_number(topic, gid, sequence)
             if topic.sender is Role.PLANT:
                 self._plants.note(topic.name, gid, sequence)
             if topic is topics.RUN_EVENTS and not self._events.admits(gid, len(payload)):
@@ -203,6 +203,12 @@ class Recorder:
                 feed.take(Message(topic, stamp_ns, payload))
         self._last_stamp_ns = stamp_ns
 
+    def _note_number(self, topic: Topic, gid: bytes, sequence: int) -> None:
+        """Count missing messages by their numbers; a rejected sender may become the commander."""
+        is_rejected = topic is topics.REJECTED_COMMANDS
+        name = topics.JOINT_COMMANDS.name if is_rejected else topic.name
+        self._gaps.note(name, gid, sequence, counts=not is_rejected)
+
     def _read_event(self, payload: bytes, gid: bytes, sequence: int) -> None:
         """Acknowledge to a process, at its last message, that all its messages are recorded."""
         with contextlib.suppress(InvalidMessageError):
@@ -218,8 +224,8 @@ class Recorder:
 
     def _compare_with_the_plant(self) -> None:
         """Count commands that the plant received and that never arrived here."""
-        name = topics.JOINT_COMMANDS.name
-        came = self._log.written[name] + self._log.lost[name]
+        name, rejected = topics.JOINT_COMMANDS.name, topics.REJECTED_COMMANDS.name
+        came = sum(each[name] + each[rejected] for each in (self._log.written, self._log.lost))
         missing = self._gaps.expect(name, self._commands_received, came)
         if missing:
             logger.warning(
@@ -245,8 +251,8 @@ class GapCounter:
         self.missed: Counter[str] = Counter()
         self._rejected = rejected
 
-    def note(self, topic: str, sender: bytes, sequence: int) -> None:
-        """Note a message, and count those missing since its sender's last one.
+    def note(self, topic: str, sender: bytes, sequence: int, *, counts: bool = True) -> None:
+        """Note a message and, if it `counts`, those missing since its sender's last one.
 
         Messages without a number (0) show no gaps.
         """
@@ -260,7 +266,7 @@ class GapCounter:
                 self._last_sequence[stream] = sequence
         elif sequence > last:
             self._last_sequence[stream] = sequence
-            if sequence > last + 1:
+            if counts and sequence > last + 1:
                 self.missed[topic] += sequence - last - 1
 
     def expect(self, topic: str, count: int, came: int) -> int:

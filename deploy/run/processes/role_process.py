@@ -7,7 +7,6 @@ whole process image.
 from __future__ import annotations
 
 import atexit
-import ctypes
 import logging
 import multiprocessing
 import os
@@ -25,6 +24,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 from setproctitle import setproctitle
 
+from bus_schema.runtime.child import PR_SET_PDEATHSIG, set_process_option
+from bus_schema.safe_path import safe_path
 from deploy.run.exit_codes import with_exit_codes
 from deploy.run.stop_signals import STOPS, stop_at_once
 
@@ -35,8 +36,6 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["deploy.run.processes.fork_server"])
 CANNOT_START = 127
 """Exit code of a program that could not be started, as in shells."""
-PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
-_SAFE_PATH = "PYTHONSAFEPATH"
 _LONG_PATH = 60
 """Of the 107 characters allowed in a socket's path, Python uses 32."""
 _LEAVE_WITHIN_S = 30
@@ -151,8 +150,7 @@ def end_with_parent(parent_pid: int) -> None:
             os.kill(os.getpid(), signal.SIGTERM)
 
     signal.signal(signal.SIGCONT, leave_without_parent)
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
+    set_process_option(PR_SET_PDEATHSIG, signal.SIGCONT)
     leave_without_parent()
 
 
@@ -187,16 +185,13 @@ def _shielded_fork_server() -> Iterator[None]:
     It is in the process group that a terminal, or `timeout`, stops. Also, modules in the current
     folder must not replace ours.
     """
-    resource_tracker.ensure_running()  # it would let the signals through
-    signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
-    is_ours = _SAFE_PATH not in os.environ
-    os.environ.setdefault(_SAFE_PATH, "1")
-    try:
-        yield
-    finally:
-        if is_ours:
-            del os.environ[_SAFE_PATH]
-        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+    with safe_path():
+        resource_tracker.ensure_running()  # it would let the signals through
+        signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, signals)
 
 
 @contextmanager
@@ -273,8 +268,8 @@ def _run_program(surroundings: _Surroundings, command: list[str]) -> NoReturn:
     """Replace this process by the program."""
     folder = Path.cwd()
     surroundings.enter()
-    if sys.platform == "linux":  # its parent, the fork server, ends with the requesting process
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    # Its parent, the fork server, ends with the requesting process.
+    set_process_option(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ignored by Python, and inherited by programs
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
     try:

@@ -17,6 +17,7 @@ from bus_schema.errors import BusError, ScenarioMismatchError
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
+from bus_schema.runtime.randomness import noting_draws
 from bus_schema.runtime.realtime import raise_priority, use_batch_scheduling
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
@@ -66,6 +67,7 @@ class RoleOptions:
     log: Path | None = None
 
 
+@noting_draws()
 def plant(options: RoleOptions, reporter: StatusReporter) -> int:
     """Run the plant: emulate the arm for a controller on the bus; return the exit code."""
     setup = load_setup(options.scenario, options.overrides)
@@ -121,6 +123,7 @@ def _report_outcome(outcome: PlantOutcome, reporter: StatusReporter) -> None:
     )
 
 
+@noting_draws()
 def controller(options: RoleOptions, reporter: StatusReporter) -> int:
     """Run the controller: answer the joint states of a plant on the bus; return the exit code."""
     setup = load_setup(options.scenario, options.overrides)

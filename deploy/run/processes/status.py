@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
+from deploy.run.console import Console
 from plant_emulator.faults.process_faults import ProcessAction
 
 _PROGRESS_EVERY_S = 5.0

@@ -105,15 +105,10 @@ class CanKind(LinkKind[DrivenArm]):
         node_ids = can.node_ids_of(robot.joints)
         bus, telemetry = _open_bus(run), _open_telemetry(run, Role.PLANT)
         log = None if run.can_log is None else CandumpLog(run.can_log, can.log_channel)
-        drives = DrivesOnBus(
-            bus,
-            [parse_fault(text, node_ids) for text in can.faults.drives],
-            lambda send: build_bank(
-                can, robot, run.plant, send, polled=True, tuned=run.tuned_drive
-            ),
-            CanMedium(can, run.seed, log),
-            run.link.downlink.delay_ns,
-        )
+        plan = [parse_fault(text, node_ids) for text in can.faults.drives]
+        build = partial(build_bank, can, robot, run.plant, polled=True, tuned=run.tuned_drive)
+        medium = CanMedium(can, run.seed, log)
+        drives = DrivesOnBus(bus, plan, build, medium, run.link.downlink.delay_ns)
         arm.attach(drives)
         return CanPlantLink(_can_run(run), drives, _codec(run), clock, telemetry)
 
@@ -133,7 +128,7 @@ def check_drives(
     can: CanConfiguration, robot: RobotDescription, plant: PlantConfiguration, *,
     takes_targets: bool,
 ) -> tuple[int, ...]:  # fmt: skip
-    """Return the addresses of a scenario's drives, whatever its link is.
+    """Return the addresses of a scenario's drives, for any kind of link.
 
     Raises:
         ConfigurationError: the drives do not fit their protocol or the robot.
@@ -211,7 +206,7 @@ def _check_fd(can: CanConfiguration, protocol: DriveProtocol) -> None:
 
 
 def _free_udp_port() -> int:
-    """A UDP port of this machine that nobody uses."""
+    """Return a free UDP port of this machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         port: int = probe.getsockname()[1]

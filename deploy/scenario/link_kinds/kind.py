@@ -50,7 +50,6 @@ class LinkKind(ABC, Generic[Arm]):
         arm_type: class of the arm: with motor drives or without.
         logs_frames: whether its plant's side can write a log of frames.
         may_pin_loops: whether each loop may be bound to its own CPU.
-        draws_random_numbers: whether the link itself draws random numbers in a simulation.
         brings_plant_status: whether the controller gets the plant's status with each state.
         controller_leads: whether the controller may end a run in order, as the master of drives
             does.
@@ -64,7 +63,6 @@ class LinkKind(ABC, Generic[Arm]):
     arm_type: type[Arm]
     logs_frames = False
     may_pin_loops = True
-    draws_random_numbers = True
     brings_plant_status = True
     controller_leads = False
     simulates_process_faults = True
@@ -136,7 +134,6 @@ class InProcessKind(LinkKind[ArmPlant]):
     name = "in_process"
     simulated_as = "in_process"
     arm_type = ArmPlant
-    draws_random_numbers = False
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if not one_process:

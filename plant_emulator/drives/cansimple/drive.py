@@ -22,7 +22,7 @@ from bus_schema.link.can_configuration import CANSIMPLE_DBC, CanSimpleConfigurat
 from plant_emulator.drives.cansimple.axis import Axis, AxisError
 from plant_emulator.drives.drive import Cycle, DriveSettings, Send
 
-HEARTBEAT_MS = 100
+HEARTBEAT_MS, ESTIMATES_MS = 100, 10
 _MS = 1_000_000
 _COMMANDS = (1 << COMMAND_BITS) - 1
 _AXIS = "Axis"
@@ -44,16 +44,13 @@ def _messages() -> dict[int, Message]:
 class CanSimpleDrive(Axis):
     """An axis with its bus side: messages in and out."""
 
-    samplings = 0
-
-    def __init__(self, settings: DriveSettings, send: Send) -> None:
+    def __init__(self, settings: DriveSettings[CanSimpleConfiguration], send: Send) -> None:
         super().__init__(settings, send)
         self._node_id = settings.node_id
-        self.heard = range(identifier(self._node_id, 0), identifier(self._node_id + 1, 0))
+        self.identifiers = range(identifier(self._node_id, 0), identifier(self._node_id + 1, 0))
         self._heartbeats = Cycle(HEARTBEAT_MS * _MS)
-        self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
-        controller, own = self.controller, settings.own
-        scales = own if isinstance(own, CanSimpleConfiguration) else CanSimpleConfiguration()
+        self._unasked_estimates = Cycle(0 if settings.is_polled else ESTIMATES_MS * _MS)
+        scales = settings.own
         # The DBC has the feed-forwards in thousandths, as an axis is delivered.
         steps_s, steps_nm = 1e3 / scales.input_vel_scale, 1e3 / scales.input_torque_scale
         # Each takes the signals of its message in the order of the DBC.
@@ -61,14 +58,14 @@ class CanSimpleDrive(Axis):
             "Estop": lambda: self._disarm(AxisError.ESTOP_REQUESTED),
             "Set_Axis_State": self.request,
             "Set_Controller_Mode": self.set_mode,
-            "Set_Input_Pos": lambda turns, turns_s, torque_nm: controller.take(
+            "Set_Input_Pos": lambda turns, turns_s, torque_nm: self.set_input(
                 torque_nm * steps_nm, turns_s * steps_s, turns
             ),
-            "Set_Input_Vel": lambda turns_s, torque_nm: controller.take(torque_nm, turns_s),
-            "Set_Input_Torque": controller.take,
-            "Set_Pos_Gain": controller.set_position_gain,
-            "Set_Vel_Gains": controller.set_velocity_gains,
-            "Set_Limits": controller.set_limits,
+            "Set_Input_Vel": lambda turns_s, torque_nm: self.set_input(torque_nm, turns_s),
+            "Set_Input_Torque": self.set_input,
+            "Set_Pos_Gain": self.set_position_gain,
+            "Set_Vel_Gains": self.set_velocity_gains,
+            "Set_Limits": self.set_limits,
             "Set_Absolute_Position": self.set_absolute_position,
             "Reboot": self.reboot,
             "Clear_Errors": lambda _identify: self.clear_errors(),
@@ -86,7 +83,7 @@ class CanSimpleDrive(Axis):
             self._answer(message, frame)
         else:
             self._take(message, frame)
-        self._watchdog_fed_ns = now_ns
+        self._fed_ns = now_ns
         return True
 
     def advance(self, now_ns: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from bus_schema.can.cia402.codec import Cia402Settings
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cia402.describe import describe
@@ -36,12 +37,12 @@ _ERRORS = {
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
 
 
-class Cia402Drive(Drive):
+class Cia402Drive(Drive[Cia402Settings]):
     """The drive: what comes from the bus goes to NMT, SDO server, PDOs or heartbeat consumer."""
 
-    def __init__(self, settings: DriveSettings, send: Send) -> None:
+    def __init__(self, settings: DriveSettings[Cia402Settings], send: Send) -> None:
         super().__init__(settings, send)
-        # When events were looked for last, if nothing has happened since that they could tell.
+        # Time of the last check for events; None if a new event may have happened since.
         self._looked_ns: int | None = None
         self._node = DriveNode(settings.node_id, self._transmit)
         self._network = NetworkState(self._node, self._transmit)
@@ -165,7 +166,7 @@ class Cia402Drive(Drive):
         takers[self._process_data.sync_identifier] = self._take_sync
         takers[_NMT] = self._obey_master
         self._takers = takers
-        self.heard = {*takers, *self._process_data.sent_identifiers}
+        self.identifiers = {*takers, *self._process_data.sent_identifiers}
         self.on_set_up()
 
     def _take_sync(self, data: bytes) -> None:

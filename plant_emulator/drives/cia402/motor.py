@@ -6,6 +6,7 @@ import math
 
 from canopen.sdo.exceptions import SdoAbortedError
 
+from bus_schema.can.cia402.codec import Cia402Settings
 from plant_emulator.drives.cascade import CascadeLoop
 from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.node import Abort, DriveNode
@@ -45,9 +46,11 @@ class Motor:
         automaton: its state.
     """
 
-    def __init__(self, node: DriveNode, errors: ErrorLog, settings: DriveSettings) -> None:
+    def __init__(
+        self, node: DriveNode, errors: ErrorLog, settings: DriveSettings[Cia402Settings]
+    ) -> None:
         self._node, self._errors, self._settings = node, errors, settings
-        self._rated_mnm = round(settings.rated_torque_nm / _MILLI)
+        self._rated_mnm = round(settings.own.rated_torque_nm / _MILLI)
         self._hard_limit = int(settings.max_torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE)
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
         self._reading, self._velocity = JointReading(), 0

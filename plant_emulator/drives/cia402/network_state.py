@@ -59,7 +59,7 @@ class NetworkState:
         self.state = NmtState.INITIALISING
         self.watched: dict[int, int] = {}
         self._heartbeats = Cycle(0)
-        self._heard_ns: dict[int, int] = {}
+        self._received_ns: dict[int, int] = {}
         self._lost: set[int] = set()
         node.writers[0x1016] = self._check_consumed
         node.writers[0x1017] = self._on_period
@@ -73,7 +73,7 @@ class NetworkState:
         """Send the boot-up message; from now on the node is pre-operational."""
         self._report()
         self.state = NmtState.PRE_OPERATIONAL
-        self._heard_ns.clear()
+        self._received_ns.clear()
         self._lost.clear()
         self._on_period(0, self._node.values[0x1017_00])
 
@@ -88,7 +88,7 @@ class NetworkState:
 
     def note_heartbeat(self, node_id: int) -> bool:
         """Note a heartbeat of a watched node. Returns whether it was the last one missing."""
-        self._heard_ns[node_id] = self._node.now_ns
+        self._received_ns[node_id] = self._node.now_ns
         was_lost = node_id in self._lost
         self._lost.discard(node_id)
         return was_lost and not self._lost
@@ -100,7 +100,7 @@ class NetworkState:
             self._report()
         has_failed = False
         for node_id, time_ns in self.watched.items():
-            is_overdue = now_ns - self._heard_ns.get(node_id, now_ns) > time_ns
+            is_overdue = now_ns - self._received_ns.get(node_id, now_ns) > time_ns
             if is_overdue and node_id not in self._lost:
                 self._lost.add(node_id)
                 has_failed = True
@@ -118,7 +118,7 @@ class NetworkState:
         nodes = [_consumer(other)[0] for other in others if _is_used(other)]
         if _is_used(value) and _consumer(value)[0] in nodes:
             raise SdoAbortedError(Abort.INCOMPATIBLE)
-        self._heard_ns.pop(_consumer(value)[0], None)
+        self._received_ns.pop(_consumer(value)[0], None)
 
 
 def _consumer(entry: int) -> tuple[int, int]:

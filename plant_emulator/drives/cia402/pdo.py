@@ -57,7 +57,7 @@ class Pdo:
         pack: gives the mapped objects' values.
         unpack: writes the mapped objects; raises `SdoAbortedError` if one does not take its value,
             those before it were written.
-        heard_ns: when it came last, if it is awaited again.
+        received_ns: when it came last, if it is awaited again.
         data: what was sent last, or has come and is in force from the next SYNC on.
         sent_ns: when it was sent.
         syncs: SYNCs since then.
@@ -91,7 +91,7 @@ class Pdo:
 
     def rest(self) -> None:
         """Reset all pending, awaited and sent data."""
-        self.heard_ns: int | None = None
+        self.received_ns: int | None = None
         self.data: bytes | None = None
         self.sent_ns = self.syncs = 0
 
@@ -120,7 +120,7 @@ class Pdo:
         if (subindex == _TYPE and is_no_type) or (subindex == _INHIBIT and self.is_valid):
             raise SdoAbortedError(Abort.INVALID_VALUE)
         if subindex == _EVENT:
-            self.heard_ns = None  # watched from the next arrival on (CiA 301, 7.5.2.35)
+            self.received_ns = None  # watched from the next arrival on (CiA 301, 7.5.2.35)
 
     def _check_mapping(self, subindex: int, value: int) -> None:
         """Destroy the PDO, set the count to 0, map, set the count, create it: else no access."""

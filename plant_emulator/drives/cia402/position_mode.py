@@ -10,6 +10,7 @@ import math
 
 from canopen.sdo.exceptions import SdoAbortedError
 
+from bus_schema.can.cia402.codec import Cia402Settings
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
 from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.drive import DriveSettings, JointReading
@@ -30,7 +31,7 @@ _MILLI = 1e-3
 class PositionMode:
     """State of the mode, without the automaton.
 
-    Until a target is written the one is where the joint was when the drive was told to follow.
+    Until a target is written, it is the joint's position when the drive began to follow.
 
     Args:
         node: the drive's dictionary.
@@ -40,7 +41,7 @@ class PositionMode:
         has_following_error: the joint has been outside the window for its time.
     """
 
-    def __init__(self, node: DriveNode, settings: DriveSettings) -> None:
+    def __init__(self, node: DriveNode, settings: DriveSettings[Cia402Settings]) -> None:
         self._node, self._settings = node, settings
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
         self._counts = 0

@@ -69,7 +69,7 @@ class ProcessData:
         """Process SYNC: apply pending data, then sample and send due data.
 
         Returns:
-            Whether that may have changed what event-driven TPDOs tell.
+            Whether that may have changed the data of event-driven TPDOs.
         """
         has_changed = self._errors.any
         if data:
@@ -89,7 +89,7 @@ class ProcessData:
     def receive(self, pdo: Pdo, data: bytes) -> None:
         """Receive data for an RPDO."""
         self._check_length(pdo, data)
-        pdo.heard_ns = self._node.now_ns
+        pdo.received_ns = self._node.now_ns
         if pdo.is_synchronous:
             pdo.data = data
         else:
@@ -114,8 +114,8 @@ class ProcessData:
         """Whether an RPDO is overdue; each is awaited from its first arrival on."""
         overdue = False
         for pdo in self._awaited:
-            if pdo.heard_ns is not None and self._node.now_ns - pdo.heard_ns > pdo.event_ns:
-                pdo.heard_ns, overdue = None, True
+            if pdo.received_ns is not None and self._node.now_ns - pdo.received_ns > pdo.event_ns:
+                pdo.received_ns, overdue = None, True
         return overdue
 
     def _send_on_sync(self, pdo: Pdo) -> None:

@@ -142,7 +142,7 @@ class _SlowDown(NamedTuple):
 
     Attributes:
         then: state that follows.
-        until_ns: time at which it ends at the latest.
+        until_ns: latest time of its end.
     """
 
     then: State

@@ -36,7 +36,7 @@ from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
 from plant_emulator.drives.damiao.registers import Registers
 from plant_emulator.drives.drive import DriveFault, DriveSettings, JointLoop, Send
-from plant_emulator.drives.mit.drive import LoopDrive
+from plant_emulator.drives.loop_drive import LoopDrive
 
 _ERRORS = {
     None: Status.DISABLED,
@@ -47,17 +47,17 @@ _ERRORS = {
 _RESTARTING = {Register.CTRL_MODE, Register.ESC_ID, Register.MST_ID}
 
 
-class DamiaoDrive(LoopDrive):
+class DamiaoDrive(LoopDrive[DamiaoSettings]):
     """One motor, see `Drive`; position and torque are the joint's."""
 
-    def __init__(self, settings: DriveSettings, send: Send) -> None:
+    def __init__(self, settings: DriveSettings[DamiaoSettings], send: Send) -> None:
         super().__init__(settings, send)
-        own = settings.own if isinstance(settings.own, DamiaoSettings) else DamiaoSettings()
-        self._registers = Registers(settings, own)
-        ranges = own.motor.ranges
+        motor = settings.own.motor
+        self._registers = Registers(settings)
+        ranges = motor.ranges
         self._gain_ranges = ranges.stiffness_nm_rad, ranges.damping_nm_s
         self._note_registers()
-        self._peak_nm = min(settings.max_torque_nm, own.motor.peak_nm)
+        self._peak_nm = min(settings.max_torque_nm, motor.peak_nm)
         self._error = Status.DISABLED
         self._integral = Integral()
 
@@ -85,13 +85,15 @@ class DamiaoDrive(LoopDrive):
         else:
             self._obey(mode, frame.data)
             self._report()
-        self._heard_ns = now_ns
+        self._fed_ns = now_ns
         return True
 
-    def advance(self, now_ns: int) -> None:
-        timeout_ns = self._registers[Register.TIMEOUT] * TIMEOUT_STEP_NS
-        if timeout_ns and self._loop is not None and now_ns - self._heard_ns > timeout_ns:
-            self._rest(Status.LOST_COMMUNICATION)
+    @property
+    def timeout_ns(self) -> float:
+        return self._registers[Register.TIMEOUT] * TIMEOUT_STEP_NS
+
+    def _time_out(self) -> None:
+        self._rest(Status.LOST_COMMUNICATION)
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         self._rest(_ERRORS[fault])
@@ -121,7 +123,7 @@ class DamiaoDrive(LoopDrive):
         self._ranges = MitRanges(*limits, *self._gain_ranges)
         self._node_id = int(values[Register.ESC_ID])
         self._modes = {self._node_id + mode.offset: mode for mode in Mode}
-        self.heard = {REGISTER_IDENTIFIER, *self._modes}
+        self.identifiers = {REGISTER_IDENTIFIER, *self._modes}
         self.on_set_up()
 
     def _is_meant(self, data: bytes) -> bool:
@@ -166,7 +168,7 @@ class DamiaoDrive(LoopDrive):
         values, is_velocity = self._registers, self._mode is Mode.VEL
         most_nm = min(self._peak_nm, values[Register.TMAX])
         if isinstance(command, MitCommand):
-            return self._mit_loop(command, most_nm)
+            return self._joint_loop(command, most_nm)
         gains = CascadeGains(
             0.0 if is_velocity else values[Register.KP_APR],
             values[Register.KP_ASR], values[Register.KI_ASR],

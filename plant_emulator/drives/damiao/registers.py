@@ -38,12 +38,12 @@ class Registers:
     """The registers of one motor.
 
     Args:
-        settings: how it is commissioned.
-        own: what its protocol adds to that.
+        settings: settings of the motor.
     """
 
-    def __init__(self, settings: DriveSettings, own: DamiaoSettings) -> None:
-        ranges, gains = own.motor.ranges, settings.gains
+    def __init__(self, settings: DriveSettings[DamiaoSettings]) -> None:
+        own, gains = settings.own, settings.gains
+        ranges = own.motor.ranges
         self._values: dict[int, float] = {register: row[0] for register, row in _IDLE.items()}
         self._values |= {
             Register.MAX_SPD: min(own.motor.no_load_rad_s, settings.max_velocity_rad_s),

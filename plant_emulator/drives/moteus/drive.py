@@ -20,7 +20,7 @@ from bus_schema.can.moteus.codec import (
 )
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.drive import DriveFault, DriveSettings, JointLoop, Loop, Send
-from plant_emulator.drives.mit.drive import LoopDrive
+from plant_emulator.drives.loop_drive import LoopDrive
 from plant_emulator.drives.moteus.multiplex import (
     WRITE_ERROR,
     Operation,
@@ -78,15 +78,17 @@ class MovingLoop:
         return self.loop.torque_nm(position_rad, velocity_rad_s)
 
 
-class MoteusDrive(LoopDrive):
+class MoteusDrive(LoopDrive[None]):
     """One drive, see `Drive`; position and torque are the joint's."""
 
     most_bytes, takes_extended = 64, True
 
-    def __init__(self, settings: DriveSettings, send: Send) -> None:
+    def __init__(self, settings: DriveSettings[None], send: Send) -> None:
         super().__init__(settings, send)
         node_ids = settings.node_id, BROADCAST
-        self.heard = {each for node_id in node_ids for each in range(node_id, 1 << 16, 1 << 8)}
+        self.identifiers = {
+            each for node_id in node_ids for each in range(node_id, 1 << 16, 1 << 8)
+        }
         self._mode, self._fault = Mode.STOPPED, 0
         self._command, self._timeout_ns = _COMMAND.copy(), math.nan
 
@@ -123,17 +125,19 @@ class MoteusDrive(LoopDrive):
             raise InvalidMessageError("not_there", f"register {refused:#x} cannot get its value")
         return True
 
-    def advance(self, now_ns: int) -> None:
-        is_overdue = now_ns - self._heard_ns > self._timeout_ns  # never, if that is NaN
-        if self._mode is Mode.POSITION and is_overdue:
-            self._mode, self._loop = Mode.TIMEOUT, self._damper(self._settings.gains.velocity_nm_s)
+    @property
+    def timeout_ns(self) -> float:
+        return self._timeout_ns if self._mode is Mode.POSITION else 0.0
+
+    def _time_out(self) -> None:
+        self._mode, self._loop = Mode.TIMEOUT, self._damper(self._settings.gains.velocity_nm_s)
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         self._mode, self._fault, self._loop = Mode.FAULT, _FAULTS[fault], None
 
     def describe(self, frame: CanFrame) -> str | None:
         node_id = self._settings.node_id
-        if frame.identifier not in self.heard and frame.identifier >> 8 != node_id:
+        if frame.identifier not in self.identifiers and frame.identifier >> 8 != node_id:
             return None
         try:
             return f"drive {node_id} " + "; ".join(map(str, subframes(frame.data)))
@@ -158,7 +162,7 @@ class MoteusDrive(LoopDrive):
             return
         # A stop that asks for the state samples it, and another one is the command.
         self.targets += mode is not Mode.STOPPED or not asks_reply
-        self._heard_ns = now_ns
+        self._fed_ns = now_ns
         if mode is Mode.STOPPED:
             self._mode, self._fault, self._loop = mode, 0, None
         elif self._lasting_fault is not None:
@@ -192,8 +196,7 @@ class MoteusDrive(LoopDrive):
 
     def _damper(self, damping_nm_s: float) -> JointLoop:
         """The loop of zero velocity."""
-        most_nm = self._settings.max_torque_nm
-        return JointLoop(0.0, 0.0, 0.0, damping_nm_s, 0.0, self._step_rad, most_nm)
+        return self._joint_loop((0.0, 0.0, 0.0, damping_nm_s, 0.0), self._settings.max_torque_nm)
 
     def _registers(self) -> dict[int, float]:
         """Registers that can be read."""

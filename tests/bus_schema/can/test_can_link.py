@@ -1,4 +1,4 @@
-"""The controller's side over CAN as it brings drives to rest: whom it waits for, and how long."""
+"""The controller's side over CAN brings drives to rest: which drives it awaits, how long."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STOP_TICKS = 500
 
 
 class Bus:
-    """Nobody listens to it."""
+    """A bus without other nodes."""
 
     def close(self) -> None:
         pass
@@ -50,6 +50,7 @@ class Master:
         self.has_left = False
 
     is_disturbed = False
+    emergencies: tuple[str, ...] = ()
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         return True
@@ -100,29 +101,29 @@ def spin(
 
 
 @pytest.mark.parametrize(
-    ("failure", "said"),
+    ("failure", "words"),
     [
         (None, "no answer from drive 1 within 2 s"),
         (DriveError("drive 2 has failed"), "drive 2 has failed"),
     ],
     ids=["alone", "when another fails"],
 )
-def test_silent_drive_is_waited_for_once(failure: DriveError | None, said: str) -> None:
+def test_silent_drive_is_waited_for_once(failure: DriveError | None, words: str) -> None:
     master = Master(failure)
-    with pytest.raises(DriveError, match=said):
+    with pytest.raises(DriveError, match=words):
         spin(master)
     assert master.waits_s == [POLL_S] * 40
     assert master.has_left
 
 
-def test_fault_names_who_else_is_on_the_bus() -> None:
+def test_fault_names_other_masters_on_the_bus() -> None:
     master = Master(DriveError("drive 1: fault"))
     master.is_disturbed = True
     with pytest.raises(DriveError, match=r"^drive 1: fault; another master is on this bus"):
         spin(master)
 
 
-def test_silence_after_a_request_to_stop_is_waited_out_for_a_second() -> None:
+def test_stop_request_waits_a_second_for_silent_drives() -> None:
     master = Master()
     spin(master, is_stop_requested=lambda: bool(master.waits_s))
     assert master.waits_s == [POLL_S] * (1 + 20)

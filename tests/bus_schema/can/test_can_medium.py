@@ -1,4 +1,4 @@
-"""The medium: who goes first, how long it takes, how full the bus is, and what does not fit."""
+"""The medium: order and times of frames, load, and cycles that do not fit."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_frame_that_finds_the_bus_busy_waits_whatever_its_identifier() -> None:
     assert second_ns == first_ns + 1000 * len(classical(CanFrame(0x080)))
 
 
-def test_it_does_not_matter_when_times_are_worked_out() -> None:
+def test_settling_at_any_time_gives_the_same_times() -> None:
     chance = random.Random(5)
     sent = [(tick * 7 * MS, frames) for tick in range(300) for frames in three_drive_cycle(chance)]
     logs, summaries = [], []
@@ -110,7 +110,7 @@ def test_flood_of_identifiers_is_counted_but_not_by_name() -> None:
     assert summary["frames_by_identifier"]["others"] == 2000
 
 
-def test_error_frames_cost_time_and_come_as_often_as_asked_for() -> None:
+def test_error_frames_take_time_and_have_the_configured_rate() -> None:
     faults = CanFaults(frame_error_probability=0.2)
     medium, clean = CanMedium(CanConfiguration(faults=faults), 3), CanMedium(CanConfiguration(), 3)
     frame = CanFrame(0x181, b"\x55" * 8)
@@ -153,7 +153,7 @@ print(before, len(_count.signatures))
 """
 
 
-def test_nothing_is_left_to_be_compiled_while_the_bus_is_in_use() -> None:
+def test_bit_counter_is_compiled_before_the_bus_is_used() -> None:
     # Compiling takes seconds, on a busy machine more than the loops wait for each other.
-    told = subprocess.run([sys.executable, "-c", NEW_MEDIUM], capture_output=True, text=True)
-    assert (told.stdout.split(), told.stderr) == (["1"] * 2, "")
+    done = subprocess.run([sys.executable, "-c", NEW_MEDIUM], capture_output=True, text=True)
+    assert (done.stdout.split(), done.stderr) == (["1"] * 2, "")

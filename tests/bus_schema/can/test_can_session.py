@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import closing
@@ -73,6 +74,8 @@ def test_frames_dropped_by_the_socket_are_counted() -> None:
     assert open_can_bus(virtual()).dropped() is None
 
 
+_SOON_S = 0.3
+_TRIES = 20
 _ALL_PROTOCOLS = 3  # ETH_P_ALL: what goes out is shown to no other
 
 
@@ -84,11 +87,14 @@ def test_frames_leave_the_machine_only_if_they_are_to(hop_limit: int, leaves: bo
         pytest.skip("watching the network takes CAP_NET_RAW")
     configuration = multicast(hop_limit=hop_limit)
     with wire, two_on(configuration) as (bus, witness):
-        wire.settimeout(0.3)
-        bus.send(FRAMES[0])
-        assert witness.receive(1.0) == FRAMES[0]
-        group = socket.inet_aton(configuration.resolved_channel)
-        assert bool(list(_sent_to_network(wire, group))) == leaves
+        wire.settimeout(_SOON_S)
+        group, seen = socket.inet_aton(configuration.resolved_channel), list[bytes]()
+        for _ in range(_TRIES if leaves else 1):  # much other traffic may push a frame out of sight
+            bus.send(FRAMES[0])
+            assert witness.receive(1.0) == FRAMES[0]
+            if seen := list(_sent_to_network(wire, group)):
+                break
+        assert bool(seen) == leaves
 
 
 @pytest.mark.parametrize(("hop_limit", "is_heard"), [(0, False), (1, True)])
@@ -105,9 +111,10 @@ def test_what_is_not_sent_to_the_group_by_this_machine_is_not_heard(
 
 
 def _sent_to_network(wire: socket.socket, group: bytes) -> Iterator[bytes]:
-    """IP packets to a group that this machine hands to one of its networks."""
+    """IP packets to a group that this machine soon hands to one of its networks, beside others."""
+    end_s = time.monotonic() + _SOON_S
     with contextlib.suppress(TimeoutError):
-        while True:
+        while time.monotonic() < end_s:
             packet, (_, _, packet_type, *_) = wire.recvfrom(2048)
             if packet_type == socket.PACKET_OUTGOING and packet[16:20] == group:
                 yield packet

@@ -1,4 +1,4 @@
-"""A bus within the process: who hears what, and whose turns run where."""
+"""A bus within the process: receivers of frames, and threads of turns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PING, PONG = CanFrame(0x80), CanFrame(0x181, b"\1")
 LONG_S = 60.0
 
 
-def test_everybody_else_hears_a_batch_in_order() -> None:
+def test_all_other_nodes_receive_a_batch_in_order() -> None:
     exchange = FrameExchange()
     sender, *others = (exchange.join() for _ in range(3))
     sender.send_all((PING, PONG))
@@ -76,7 +76,7 @@ def test_owner_makes_the_turns_once_the_others_are_gone() -> None:
     assert set(threads) == {owner.ident}
 
 
-def test_what_a_turn_raises_reaches_its_owner_and_not_its_host() -> None:
+def test_error_of_a_turn_reaches_its_owner_and_not_its_host() -> None:
     exchange = FrameExchange()
     guest, host = exchange.join(), exchange.join()
     raised: list[Exception] = []

@@ -67,7 +67,7 @@ def test_frames_count_the_same_alone_and_among_others(together: list[CanFrame]) 
 
 
 @pytest.mark.parametrize("is_fd", [False, True])
-def test_what_is_beyond_the_format_is_not_counted(is_fd: bool) -> None:
+def test_bytes_beyond_the_format_are_not_counted(is_fd: bool) -> None:
     most = 64 if is_fd else 8
     whole, more = (CanFrame(1 << 40 | 0x123, bytes(n), is_fd=is_fd) for n in (most, most + 300))
     assert wire_bits(more) == wire_bits(whole._replace(identifier=0x123))

@@ -1,7 +1,8 @@
-"""Masters on a bus that fails: they end by what is wrong with the bus, not by what follows."""
+"""Masters on a failing bus: their error names the cause, not a consequence."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from bus_schema.can.cansimple.codec import CanSimpleCodec
 from bus_schema.can.cansimple.protocol import CanSimpleMaster
 from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
+from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import BUS_OFF, CanFrame
 from bus_schema.can.master import CanMaster, DriveError, SilentDriveError
 from bus_schema.can.mit.codec import MitCodec, MitRanges
 from bus_schema.can.mit.protocol import MitMaster
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import load_robot
@@ -69,7 +72,7 @@ def read(master: CanMaster) -> bool:
 
 
 @pytest.mark.parametrize("build", [cia402, cansimple])
-def test_lost_bus_is_what_ends_enabling(build) -> None:
+def test_lost_bus_ends_enabling(build) -> None:
     booted = [CanFrame(0x700 + node, b"\0") for node in NODES]
     master = build(FrameBus(*booted, error=BusError("Network is down")))
     with pytest.raises(BusError, match="Network is down") as ended:
@@ -78,7 +81,7 @@ def test_lost_bus_is_what_ends_enabling(build) -> None:
 
 
 @pytest.mark.parametrize("build", [cia402, cansimple])
-def test_bus_off_is_told_when_it_is_read_and_expected_while_stopping(build) -> None:
+def test_bus_off_is_an_error_except_while_stopping(build) -> None:
     bus_off = CanFrame(BUS_OFF, is_error=True)
     master = build(FrameBus(bus_off))
     master.sample(0)
@@ -97,7 +100,7 @@ def test_bus_off_is_told_when_it_is_read_and_expected_while_stopping(build) -> N
         (cansimple, CanFrame(0x041, b"\0\0\0\0\x08\0\0\0")),  # closed-loop control
     ],
 )
-def test_drive_that_has_yet_to_answer_is_waited_for_until_it_is_given_up(build, powered) -> None:
+def test_master_waits_for_missing_drive_until_it_gives_up(build, powered) -> None:
     master = build(FrameBus(powered))
     master.sample(0)
     assert not read(master)
@@ -109,7 +112,7 @@ def test_drive_that_has_yet_to_answer_is_waited_for_until_it_is_given_up(build, 
     assert read(master)
 
 
-def test_answers_are_awaited_of_all_but_those_given_up() -> None:
+def test_master_awaits_no_drive_that_it_gave_up() -> None:
     bus = FrameBus(CanFrame(0x049, bytes(8)))  # estimates of node 2
     master = cansimple(bus)
     assert read(master)
@@ -148,18 +151,18 @@ def test_answers_are_awaited_of_all_but_those_given_up() -> None:
         (cansimple, [CanFrame(0x049, bytes(8)), CanFrame(0x123)], ""),
     ],
 )
-def test_who_else_acts_as_master_or_drive_is_named(
+def test_other_masters_and_drives_are_named(
     build: Callable[[FrameBus], CanMaster], frames: list[CanFrame], words: str
 ) -> None:
     master = build(FrameBus(*frames))
     master.sample(0)
     assert not read(master)
-    told = master.strangers()
-    assert words in told
-    assert bool(words) == bool(told)
+    sentence = master.strangers()
+    assert words in sentence
+    assert bool(words) == bool(sentence)
 
 
-def test_drives_that_are_late_at_the_start_are_waited_for_and_watched_from_then_on() -> None:
+def test_drives_may_be_late_at_the_start_only() -> None:
     bus = FrameBus()
     master = cia402(bus)
     master._start_timeout_ms = 5000.0  # as enabling with this time for the drives to come
@@ -176,7 +179,7 @@ def test_drives_that_are_late_at_the_start_are_waited_for_and_watched_from_then_
 FAULT_OF_1 = CanFrame(0x281, b"\x1f\x02\x0a\x00\x00")  # fault reaction active
 
 
-def test_one_silent_drive_is_named_before_what_followed_from_its_silence() -> None:
+def test_silent_drive_is_named_before_its_consequences() -> None:
     """The others got no torque for want of its state, and stopped for that."""
     bus = FrameBus()
     master = cia402(bus)
@@ -191,7 +194,7 @@ def test_one_silent_drive_is_named_before_what_followed_from_its_silence() -> No
 
 
 @pytest.mark.parametrize("nodes", [(), (1, 2, 3)])
-def test_where_all_drives_or_none_give_states_no_silence_of_one_is_the_cause(
+def test_silence_of_all_drives_or_none_is_no_cause(
     nodes: Sequence[int],
 ) -> None:
     bus = FrameBus()
@@ -204,3 +207,22 @@ def test_where_all_drives_or_none_give_states_no_silence_of_one_is_the_cause(
     with pytest.raises(DriveError, match=r"^drive 1: fault reaction active$") as ended:
         read(master)
     assert not ended.value.is_cause
+
+
+GAINS = DriveGains(True, np.array([20.0]), np.array([2.0]))
+
+
+@pytest.mark.parametrize(
+    ("codec", "state", "layout"),
+    [
+        (Cia402Codec([1], 1 << 20, np.ones(1), gains=GAINS), CanFrame(0x181, b"\1" * 8), "<xxi"),
+        (CanSimpleCodec([1], GAINS), CanFrame(0x029, struct.pack("<ff", 0.25, 0.5)), "<f"),
+    ],
+)
+def test_command_without_target_holds_the_last_reported_position(
+    codec: CanCodec, state: CanFrame, layout: str
+) -> None:
+    assert codec.read_state(state, np.zeros(1), np.zeros(1)) == 0
+    *_, command = codec.command_frames(np.zeros(1))
+    reported = struct.unpack_from(layout.replace("x", ""), state.data)
+    assert struct.unpack_from(layout, command.data) == reported

@@ -64,7 +64,7 @@ def test_datagrams_are_those_of_python_can(ours: CanBus, frame: CanFrame) -> Non
 
 
 @given(frames)
-def test_what_python_can_sends_is_understood(
+def test_frames_of_python_can_are_received(
     ours: CanBus, theirs: can.BusABC, frame: CanFrame
 ) -> None:
     theirs.send(message_of(frame))
@@ -90,7 +90,7 @@ def packed(**fields: object) -> bytes:
         pack_message(message_of(CanFrame(0x181, bytes(8))))[:-1],
     ],
 )  # fmt: skip
-def test_what_is_no_frame_is_passed_over(ours: CanBus, theirs: can.BusABC, datagram: bytes) -> None:
+def test_invalid_datagrams_are_ignored(ours: CanBus, theirs: can.BusABC, datagram: bytes) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
         stranger.sendto(datagram, (GROUP, PORT))

@@ -1,6 +1,7 @@
 """Where kernels are kept on machines that refuse the usual folder."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -85,3 +86,63 @@ def test_a_kernel_that_cannot_be_written_is_used_all_the_same(tmp_path: Path) ->
     output, errors = ran(tmp_path, LARGEST_FILE, XDG_CACHE_HOME=str(cache))
     assert output == "True\nTrue\n"
     assert [line.partition(" (")[0] for line in errors] == ["a compiled kernel cannot be stored"]
+
+
+@pytest.fixture(scope="module")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache with the kernel in it, made by us under umask 0."""
+    folder = tmp_path_factory.mktemp("made_once")
+    cache = folder / "cache"
+    output, errors = ran(folder, "import os; os.umask(0)\n", XDG_CACHE_HOME=str(cache))
+    assert output == "True\nTrue\n"
+    assert errors == []
+    return cache
+
+
+@pytest.fixture
+def cache(made_once: Path, tmp_path: Path) -> Path:
+    """A copy of it: to compile the kernel costs more than the rest of a test."""
+    return shutil.copytree(made_once, tmp_path / "cache")
+
+
+def test_cache_made_under_umask_0_is_closed_to_others_and_used_again(
+    cache: Path, tmp_path: Path
+) -> None:
+    folders = [cache, cache / "funnel-hil", cache / "funnel-hil" / "numba"]
+    assert [path.stat().st_mode & 0o077 for path in folders] == [0, 0, 0]
+    assert ran(tmp_path, XDG_CACHE_HOME=str(cache)) == ("True\nTrue\n", [])
+    assert kept(tmp_path) == 0
+
+
+@pytest.mark.parametrize(
+    ("by", "which"),
+    [
+        ("XDG_CACHE_HOME", "funnel-hil"),
+        ("XDG_CACHE_HOME", "funnel-hil/numba/*"),
+        ("NUMBA_CACHE_DIR", "funnel-hil"),
+        ("NUMBA_CACHE_DIR", "**/*all_finite*.nbi"),
+    ],
+)
+def test_cache_that_others_could_write_to_is_not_read(
+    cache: Path, tmp_path: Path, which: str, by: str
+) -> None:
+    for path in [cache, *cache.rglob("*")]:
+        path.chmod(0o755)
+    [changed] = cache.glob(which)
+    changed.chmod(0o777)
+    given = cache / "funnel-hil" if by == "NUMBA_CACHE_DIR" else cache
+    output, errors = ran(tmp_path, **{by: str(given)})
+    assert output == "True\nTrue\n"
+    assert len(errors) == 1
+    assert "others can write to it; remove it" in errors[0]
+    assert str(changed) in errors[0]
+    assert kept(tmp_path) == 1
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file to another user")
+def test_cache_of_another_user_is_not_read(cache: Path, tmp_path: Path) -> None:
+    [kernel] = cache.rglob("*all_finite*.nbi")
+    os.chown(kernel, 12345, -1)
+    _, errors = ran(tmp_path, XDG_CACHE_HOME=str(cache))
+    assert len(errors) == 1
+    assert "belongs to another user" in errors[0]

@@ -33,7 +33,8 @@ class Ear:
         self.node = ZenohNode(link, Role.RECORDER, lossless=True)
         self.mailbox = self.node.listen_to_all(MOST_BYTES, lossless=True)
         self.node.announce()
-        self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in topics.TOPICS}
+        recorded = (*topics.TOPICS, topics.REJECTED_COMMANDS)
+        self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in recorded}
 
     def take_all(self) -> None:
         for messages in iter(self.mailbox.take, None):
@@ -85,9 +86,11 @@ def exchange(
         plant.send_state(state(tick), status())
         controller.publish(topics.JOINT_COMMANDS, state(tick))
         assert plant.await_command(HANG_S)
-        plant.take_commands()
+        (arrival,) = plant.take_commands()
+        plant.note_commander(arrival.sender)
         plant.publish(topics.PLANT_TRUTH, b"truth %d" % tick)
         controller.publish(topics.CONTROL_STATUS, b"control %d" % tick)
+    plant.report()  # records the last command too
     for link, role in ((plant, Role.PLANT), (controller, Role.CONTROLLER)):
         link.publish(topics.RUN_EVENTS, ENDED[role])
     numbered = [(tick + 1, tick) for tick in ticks]

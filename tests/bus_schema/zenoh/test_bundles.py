@@ -122,7 +122,10 @@ def test_large_messages_do_not_wait_for_others() -> None:
 
 
 @pytest.mark.parametrize("is_announced", [False, True], ids=["without a token", "with a token"])
-def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced: bool) -> None:
+@pytest.mark.parametrize("is_rejected", [False, True], ids=["alone", "beside a commander"])
+def test_commands_of_strangers_come_as_the_plant_took_them_in(
+    is_announced: bool, is_rejected: bool
+) -> None:
     """Each once, the very first too, whether the recorder turns to topics for it or not."""
     with recorded_pair() as (plant, _controller, ear):
         ear.await_true(lambda: hears_bundles_alone(plant))
@@ -155,9 +158,13 @@ def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced: bool
             return len(taken) == 10
 
         ear.await_true(are_taken)
+        if is_rejected:
+            plant.note_commander(b"the controller")
+        plant.report()
         plant.publish(topics.RUN_EVENTS, ENDED[Role.PLANT])
-        ear.await_heard(topics.JOINT_COMMANDS, 10)  # the event may come by itself, before them
-        assert [payload for _, payload in ear.heard["joint_commands"]] == taken
+        topic = topics.REJECTED_COMMANDS if is_rejected else topics.JOINT_COMMANDS
+        ear.await_heard(topic, 10)  # the event may come by itself, before them
+        assert [payload for _, payload in ear.heard[topic.name]] == taken
         stranger.close()  # type: ignore[no-untyped-call]
 
 

@@ -96,6 +96,37 @@ def test_recorder_that_never_answers_is_abandoned_and_reported(
     ]
 
 
+def test_all_recorders_that_never_answer_cost_one_wait_and_later_ones_none(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    flow = FlowControl(patience_s=0.01)
+    for name in ("false", "also false", "false again"):
+        flow.join(name)
+    flow.send(TOO_MUCH, 1)
+    with caplog.at_level(logging.WARNING):
+        flow.await_recorders()
+        assert not must_wait(flow)
+        flow.join("late and false")
+        flow.send(TOO_MUCH, 2)
+        flow.await_recorders()
+    assert [message.split(",")[0] for message in caplog.messages] == [
+        "a recorder has recorded nothing for 0.01 s",
+        "a recorder has recorded nothing for 0 s",
+    ]
+
+
+def test_recorder_that_joined_just_now_is_not_abandoned_with_others() -> None:
+    flow = FlowControl(patience_s=0.01)
+    flow.join("false")
+    flow.send(TOO_MUCH, 1)
+    flow.join("genuine")
+    flow.await_recorders()
+    flow.acknowledge("genuine", 1)
+    flow.send(TOO_MUCH, 2)
+    flow.acknowledge("genuine", 1)
+    assert flow._recorders.keys() == {"genuine"}
+
+
 def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
     link, payload, batch, batches = fresh_link(), bytes(20_000), 32, 5
     assert batch * len(payload) > LARGEST_LEAD_BYTES

@@ -4,7 +4,7 @@ import numpy as np
 
 from bus_schema.drive_feedback import no_drive_feedback
 from controller.compensation.arm_belief import nominal_arm
-from controller.compensation.command_timeline import CommandFeedback
+from controller.compensation.command_timeline import CommandFeedback, HorizonSettings
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
 from controller.control_law import Tracking
@@ -27,7 +27,7 @@ _STEPS = 10
 
 def compensation_of(
     *, model=False, friction=False, drive=None, limits=LIMITS, bandwidth_rad_s=60.0, least_ns=0,
-    first_ns=0, rotors=None,
+    first_ns=0, rotors=None, horizon=None,
 ):  # fmt: skip
     """A compensation for the paper's arm, which by default learns nothing but a disturbance."""
     nominal, loaded = MODEL, LOADED
@@ -39,8 +39,7 @@ def compensation_of(
         identification(INERTIA, model=model, friction=friction, rotors=rotors is not None),
         drive or no_drive_feedback(3),
         observer_bandwidth_rad_s=bandwidth_rad_s,
-        least_horizon_ns=least_ns,
-        first_horizon_ns=first_ns,
+        horizon=horizon or HorizonSettings(least_ns=least_ns, first_ns=first_ns),
     )
 
 

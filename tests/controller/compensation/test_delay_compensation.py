@@ -13,7 +13,7 @@ from controller.compensation.command_timeline import (
     explains,
     no_commands,
     note,
-    observe_delay,
+    observe,
 )
 from controller.control_law import Tracking
 
@@ -176,13 +176,13 @@ def test_no_prediction_reaches_further_than_half_a_second():
 
 
 def test_timeline_forgets_only_what_is_no_longer_in_flight():
-    commands = no_commands(1, 0)
+    commands = no_commands(1)
     for number in range(1, CAPACITY + 100):
         note(commands, np.array([float(number)]), np.zeros((2, 1)), number, number * MS)
     now_ns = (CAPACITY + 100) * MS
     assert not explains(commands, 99, 0, now_ns)
     assert explains(commands, 100, 0, now_ns)
-    observe_delay(commands, CAPACITY, 50 * MS, now_ns)
+    observe(commands, CommandFeedback(CAPACITY, 50 * MS), now_ns, now_ns - MS)
     flight = ahead(commands, CAPACITY, now_ns)
     assert (flight.upcoming, flight.newest) == (CAPACITY + 50, CAPACITY + 99)
     assert (CAPACITY + 50) * MS + flight.delay_ns == now_ns
@@ -191,10 +191,11 @@ def test_timeline_forgets_only_what_is_no_longer_in_flight():
 @pytest.mark.parametrize(("jitter_ms", "upcoming"), [(0, 102), (1, 101)])
 def test_command_is_awaited_longer_where_delays_vary(jitter_ms, upcoming):
     """The next command is 1 ms overdue: lost if all took 5 ms, late if some took 6 ms."""
-    commands = no_commands(1, 0)
+    commands = no_commands(1)
     for number in range(1, 110):
         note(commands, np.zeros(1), np.zeros((2, 1)), number, number * MS)
     for number in range(1, 101):
         delay_ms = 5 + jitter_ms * (-1) ** number
-        observe_delay(commands, number, delay_ms * MS, (number + delay_ms) * MS)
+        now_ns = (number + delay_ms) * MS
+        observe(commands, CommandFeedback(number, delay_ms * MS), now_ns, now_ns - MS)
     assert ahead(commands, 100, (101 + 5 + 1) * MS).upcoming == upcoming

@@ -19,12 +19,24 @@ JOINTS = 3
 ROBOT = PAPER_ARM
 INERTIA = ManipulatorModel(ROBOT).governing_inertia(np.zeros((1, JOINTS)))
 NO_LIMITS = np.full(JOINTS, np.inf)
-SETTINGS = settings(max_examples=60)
+SETTINGS = settings(max_examples=25)
 all_laws = pytest.mark.parametrize("name", LAWS)
 laws_with_memory = pytest.mark.parametrize(
-    "name", ["fixed_time_neural", "fixed_time_adaptive", "pid"]
+    "name",
+    [
+        "fixed_time_neural",
+        "fixed_time_adaptive",
+        "pid",
+        "pid_gravity",
+        "computed_torque",
+        "super_twisting",
+        "time_delay_control",
+    ],
 )
-MODEL_BASED = ("fixed_time_model_based", "smc", "tsmc", "ftsmc")
+MODEL_BASED = (
+    "fixed_time_model_based", "smc", "tsmc", "ftsmc", "super_twisting", "computed_torque",
+    "slotine_li",
+)  # fmt: skip
 model_based_laws = pytest.mark.parametrize("name", MODEL_BASED)
 laws_with_a_switch = pytest.mark.parametrize("name", ["smc", "tsmc", "ftsmc"])
 
@@ -42,6 +54,12 @@ class DecoupledModel:
 
     def torque_along(self, position, velocity, along_velocity, acceleration):
         return self.inertia * acceleration
+
+    def inertial_parameters(self):
+        return self.inertia
+
+    def regressor(self, position, velocity, along_velocity, acceleration):
+        return np.diag(acceleration)
 
 
 @cache

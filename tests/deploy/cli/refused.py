@@ -96,7 +96,9 @@ REFUSED = [
           ("paper_arm", "clock=lockstep", "clock = 'lockstep': must be realtime"),
           ("paper_arm_can", "clock=realtime", "link.kind = 'can': must be zenoh"),
           ("paper_arm", "link.plant_endpoint=udp/127.0.0.1:7451", "must be tcp/ or"),
-          ("paper_arm", "link.router_endpoint=tcp/127.0.0.1:7447", "must be left out"))],
+          ("paper_arm", "link.router_endpoint=tcp/127.0.0.1:7447", "must be left out"),
+          ("paper_arm", "'link.uplink.pattern={shape: square, period_ms: 4}'",
+           "link.uplink.pattern = {'shape': 'square', 'period_ms': 4.0}: must be left out"))],
     ("relay nowhere 127.0.0.1:1 --delay 1", "", "'nowhere': must be HOST:PORT"),
     ("relay 127.0.0.1:1 127.0.0.1:2 --delay -1", "", "--delay -1: must be 0 to 1000 ms"),
     ("run --confirm --set clock=realtime", "", "clock = 'realtime': must be lockstep"),
@@ -129,6 +131,13 @@ REFUSED = [
     ("margin --workers 1 --scheduler tcp://127.0.0.1:1", "", "--workers", "--scheduler"),
     ("margin --plants 2 --uncertainty half", "", "values: is missing"),
     ("sweep delay_sweep --scheduler here", "--scheduler here: must be"),
+    ("margin --pattern some", "", "pattern", "'some'", "'any'"),
+    ("margin --pattern any --quantity loss", "", "pattern = 'any': must be left out for loss"),
+    ("margin --what-helps --plants 2 --uncertainty half --values 8", "", "what_helps = True"),
+    ("margin --pattern any --plants 2 --uncertainty half --values 8", "", "pattern = 'any'"),
+    ("margin --pattern any --set 'link.uplink.pattern={shape: falling, period_ms: 9}'", "",
+     "link.uplink.pattern = ", "must be given without pattern"),
+    ("margin paper_arm_can --laws pid --pattern any", "", "link.uplink = ", "delay_ms alone"),
     ("margin --quantity temperature", ""),
     ("margin --quantity robot.initial_offset_rad", ""),  # one per joint
     *[(f"drives paper_arm --set link.can.interface=virtual --fault {fault}",
@@ -176,6 +185,12 @@ NO_YAML = [
     ("[" * 100_000, f"(seed = 'line .*{DEEPER}|cannot be read as YAML: .*nesting depth)"),
     ("&a [*a]", r"seed = '\*a': must not contain itself"),
     ("true", "seed = True: must be a number, not true or false"),
+    ("yes", r"seed = True: must be a number, not true or false \(in YAML also yes, no, on, off\)"),
+    ("010", "seed = '010': must be a number without a leading 0, .* YAML reads it as 8"),
+    ("-0_10", "seed = '-0_10': must be a number without a leading 0, .* YAML reads it as -8"),
+    ("[1, 1:30]", "seed.1 = '1:30': must be a number without colons, .* YAML reads it as 90"),
+    ("1:30.5", "seed = '1:30.5': must be a number without colons, .* YAML reads it as 90.5"),
+    ("0o10", "seed = '0o10': must be a valid integer"),
 ]
 TYPOS = [
     # key as given, as far as it is known, what may have been meant

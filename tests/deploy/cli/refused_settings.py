@@ -13,8 +13,11 @@ PICK_UP, DROP = "kind: payload_picked_up", "{kind: payload_dropped, at_s: 1}"
 ACTUATOR, EXTERNAL = "plant.actuator", "controller.law=external & controller.external.command"
 PROCESS = "controller.process=[./my_controller]"
 FEEDBACK = "controller.drive_feedback.enabled=true"
+COMPENSATED = "controller.delay_compensation.enabled=true"
+BRIDGE = "controller.delay_compensation.bridge_ms"
 ONE_EACH = "each of the 3 joints"
 LONG_LINK = "must be without a change before the ramp ends at 3.0 s"
+SINUSOIDS = "reference={kind: joint_sinusoids, centre_rad: [0, 0.5, 0.5], terms:"
 SET = [
     # --set of `run paper_arm`, how the message goes on after "--set …: ", what else is in it
     ("link.plant_endpoint=tcp/1.2.3.4:7000", "link.plant_endpoint = "),
@@ -22,6 +25,12 @@ SET = [
     ("link.security.folder=keys", "link.security.folder = 'keys': must be an absolute path"),
     ("link.plant_endpoint=tls/127.0.0.1:7451", "", "link.security.enabled true"),
     ("reference.x.offset_m=9", "", "must stay within the arm's reach and joint limits"),
+    (f"{SINUSOIDS} [{{amplitude_rad: 0.5, frequency_rad_s: 3141.592653589793}}]}}",
+        "", "reference = '500 Hz'", "must be below half of rate_hz = 1000"),
+    (f"{SINUSOIDS} [{{amplitude_rad: 100, frequency_rad_s: 6283.185307179586}}]}}",
+        "", "reference = '1000 Hz'", "must be below half of rate_hz"),
+    (f"{SINUSOIDS} [{{amplitude_rad: 100, frequency_rad_s: 628.3185307179586}}]}}",
+     "", "must stay within the arm's reach and joint limits"),
     ("link.can.node_ids=3", "", ": must be a list of whole numbers"),
     ("robot.joints=elbow", "", ": must be a list of strings"),
     ("faults=1", "", ": must be a list of mappings of keys to values"),
@@ -69,6 +78,8 @@ SET = [
         ("{kind: gremlin, at_s: 1}", "faults.0.kind = 'gremlin': must be one of "),
         ("{at_s: 1}", "faults.0.kind: is missing"),
         (f"{{{CUT}: uplink}}", "faults.0.link_cut.at_s: is missing"),
+        ("{kind: clock_drift, ppm: 100, at_s: 1, for_s: 1}", "faults.0.clock_drift.for_s = 1"),
+        ("{kind: clock_drift, ppm: 1e6, at_s: 1}", "faults.0.clock_drift.ppm = '1e6': must be"),
         (f"{{{CUT}: up, at_s: 1}}", "'up': must be 'uplink' or 'downlink'"),
         (f"{{{CUT}: uplink, at_s: -1}}", "at_s = -1: must be greater than"),
         (f"{{{CUT}: uplink, at_s: 30}}", "faults.0.at_s = 30.0: below duration"),
@@ -112,9 +123,14 @@ TOGETHER = [
         (f"{PROCESS} & controller.delay_compensation.enabled=true", "must be left out or off"),
         (f"{PROCESS} & controller.torque_rate_limit_nm_s=5", "controller.torque_rate_limit_nm_s"),
         (f"{PROCESS} & controller.inference_jitter_ms=5", "controller.inference_jitter_ms = 5"),
+        (f"{PROCESS} & controller.first_inference_ms=5", "controller.first_inference_ms = 5"),
         ("controller.between_answers=linear & controller.every=5",
          "between_answers = 'linear': must be hold, unless controller.drive_feedback.enabled"),
         (f"controller.between_answers=linear & {FEEDBACK}", "controller.external.rows above 1 or"),
+        (f"{BRIDGE}=50", "bridge_ms = 50.0: must be 0 unless delay_compensation.enabled is true"),
+        (f"{BRIDGE}=50 & {COMPENSATED} & link.playout_ms=48", "with link.playout_ms auto"),
+        (f"{BRIDGE}=1000 & {COMPENSATED}", "bridge_ms = 1000.0: must be at most 999, as a command"),
+        (f"{BRIDGE}=920 & {COMPENSATED} & {FEEDBACK}", "bridge_ms = 920.0: must be at most 907"),
         (f"{PROCESS} & controller.every=201", "controller.every = 201: at most 200, else plant"),
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
     *[("paper_arm_can", setting, said) for setting, said in (
@@ -191,7 +207,7 @@ IMPOSSIBLE = [
         "at most mean_burst / (mean_burst + 1)",
     ),
     ("link.uplink.distribution_file", "a.txt", "'a.txt'", "unless distribution is 'empirical'"),
-    ("link.playout_ms", "-1", "-1", "greater than or equal to 0"),
+    ("link.playout_ms", "-1", "-1", "a number of ms, at least 0, or auto"),
     ("link.router_endpoint", "nowhere", "'nowhere'", "tcp/127.0.0.1:7451"),
     ("robot.urdf", "nowhere.urdf", "'nowhere.urdf'", "no such file"),
     ("robot.initial_offset_rad", "[0, 0, -2]", "[0.0, 0.0, -2.0]", "whose bound is 1.5 rad"),

@@ -14,6 +14,7 @@ from rich.console import Console
 from bus_schema.runtime import kernel_cache, realtime
 from deploy.cli.doctor import examine
 from deploy.cli.findings import Finding, show
+from plant_emulator.physics.engines import ENGINES
 
 WIDTH = 80
 
@@ -36,6 +37,7 @@ def bare_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     names = (realtime.SCHEDULER, realtime.MEMORY_LOCK, realtime.TIMER_SLACK)
     refused = [realtime.RealtimeSetting(name, False, "refused") for name in names]
     monkeypatch.setattr(realtime, "probe", lambda: refused)
+    monkeypatch.setattr(type(ENGINES["bullet"]), "is_installed", True)  # so it seems, until loaded
     monkeypatch.setattr(importlib.metadata, "version", not_installed)
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "create_server", refuse)
@@ -82,3 +84,10 @@ def test_doctor_lists_the_cost_of_every_missing_item() -> None:
     texts = shown_texts(rendered(list(findings.values())))
     assert all(without_blanks(findings[name].cost) in texts for name in missing | limited)
     assert "EAFNOSUPPORT" in findings["SocketCAN"].found
+
+
+def test_python_without_bullet_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(ENGINES["bullet"]), "is_installed", False)
+    (bullet,) = (finding for finding in examine() if finding.name == "Bullet")
+    assert (bullet.status, bullet.found) == ("limited", "pybullet is not installed")
+    assert "the engine of scenarios that name none is mujoco" in bullet.cost

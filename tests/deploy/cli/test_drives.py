@@ -43,7 +43,7 @@ def started(*options):
     return WarmProcess("drives", "paper_arm", *options)
 
 
-def test_a_client_in_another_process_hears_and_drives_them():
+def test_client_in_another_process_controls_them():
     port = free_port()
     process = started(*on_bus(port), "--verbose")
     network = canopen.Network()
@@ -62,8 +62,8 @@ def test_a_client_in_another_process_hears_and_drives_them():
     finally:
         network.disconnect()
         process.send_signal(signal.SIGINT)
-        said, _ = process.communicate()
-    assert process.returncode == 0, said  # without --duration this is how it ends
+        output, _ = process.communicate()
+    assert process.returncode == 0, output  # without --duration this is how it ends
     for words in (
         "cia402 drives 1, 2, 3 on udp_multicast",
         "node 2 heartbeat INITIALISING",
@@ -73,7 +73,7 @@ def test_a_client_in_another_process_hears_and_drives_them():
         "node 2: OPERATION_ENABLED",
         "frames received",
     ):
-        assert words in said, words
+        assert words in output, words
 
 
 def test_other_drives_on_the_bus_are_refused():
@@ -86,39 +86,43 @@ def test_other_drives_on_the_bus_are_refused():
             while not ask_drives(bus, protocol, CanConfiguration(), (1, 2, 3)):
                 assert time.monotonic() < give_up_s
         second = started(*place, "--duration", "1")
-        said, _ = second.communicate()
-        assert second.returncode == 2, said
-        assert "drives with addresses 1, 2, 3 answer on this bus" in " ".join(said.split())
+        output, _ = second.communicate()
+        assert second.returncode == 2, output
+        assert "drives with addresses 1, 2, 3 answer on this bus" in " ".join(output.split())
     finally:
         first.send_signal(signal.SIGINT)
         first.communicate()
 
 
-def test_it_ends_by_itself_after_a_fault_that_was_asked_for():
+def test_command_ends_after_its_duration_and_a_requested_fault():
     process = started(
         *on_bus(free_port()), "--duration", "0.3", "--set", "link.can.protocol=cansimple",
         "--fault", "over-temperature:2@100ms",
     )  # fmt: skip
-    said, _ = process.communicate()
-    assert process.returncode == 0, said
-    assert "over-temperature injected at node 2" in said
-    assert "node 2: IDLE, MOTOR_OVER_TEMP" in said
+    output, _ = process.communicate()
+    assert process.returncode == 0, output
+    assert "over-temperature injected at node 2" in output
+    assert "node 2: IDLE, MOTOR_OVER_TEMP" in output
 
 
-class Nowhere:
-    """A bus that nobody is on: what the monitor says is looked at, not what it sends."""
+class ScanningBus:
+    """A bus with a scan for all nodes."""
 
-    def send(self, frame): ...
+    def __init__(self):
+        self._nodes = iter(range(1, 128))
+
+    def receive(self, timeout_s):
+        return CanFrame(0x600 + next(self._nodes), b"\x40\x00\x10\x00\0\0\0\0")
 
 
 def test_a_scan_for_nodes_does_not_flood_the_terminal(capsys):
     setup = load_setup("paper_arm")
     can, robot = setup.scenario.link.can, setup.robot
-    monitor = BusMonitor(Nowhere(), MonotonicClock(), verbose=False)
-    monitor.bank = build_bank(can, robot, setup.scenario.plant, monitor.send)
-    for node_id in range(1, 128):
-        monitor.on_heard(CanFrame(0x600 + node_id, b"\x40\x00\x10\x00\0\0\0\0"))
-    said = capsys.readouterr().out.splitlines()
-    assert len(said) == 21
-    assert "SDO upload request 0x1000" in said[0]
-    assert "--verbose" in said[-1]
+    monitor = BusMonitor(ScanningBus(), MonotonicClock(), verbose=False)
+    monitor.describe = build_bank(can, robot, setup.scenario.plant, monitor.send).describe
+    for _ in range(127):
+        monitor.receive(0.0)
+    output = capsys.readouterr().out.splitlines()
+    assert len(output) == 21
+    assert "SDO upload request 0x1000" in output[0]
+    assert "--verbose" in output[-1]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,7 +12,7 @@ import pytest
 
 from bus_schema.configuration import ConfigurationError
 from controller.laws.custom import find_law
-from tests.warm_process import ROOT, cold, cold_python
+from tests.warm_process import HANG_S, ROOT, cold, cold_python
 
 SHORT = ("simulate", "paper_arm", "--set", "duration_s=0.05", "--set", "metrics.from_s=0")
 
@@ -74,3 +77,30 @@ def test_processes_that_get_our_path_find_our_packages_before_those_files(folder
 def test_law_in_a_file_called_like_a_package_of_ours_is_told_to_be_renamed(folder):
     with pytest.raises(ConfigurationError, match="funnel-hil has a module of that name: rename"):
         find_law("controller:Law")
+
+
+def test_simulation_with_closed_standard_streams_ends_with_its_own_exit_code(
+    tmp_path: Path,
+) -> None:
+    words = [sys.executable, "-m", "deploy.cli", *SHORT, "--out", str(tmp_path / "run")]
+    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *words]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(closed, env=environment, check=False, timeout=HANG_S)
+    assert done.returncode == 0
+    assert (tmp_path / "run" / "summary.json").is_file()
+
+
+def test_terminal_of_size_zero_shows_the_same_as_one_of_unknown_size() -> None:
+    assert (
+        cold("scenarios", COLUMNS="0", LINES="0").stdout == cold("scenarios", COLUMNS="80").stdout
+    )
+
+
+def test_kernels_are_compiled_where_numba_is_told_not_to_compile(tmp_path: Path) -> None:
+    found = []
+    for disabled in ("0", "1"):
+        out = tmp_path / disabled
+        done = cold(*SHORT, "--no-report", "--out", str(out), NUMBA_DISABLE_JIT=disabled)
+        assert done.returncode == 0, done.stderr
+        found.append(json.loads((out / "summary.json").read_text())["digest"])
+    assert found[0] == found[1]

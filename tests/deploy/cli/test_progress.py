@@ -50,7 +50,7 @@ def test_the_speed_of_runs_is_that_of_all_that_this_command_did(console, monkeyp
     monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
     with CommandProgress(console, "study", 8, "runs") as progress:
         counter = RunCounter(progress)
-        for now_s[0], before in ((10.0, True), (11.0, False), (12.0, True), (14.0, False)):
+        for now_s[0], before in ((10.0, True), (12.0, False), (13.0, True), (14.0, False)):
             counter.done({"error": None}, 8, before)
     assert lines(console)[-1] == "4 of 8 runs, 0.5 runs/s, 8 s left, 2 runs were there from before"
 
@@ -143,3 +143,21 @@ def test_report_is_loaded_once_the_plant_has_ended(monkeypatch):
     assert loaded.acquire(timeout=HANG_S)
     assert not loaded.acquire(blocking=False)
     assert shown == [*early, *results]
+
+
+def test_time_left_is_shown_once_the_speed_is_steady(console, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
+    with CommandProgress(console, "study", 284, "runs") as progress:
+        for done in range(1, 285):
+            now_s[0] += 0.75 if done < 20 else 1.5  # the first runs are short
+            progress.update(done)
+    left_s = [
+        (int(line.split()[0]), int(found[1]))
+        for line in lines(console)
+        if (found := re.search(r"(\d+) s left", line))
+    ]
+    assert min(left_s)[0] >= 28  # not at 5 of 284
+    assert len(left_s) > 50
+    for done, said_s in left_s:
+        assert abs(said_s - 1.5 * (284 - done)) < 0.25 * 1.5 * (284 - done) + 1

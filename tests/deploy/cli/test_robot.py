@@ -8,7 +8,9 @@ from deploy.cli.commands import app
 from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from tests.arms import INSTALLED, PAPER_ARM, needs_pybullet_data
+from funnel_hil import Scenario
+from tests.arms import INSTALLED, PAPER_ARM, needs_bullet, needs_pybullet_data
+from tests.bus_schema.urdf.test_chains import TWO_ARMS
 
 XACRO = """<robot name="test" xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:property name="length" value="0.4"/>
@@ -94,21 +96,76 @@ def test_what_xacro_refuses_is_told_by_file(folder):
         load_setup(str(folder / "test.yaml"))
 
 
+@pytest.fixture
+def two_kinds(folder):
+    """An arm that needs an argument, and a package that lies elsewhere."""
+    arm = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
+    text = arm.read_text().replace("2 * 1.5", "load_yaml(file).m")
+    file = '<xacro:property name="file" value="$(find masses)/$(arg kind).yaml"/>'
+    arm.write_text(text.replace("<xacro:property", f"{file}<xacro:property", 1))
+    masses = folder / "elsewhere" / "masses_of_arms"
+    masses.mkdir(parents=True)
+    (masses / "package.xml").write_text("<package><name>masses</name></package>")
+    (masses / "heavy.yaml").write_text("m: 5")
+    return arm
+
+
+def test_arguments_and_folders_are_kept_in_the_scenario_that_is_written(
+    folder, two_kinds, funnel_hil, monkeypatch
+):
+    monkeypatch.chdir(folder)
+    include = ["--include", folder / "elsewhere"]
+    code, said = funnel_hil("robot", two_kinds, *include)
+    assert code == 2
+    assert "kind:=… gives it" in said
+    written = ["--scenario", "--out", "a.yaml"]
+    code, said = funnel_hil("robot", two_kinds, "kind:=heavy", *include, *written)
+    assert code == 0, said
+    setup = load_setup("a.yaml", ["duration_s=0.05"])
+    assert setup.governing_inertia_kg_m2[0] == pytest.approx(5 * 0.2**2 + 0.04 + 0.008 * 5)
+    code, said = funnel_hil("simulate", "a.yaml", "--set", "duration_s=0.05", "--out", "run")
+    assert code == 0, said
+    copy = load_setup("run/scenario.yaml")  # with the arm as it was read
+    assert copy.robot.reading == {}
+    assert copy.governing_inertia_kg_m2[0] == setup.governing_inertia_kg_m2[0]
+
+
+def test_arguments_follow_an_arm_wherever_one_is_given(folder, two_kinds, funnel_hil, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(folder))
+    two_kinds.write_text(two_kinds.read_text().replace('effort="5"', 'effort="50"'))
+    options = ["--duration", "0.1", "--limit", "4", "--resolution", "4", "--workers", "1"]
+    code, said = funnel_hil("margin", two_kinds, "kind:=heavy", *options, "--out", folder / "m")
+    assert code == 0, said
+    assert Scenario(f"{two_kinds} kind:=heavy").joint_names == ("hinge",)
+    code, said = funnel_hil("robot", PAPER_ARM.path, "kind:=heavy")
+    assert code == 2
+    text = SCENARIO.replace("urdf: some", "xacro: {kind: heavy}, urdf: some")
+    (folder / "test.yaml").write_text(text)
+    assert load_setup(str(folder / "test.yaml")).robot.reading["xacro"] == {"kind": "heavy"}
+    with pytest.raises(ScenarioError, match=r"kind:=heavy: only a \.xacro file has arguments"):
+        load_setup(str(folder / "test.yaml"), ["robot.urdf=paper_arm"])
+
+
 def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
     picture = tmp_path / "arm.png"
     arguments = ["robot", "panda", *(["--picture", str(picture)] if "bullet" in INSTALLED else [])]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
-    for text in ("7 driven joints", "7 panda_joint7", "12 N m", "panda_finger_joint1", "held",
+    for text in ("7 driven joints", "7 panda_joint7", "governing, for gains", "M_ii, others held",
+                 "12 N m", "panda_finger_joint1", "held",
                  "finger", "Gains of fixed_time_adaptive", "k_1", "closes to 0.01"):  # fmt: skip
         assert text in result.output
     assert "bullet" not in INSTALLED or picture.read_bytes().startswith(b"\x89PNG")
 
 
 @needs_pybullet_data
-def test_robot_shows_followers_slides_and_warnings():
+def test_robot_shows_grippers_slides_and_warnings():
     for name, texts in {
-        "xarm/xarm6_with_gripper.urdf": ("follows drive_joint", "triangle rule by 0.74 %"),
+        "xarm/xarm6_with_gripper.urdf": (
+            "drive_joint",
+            "others mimic it",
+            "triangle rule by 0.74 %",
+        ),
         "cartpole.urdf": ("slides", "UNLIMITED"),
     }.items():
         arguments = ["robot", f"pybullet_data:{name}"]
@@ -118,6 +175,23 @@ def test_robot_shows_followers_slides_and_warnings():
             assert text in result.output
 
 
+def test_one_chain_of_a_robot_is_driven_and_written(folder, funnel_hil, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "robot.urdf").write_text(TWO_ARMS)
+    code, said = funnel_hil("robot", "robot.urdf", "--chain", "left")
+    assert code == 0, said
+    code, said = funnel_hil("robot", "robot.urdf")
+    assert "Chains: --chain TIP drives one and holds the rest" in said
+    written = ["--chain", "right_two_link", "--scenario", "--out", "right.yaml"]
+    code, said = funnel_hil("robot", "robot.urdf", *written)
+    assert code == 0, said
+    assert load_setup("right.yaml").robot.joint_names == ("right_one", "right_two")
+    code, said = funnel_hil("robot", "robot.urdf", "--chain", "foot")
+    assert code == 2
+    assert "--chain foot: must be a link" in said
+
+
+@needs_bullet
 def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil):
     mesh = "a.dae"
     (tmp_path / mesh).write_text("<COLLADA/>")

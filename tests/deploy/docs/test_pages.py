@@ -14,6 +14,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import _keys, _sections
 from deploy.scenario.scenario import SHIPPED, load_setup
+from deploy.scenario.xacro_arguments import join_arguments
 from deploy.study.robustness import margin_study
 from deploy.study.sweep import load_sweep
 from tests.deploy.docs.pages import DOCS, PAGES, block, blocks, commands
@@ -119,7 +120,7 @@ def test_commands_and_keys_of_a_page_exist(page):
             assert words[1] in COMMANDS
             # It raises if an option does not exist, or takes another kind of value.
             arguments = [word for word in words[2:] if word != "&"]
-            LazyCommand(words[1]).load().make_context(words[1], arguments)
+            LazyCommand(words[1]).load().make_context(words[1], join_arguments(arguments))
     for key in re.findall(r"--set '?([a-z_][\w.]*)=", page.read_text()):
         assert key in KEYS or key.startswith(("controller.gains.", "dotted.key")), key
 

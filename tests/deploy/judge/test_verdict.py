@@ -192,3 +192,18 @@ def test_what_ended_a_run_is_in_its_recording(simulation, tmp_path, is_partial):
     assert summary["verdict"] == "faulted"
     assert summary["faults"] == ["the controller was killed 2 times"]
     assert summary["digest"] == summarise(simulation.data())["digest"] or is_partial
+
+
+@pytest.mark.parametrize(
+    ("delay_ms", "verdict"), [(60, "nothing"), (50, "nothing"), (49, "kept"), (0, "kept")]
+)
+def test_run_in_which_no_command_acted_shows_nothing(delay_ms, verdict):
+    """A command that comes into force at the last tick moves nothing."""
+    words = ["duration_s=0.05", "metrics.from_s=0", f"link.downlink.delay_ms={delay_ms}"]
+    run = simulate(load_setup("paper_arm", words)).data()
+    summary = summarise(run)
+    assert (summary["verdict"], summary["completed"], summary["bounds"]["kept"]) == (
+        verdict, True, verdict == "kept",
+    )  # fmt: skip
+    head = verdict_on_run(run, summary)
+    assert head.headline.startswith("No command ever acted") is (verdict == "nothing")

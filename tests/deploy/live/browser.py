@@ -21,7 +21,8 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 _FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--no-first-run", "--remote-debugging-port=0",
-    "--window-size=1400,1400",
+    "--window-size=1400,1400", "--disable-quic", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 _MOST_BYTES = 1 << 27
 

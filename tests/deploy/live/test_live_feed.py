@@ -188,6 +188,18 @@ def test_a_folder_that_others_remove_meanwhile_is_made_again(folder, tmp_path, m
     feed.close()
 
 
+def test_folders_that_others_keep_beside_the_sockets_stay(folder, receiver, tmp_path):
+    kernels = folder / "numba"
+    kernels.mkdir(parents=True)
+    folder.chmod(0o700)
+    feed = LiveFeed(ENDPOINT, tmp_path / "scenario.yaml", NAMES)
+    meet(feed, receiver)
+    assert receiver.scenario == tmp_path / "scenario.yaml"
+    feed.close()
+    clear_left_behind()
+    assert kernels.is_dir()
+
+
 def test_a_folder_that_others_can_enter_is_not_used(folder):
     folder.mkdir()
     folder.chmod(0o755)

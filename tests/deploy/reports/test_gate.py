@@ -6,11 +6,23 @@ import json
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
+from multiprocessing import get_context
 
 import pytest
 
 import funnel_hil as interface
-from deploy.reports.gate import Entry, Gate, Gauged, build_gate, gauged, since_when
+from deploy.reports.gate import (
+    Entry,
+    Gate,
+    build_gate,
+    locked_history,
+    read_history,
+    since_when,
+    write_history,
+    write_junit,
+    write_markdown,
+)  # fmt: skip
+from deploy.reports.gate_numbers import Gauged, gauged
 from deploy.scenario.yaml_files import ScenarioError
 from tests.warm_process import ROOT
 
@@ -69,7 +81,10 @@ def test_sentence_names_what_fell_by_how_much_and_since_when():
         (["margin", "--at-least", "20%"], "unit '%': must be ms"),
         (["margin", "--at-least", "much"], "--at-least 'much': must be a number"),
         (["sweep", "delay_sweep", "--tolerance", "1%"], "needs --baseline"),
-        (["compare", "--baseline", "nowhere.json"], "must be summary.json of a run or study"),
+        (
+            ["compare", "--baseline", "nowhere.json"],
+            "nowhere.json: No such file or directory: must be",
+        ),
     ],
 )
 def test_gate_that_fits_no_result_is_refused_before_anything_runs(
@@ -144,3 +159,113 @@ def test_number_without_unit_and_unit_of_tolerance_must_agree(tmp_path):
     (tmp_path / "summary.json").write_text("{}")
     with pytest.raises(ScenarioError, match="must have the unit of --at-least, ms"):
         build_gate("20ms", tmp_path, "1%")
+
+
+MARGIN = json.loads((EXAMPLE / "baseline.json").read_text())
+(CASE,) = MARGIN["cases"]
+RUN = {"scenario": "a", "law": "b", "verdict": "kept", "completed": True,
+       "bounds": {"margin_min": 0.5}}  # fmt: skip
+POINT = {"values": [1], "runs": 1, "runs_kept": 1, "margin_min": {"lowest": 0.1}}
+MALFORMED = {
+    "empty": ("", "Invalid JSON"),
+    "no JSON": ("{", "Invalid JSON"),
+    "a list": ("[]", "must be summary.json"),
+    "deep": ("[" * 100_000, "recursion limit"),
+    "binary": (b"\xff\xfe", "no text in UTF-8"),
+    "another kind": ({"kind": "diff"}, "'diff'"),
+    "kind of a wrong type": ({"kind": []}, "must be summary.json"),
+    "nothing": ({}, "scenario"),
+    "no bounds": ({**RUN, "bounds": None}, "bounds"),
+    "margin is text": ({**RUN, "bounds": {"margin_min": "0.5"}}, "bounds.margin_min"),
+    "margin is NaN": (json.dumps({**RUN, "bounds": {"margin_min": float("nan")}}), "margin_min"),
+    "unfinished": ({**RUN, "completed": False}, "is unfinished"),
+    "no cases": ({**MARGIN, "cases": []}, "cases"),
+    "cases are numbers": ({**MARGIN, "cases": [1]}, "cases.0"),
+    "margin of a study is NaN": (
+        json.dumps({**MARGIN, "cases": [{**CASE, "margin": float("nan")}]}), "cases.0.margin"
+    ),
+    "no margin": ({**MARGIN, "cases": [{k: v for k, v in CASE.items() if k != "margin"}]},
+                  "margin is missing"),
+    "unfinished study": ({**MARGIN, "completed": False}, "is unfinished"),
+    "laws are a list": ({"kind": "comparison", "laws": []}, "laws"),
+    "sweep without points": ({"kind": "sweep", "axes": [], "points": []}, "points"),
+    "too many values": ({"kind": "sweep", "axes": [], "points": [POINT]}, "for each of axes"),
+    "margin of another quantity": ({**MARGIN, "quantity": "jitter"}, "of jitter: must be of"),
+    "run for a margin": (RUN, "is a result of runs: must be of margin of delay"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "said"), MALFORMED.values(), ids=MALFORMED)
+def test_unusable_baseline_is_refused_with_its_reason(content, said, tmp_path, funnel_hil):
+    file = tmp_path / "baseline.json"
+    content = json.dumps(content) if isinstance(content, dict) else content
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    code, output = funnel_hil("margin", "--baseline", file, "--out", tmp_path / "out")
+    assert code == 2, output
+    assert output.startswith("error: --baseline")
+    assert said in output
+    assert len(output) < 700
+    assert not (tmp_path / "out").exists()
+
+
+def test_margin_is_not_compared_with_a_sweep_of_the_same_unit(tmp_path, funnel_hil):
+    sweep = {"kind": "sweep", "axes": [{"keys": ["seed"]}], "points": [POINT]}
+    (tmp_path / "summary.json").write_text(json.dumps(sweep))
+    code, output = funnel_hil("simulate", "--baseline", tmp_path, "--out", tmp_path / "out")
+    assert code == 2
+    assert "is a result of sweep: must be of runs" in output
+
+
+def test_nan_passes_no_gate():
+    nan = delay(float("nan"))
+    assert Gate(at_least=0.0).failures([nan])
+    assert Gate(baseline={"arm, law": delay(1.0)}, tolerance=1e9).failures([nan])
+    assert Gate(baseline={"arm, law": nan}).failures([delay(1.0)])
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (b'{"commit": "a", "time": "", "values": {"x": NaN}}', "line 1: must be an entry"),
+        (b'{"commit": "a", "time": "", "values": {"x": "1"}}', "line 1: must be an entry"),
+        (b"\xff", "no text in UTF-8"),
+        (b"[" * 100_000, "line 1: must be an entry"),
+    ],
+)
+def test_unusable_history_is_refused_before_anything_runs(line, said, tmp_path, funnel_hil):
+    (tmp_path / "history.jsonl").write_bytes(line)
+    code, output = funnel_hil("simulate", "--history", tmp_path, "--out", tmp_path / "out")
+    assert code == 2
+    assert said in output
+    code, output = funnel_hil("simulate", "--history", tmp_path / "history.jsonl")
+    assert code == 2
+    assert "must be a folder" in output
+
+
+def test_commands_at_once_each_leave_an_entry(tmp_path):
+    def append(number):
+        with locked_history(tmp_path / "history") as entries:
+            entries.append(Entry(str(number), "", {"arm, law": 1.0}))
+            write_history(tmp_path / "history", "margin", entries, "ms")
+
+    processes = [get_context("fork").Process(target=append, args=(each,)) for each in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 4
+    commits = [entry.commit for entry in read_history(tmp_path / "history")]
+    assert sorted(commits) == ["0", "1", "2", "3"]
+
+
+HOSTILE = "a|b\n\x1b]0;title\x07\x1b[31mred\x00\x0b\ud800\uffff: [bold]c"
+
+
+def test_files_for_ci_can_be_read_with_any_name(tmp_path):
+    failures = {HOSTILE: f"{HOSTILE}: fell"}
+    write_junit(tmp_path / "j.xml", [delay(1.0, HOSTILE)], failures)
+    case = ET.parse(tmp_path / "j.xml").getroot().find("testcase")
+    assert case.get("name") == "a|b\nred\ufffd\ufffd\\ud800\ufffd: [bold]c"
+    write_markdown(tmp_path / "m.md", [delay(1.0, HOSTILE)], failures)
+    *_, row = (tmp_path / "m.md").read_text().splitlines()
+    assert row == "| a\\|b red\ufffd\ufffd\\ud800\ufffd: [bold]c | 1 ms | fell |"

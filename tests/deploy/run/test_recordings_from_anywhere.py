@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from bus_schema.messages.run_event import EventKind, RunEvent
@@ -21,10 +20,12 @@ from deploy.judge.bounds import judge_bounds
 from deploy.judge.metrics import summarise
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.reported_values import reported_values
+from deploy.live.figures import live_figures
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.damage import damage_at, rewrite
 from tests.deploy.own_laws import own_law as own_law_in
 
 TELLTALE = Path("imported")
@@ -81,15 +82,8 @@ def lost_in_the_middle(folder):
     short_run(
         "duration_s=0.7", "robot.initial_offset_rad=0", f"plant.disturbance.terms=[{push}]"
     ).write_log(file)
-    with file.open("rb") as stream:
-        chunks = make_reader(stream).get_summary().chunk_indexes
-    (chunk,) = (
-        each for each in chunks if each.message_start_time < 25 * 10**7 < each.message_end_time
-    )
-    changed = bytearray(file.read_bytes())
-    changed[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
     assert judge_bounds(load_run(file)[0])["violation_fraction"] > 0.0
-    file.write_bytes(changed)
+    damage_at(file, 25 * 10**7)
     return folder
 
 
@@ -192,3 +186,80 @@ def test_summary_says_what_one_commander_is_worth():
     on_a_bus = summarise(replace(data, link="zenoh"))["commander"]
     assert on_a_bus["authenticated"] is False
     assert "link.security" in on_a_bus["note"]
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    file = tmp_path_factory.mktemp("sound") / "run.mcap"
+    short_run().write_log(file)
+    return file
+
+
+TWIST = ("geometry_msgs/msg/Twist", b"float64 x")
+REWRITTEN = {
+    "doubled": ({"copies": lambda _: 2}, "its recorder wrote"),
+    "two in one": ({"times": 2}, "of the true motion repeat a time or go back"),
+    "states doubled": ({"copies": lambda topic: 1 + (topic == "/joint_states")}, "messages, but"),
+    "without events": ({"copies": lambda topic: topic != "/run_events"}, "end of the plant"),
+    "without commands": ({"copies": lambda topic: topic != "/joint_commands"}, "messages, but"),
+    "foreign type": ({"schemas": {"/joint_states": TWIST}}, "/joint_states are geometry_msgs"),
+    "foreign truth": ({"schemas": {"/plant_truth": TWIST}}, "/plant_truth are geometry_msgs"),
+    "foreign fields": (
+        {"schemas": {"/joint_commands": ("sensor_msgs/msg/JointState", b"float64 x")}},
+        "sensor_msgs/msg/JointState are from another version",
+    ),
+    "no number": (
+        {"metadata": {"rejected": {"second_plant": "x"}}},
+        "its metadata rejected: second_plant = 'x': must be a whole number",
+    ),
+    "negative": ({"metadata": {"lost": {"plant_truth": "-1"}}}, "its metadata lost: plant_truth"),
+    "forged": ({"metadata": {"rejected": {"second_plant": "1"}}}, "second_plant: 1"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), REWRITTEN.values(), ids=REWRITTEN)
+def test_rewritten_recording_is_damaged_in_every_command(change, said, sound, folder):
+    rewrite(sound, folder / "run.mcap", **change)
+    code, output, error = left(report, folder)
+    assert code == 1, (output, error)
+    assert said in " ".join(output.split())
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["verdict"] in ("unknown", "nothing")
+    assert not summary["completed"]
+    assert any(said in each for each in summary["recording"]["damage"])
+    assert (folder / "report.html").is_file()
+    for command in (replay, lambda run: export(Path(run), csv=True)):
+        code, output, error = left(command, folder)
+        assert code == 1, (output, error)
+
+
+def test_recording_written_again_without_a_change_is_as_before(sound, folder):
+    none_rejected = {"rejected": {"second_plant": "0"}}
+    rewrite(sound, folder / "run.mcap", metadata=none_rejected)
+    assert left(report, folder)[0] == 0
+    again = json.loads((folder / "summary.json").read_text())
+    assert again["digest"] == load_run(sound)[0].digest
+    assert again["verdict"] == "kept"
+
+
+def test_foreign_messages_are_not_decoded(sound, folder):
+    rewrite(sound, folder / "run.mcap", schemas={"/joint_states": TWIST})
+    data, contents = load_run(folder)
+    assert "joint_states" not in contents.payloads
+    assert len(data.tables["joint_states"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "overrides"),
+    [
+        ("time_s,delay_ms\n0,1\n1,2\n", ["link.uplink.trace.file={}"]),
+        ("1\n2\n", ["link.downlink.distribution=empirical", "link.downlink.distribution_file={}"]),
+    ],
+)
+def test_files_of_a_recording_can_be_read_as_long_as_its_setup_is_used(text, overrides, folder):
+    given = folder / "given.csv"
+    given.write_text(text)
+    short_run(*(each.format(given) for each in overrides)).write_log(folder / "run.mcap")
+    given.unlink()
+    data, _ = load_run(folder)
+    assert live_figures(data.setup)["age"]["data"]  # as `view` draws them

@@ -9,7 +9,8 @@ import signal
 import pytest
 
 from deploy.reports import run_reports
-from deploy.run.new_folder import FolderLock
+from deploy.run.new_folder import FolderLock, new_folder
+from deploy.study import dask_workers
 
 SHORT = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
 COMMANDS = {
@@ -21,6 +22,13 @@ COMMANDS = {
 }
 
 
+@pytest.fixture
+def no_workers(monkeypatch):
+    """Workers that would start fail the test."""
+    monkeypatch.setattr(dask_workers, "LocalCluster", lambda **_: pytest.fail("workers started"))
+
+
+@pytest.mark.usefixtures("no_workers")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_folder_with_results_is_refused(funnel_hil, tmp_path, command):
     (tmp_path / "summary.json").write_text("precious")
@@ -46,6 +54,7 @@ def test_results_are_overwritten_where_that_is_asked_for(funnel_hil, tmp_path, c
     assert (tmp_path / "study.yaml").exists() == (command == "compare")  # its own
 
 
+@pytest.mark.usefixtures("no_workers")
 def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in COMMANDS.values():
@@ -55,6 +64,7 @@ def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("no_workers")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_two_commands_in_one_folder_are_refused(funnel_hil, tmp_path, command):
     lock = FolderLock(tmp_path)
@@ -83,6 +93,29 @@ def test_file_that_the_disk_does_not_take_is_named(funnel_hil, tmp_path):
     assert not summary["completed"]
     assert "report.html" in summary["faults"][0]
     assert not (tmp_path / "report.html").exists()
+
+
+def test_old_results_stay_where_new_ones_have_no_room(funnel_hil, tmp_path, request):
+    words = (*COMMANDS["simulate"], "--no-report", "--out", tmp_path)
+    assert funnel_hil(*words)[0] == 0
+    old = (tmp_path / "run.mcap").read_bytes()
+    request.getfixturevalue("no_large_files")
+    code, output = funnel_hil(*words, "--overwrite")
+    assert code == 2
+    assert "the old results are kept, because there is no room for 10 MB" in " ".join(
+        output.split()
+    )
+    assert (tmp_path / "run.mcap").read_bytes() == old
+
+
+@pytest.mark.parametrize("kind", [None, "run", "identify"])
+def test_overwrite_removes_the_files_of_identify_only_where_it_wrote(tmp_path, kind):
+    (tmp_path / "robot.urdf").write_text("an arm")
+    if kind is not None:
+        (tmp_path / "summary.json").write_text(json.dumps({"kind": kind}))
+    new_folder("x", tmp_path, overwrite=True)
+    assert (tmp_path / "robot.urdf").exists() == (kind != "identify")
+    assert not (tmp_path / "summary.json").exists()
 
 
 @pytest.mark.usefixtures("heeded_signals")

@@ -40,9 +40,9 @@ def healthy():
 
 # What becomes of the run: exit code, and whether the arm is stopped.
 RIDES_THROUGH = {
-    "actuator_dead", "actuator_weak", "downlink_duplicated", "encoder_biased", "encoder_noisy",
-    "encoder_stuck", "payload_dropped", "payload_picked_up", "second_commander", "torque_offset",
-    "uplink_corrupted", "uplink_cut", "uplink_duplicated", "uplink_slowed",
+    "actuator_dead", "actuator_weak", "clock_drift", "downlink_duplicated", "encoder_biased",
+    "encoder_noisy", "encoder_stuck", "payload_dropped", "payload_picked_up", "second_commander",
+    "torque_offset", "uplink_corrupted", "uplink_cut", "uplink_duplicated", "uplink_slowed",
 }  # fmt: skip
 # What the plant counts: direction, reason (or what became of it), number.
 COUNTED = {
@@ -197,6 +197,25 @@ def test_leap_of_a_clock_that_is_short_is_survived():
     # The controller takes what comes after for late, and keeps the torque in force for 0.4 s.
     rejected = summarise(run)["transport"]["downlink"]["rejected"]
     assert rejected == {"from_the_future": 100}
+
+
+@pytest.mark.parametrize("ppm", [100, -100, 33.3, -33.3, 100_000, -100_000])
+def test_drifting_clock_loses_no_command_and_shifts_the_motion(ppm):
+    """The controller follows its reference ahead of the plant's time, by ppm of the time."""
+    fault = f"faults=[{{kind: clock_drift, ppm: {ppm}, at_s: 0.5}}]"
+    run = simulate(load_setup("paper_arm", ["duration_s=2", fault])).data()
+    assert run.faults() == []
+    assert summarise(run)["transport"]["downlink"]["rejected"] == {}
+    stamps_s = run.times_s(topics.JOINT_STATES)
+    assert stamps_s[-1] - 1.999 == pytest.approx(1e-6 * ppm * 1.499, abs=2e-9)
+    age_ns = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"][1:]
+    assert (np.abs(age_ns - 1_000_000) <= 1).all()
+
+
+def test_drift_of_100_ppm_is_two_ticks_after_20_s():
+    drift = "faults=[{kind: clock_drift, ppm: 100, at_s: 0}]"
+    run = simulate(load_setup("paper_arm", ["duration_s=20.001", drift])).data()
+    assert run.times_s(topics.JOINT_STATES)[-1] == pytest.approx(20.0 + 0.002)
 
 
 @pytest.mark.parametrize(

@@ -140,3 +140,20 @@ def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> Non
     assert "ref.csv" in said
     assert "line 8, column shoulder.position_rad = 'NaN': must be a finite number" in said
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(("hz", "is_taken"), [(100.0, True), (1000.0, False)])
+def test_motion_that_no_tick_shows_is_refused(hz: float, is_taken: bool, tmp_path: Path) -> None:
+    """At 1 kHz, ticks see the zeros of a sine of 1 kHz; of 0.2 mrad at 100 Hz, they see enough."""
+    amplitude_rad = 2e-4 if is_taken else 0.05
+    times_s = [0.00025 * row for row in range(1300)]
+    angles = (amplitude_rad * math.sin(2.0 * math.pi * hz * time_s) for time_s in times_s)
+    names = [f"{joint}.position_rad" for joint in ("base_yaw", "shoulder", "elbow")]
+    rows = [f"{time_s:.6f},{q:.9f},0.2,0.3" for time_s, q in zip(times_s, angles, strict=True)]
+    (path := tmp_path / "fast.csv").write_text("\n".join([",".join(["time_s", *names]), *rows, ""]))
+    overrides = [*SHORT, from_file(path), "robot.initial_offset_rad=0"]
+    if is_taken:
+        load_setup("paper_arm", overrides)
+    else:
+        with pytest.raises(ScenarioError, match="must move less between two ticks"):
+            load_setup("paper_arm", overrides)

@@ -127,3 +127,18 @@ def test_path_that_is_set_starts_in_current_folder(
         setup = load_setup(scenario, [setting, "duration_s=1"])
         paths = [setup.robot.path, *data_files(setup.scenario).values()]
         assert tmp_path / "here" in {path.parent for path in paths}
+
+
+@pytest.mark.parametrize(
+    ("text", "delay_ms"),
+    [("'010'", 10), ("007", 7), ("00", 0), ("08", 8), ("0x10", 16), ("1_000", 1000), ("1e1", 10)],
+)
+def test_numbers_that_yaml_reads_as_people_do_are_taken(text: str, delay_ms: float) -> None:
+    setup = load_setup("paper_arm", [f"link.uplink.delay_ms={text}"])
+    assert setup.scenario.link.uplink.delay_ms == delay_ms
+
+
+@pytest.mark.parametrize(("text", "read"), [("010", "8"), ("1:30", "90")])
+def test_override_that_yaml_reads_unlike_people_is_refused(text: str, read: str) -> None:
+    with pytest.raises(ScenarioError, match=f"delay_ms={text}: '{text}' must .* as {read}$"):
+        load_setup("paper_arm", [f"link.uplink.delay_ms={text}"])

@@ -89,6 +89,16 @@ def test_trace_that_does_not_fit_is_refused(settings: list[str], complaint: str)
         load_setup("paper_arm", settings)
 
 
+def test_trace_that_repeats_between_two_messages_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "trace.csv"
+    file.write_text("time_s,delay_ms\n0,1\n0.000000001,2\n")
+    setting = f"link.uplink.trace.file={file}"
+    with pytest.raises(ScenarioError, match=r"at least one period of the loop, 0\.001 s"):
+        load_setup("paper_arm", [setting])
+    file.write_text("time_s,delay_ms\n0,1\n0.0005,2\n")
+    assert load_setup("paper_arm", [setting])
+
+
 def test_margin_says_how_much_worse_the_network_may_get(tmp_path: Path, funnel_hil) -> None:
     code, said = funnel_hil(
         "margin", "paper_arm", "--quantity", "link.uplink.trace.scale", "--laws", "pid",

@@ -10,19 +10,20 @@ import pytest
 
 from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
-from controller.laws import LAWS
+from controller.laws import COMPARED_LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.run.execute import lockstep_setup
 from deploy.run.network.keys import create_authority, issue
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.study_keys import is_random
 from deploy.scenario.yaml_files import ScenarioError, parse_override
 from deploy.study.comparison.comparison import Comparison
 from deploy.study.margin import Margin
 from deploy.study.robustness import margin_study
+from deploy.study.study import PlannedRun, row_of
 from deploy.study.sweep import Sweep
 from tests.deploy.own_laws import own_law
+from tests.deploy.study.studies import Here, conduct, made_up
 
 
 def load_setups(scenario, overrides, laws):
@@ -244,11 +245,11 @@ def test_compare_is_told_its_laws_by_their_option(law):
 def test_the_scenarios_own_law_is_always_among_all(tmp_path, import_folder):
     law, file = own_law(tmp_path, "pass"), tmp_path / "mine.yaml"
     file.write_text(f"{{extends: paper_arm, name: mine, controller: {{law: '{law}'}}}}")
-    everyone = [*LAWS, law]
+    everyone = [*COMPARED_LAWS, law]
     setups = load_setups(str(file), [], None)
     assert [setup.scenario.controller.law for setup in setups] == everyone
     both = Margin({"scenarios": [str(file), "paper_arm"]}, Path("margin"))
-    assert [case.setting.tags["law"] for case in both.cases] == [*everyone, *LAWS]
+    assert [case.setting.tags["law"] for case in both.cases] == [*everyone, *COMPARED_LAWS]
 
 
 def test_errors_are_summed_up_over_some_time(tmp_path):
@@ -269,40 +270,75 @@ def test_errors_are_summed_up_over_some_time(tmp_path):
 RANDOM = [
     "link.uplink.jitter_ms=1", "link.downlink.loss=0.1", "link.uplink.duplicate=0.1",
     "link.uplink.burst_loss={mean_loss: 0.1, mean_burst: 2}",
-    "link.uplink.schedule=[{kind: step, at_s: 1, loss: 0.2}]",
+    "link.uplink.schedule=[{kind: step, at_s: 0.02, loss: 0.2}]",
+    "link.uplink.trace={file: wifi_idle}",
     "plant.encoder.velocity_noise_rad_s=1e-4",
-    "plant.drive_feedback.encoder.velocity_noise_rad_s=[0, 0, 1e-4]",
     "plant.disturbance.terms=[{joint: all, kind: noise, rms_nm: 1, lowest_hz: 1, highest_hz: 5}]",
+    "controller={inference_ms: 4, inference_jitter_ms: 4}",
+    "faults=[{kind: encoder_noisy, joint: elbow, at_s: 0.01, noise_rad: 1e-4}]",
 ]  # fmt: skip
 CERTAIN = [
     "seed=1", "link.uplink.delay_ms=5", "link.uplink.rate_kbit_s=100000",
-    "link.uplink.schedule=[{kind: ramp, at_s: 1, for_s: 2, delay_ms: 9}]",
-    "link.uplink.schedule=[{kind: outage, at_s: 1, for_s: 0.01}]", "link.kind=in_process",
+    "link.uplink.schedule=[{kind: ramp, at_s: 0.01, for_s: 0.02, delay_ms: 9}]",
+    "link.uplink.schedule=[{kind: outage, at_s: 0.01, for_s: 0.01}]", "link.kind=in_process",
+    "link.uplink.schedule=[{kind: step, at_s: 1, loss: 0.2}]",
+    "link.uplink.trace={file: wifi_idle, start_s: 0}", "controller.inference_ms=4",
+    "faults=[{kind: payload_picked_up, at_s: 0.01, payload_kg: 1}]",
 ]  # fmt: skip
+
+
+def short_run(*overrides, scenario="paper_arm"):
+    """The row of a run of 0.05 s."""
+    run = PlannedRun("0", scenario, ("duration_s=0.05", *overrides), 1, {})
+    found = row_of(run)
+    assert found["error"] is None, found["error"]
+    return found
 
 
 @pytest.mark.parametrize(
     ("override", "chance"), [*((r, True) for r in RANDOM), *((c, False) for c in CERTAIN)]
 )
-def test_whether_chance_has_a_part(override, chance):
-    assert is_random(load_setup("paper_arm", [override])) is chance
+def test_run_knows_whether_its_seed_mattered(override, chance):
+    assert short_run(override)["seed_used"] is chance
 
 
-def test_where_nothing_is_random_one_seed_is_enough():
-    certain, noisy = margin(seeds="3"), margin([RANDOM[5]], seeds="3")
-    assert [len(list(study.first())) for study in (certain, noisy)] == [2, 6]
-    assert certain.expected * 3 == noisy.expected
-    assert len(list(margin(seeds="3", quantity="loss").first())) == 6
+@pytest.mark.parametrize("probability", [0, 0.1])
+def test_can_bus_uses_the_seed_for_error_frames_alone(probability):
+    errors = f"link.can.faults.frame_error_probability={probability}"
+    assert short_run(errors, scenario="paper_arm_can")["seed_used"] is bool(probability)
 
 
-def test_plants_without_chance_need_one_seed_too():
-    ranges = {"plant.payload_kg": {"distribution": "uniform", "from": 0, "to": 1}}
-    noise = {"plant.encoder.velocity_noise_rad_s": {"distribution": "choice", "values": [0, 1e-4]}}
-    for drawn, least, most in ((ranges, 8, 8), (noise, 9, 24)):
-        wanted = {"laws": ["smc"], "plants": 4, "values": [2, 4], "seeds": 3, "uncertainty": drawn}
-        study = margin_study(wanted, Path("margin"))
-        runs = list(study.first())
-        assert least <= len(runs) == study.expected <= most
+def test_noise_of_drives_uses_the_seed():
+    noise = "plant.drive_feedback.encoder.velocity_noise_rad_s=[0, 0, 1e-4]"
+    assert short_run(noise)["seed_used"]
+
+
+def test_other_seeds_follow_where_the_first_run_used_its_seed():
+    study = margin(seeds="3", exhaustive=True)
+    runs, expected = list(study.first()), study.expected
+    assert [run.seed for run in runs] == [1, 1]
+    certain, chance = (
+        made_up(run, seed_used=used) for run, used in zip(runs, (False, True), strict=True)
+    )
+    assert list(study.follow(runs[0], certain)) == []
+    assert study.expected == expected
+    followers = list(study.follow(runs[1], chance))
+    assert [(run.point, run.seed) for run in followers] == [(runs[1].point, 2), (runs[1].point, 3)]
+    assert study.expected == 3 * expected
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"overrides": ["controller.inference_ms=4", "controller.inference_jitter_ms=4"]},
+        {"overrides": ["link.uplink.loss=0.8"], "quantity": "link.uplink.loss", "limit": 0.0},
+    ],
+)
+def test_every_seed_runs_where_chance_has_a_part(options, tmp_path):
+    study = margin(seeds="3", duration=0.1, offsets="1", resolution=0.4, **options)
+    conduct(study, tmp_path, Here())
+    assert study.searches[0].rows[0]
+    assert sorted(row["seed"] for row in study.searches[0].rows[0]) == [1, 2, 3]
 
 
 def test_all_pairs_of_options_make_a_study_or_are_refused_by_name():

@@ -10,12 +10,13 @@ import pytest
 from deploy.reports.study_tables import margins_by_law
 from deploy.reports.study_texts import margin_figure
 from deploy.reports.tables import as_markdown
+from deploy.scenario.held_arm import held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study import cases
 from deploy.study.cases import CasesDefinition
 from deploy.study.margin import Margin
-from deploy.study.quantities import held_arm_ceiling_ms
+from deploy.study.quantities import excitation
 from tests.deploy.study.studies import Here, conduct, made_up
 
 SETUP = load_setup("paper_arm")
@@ -125,8 +126,8 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
     [
         ({"quantity": "plant.nothing"}, ["quantity", "'plant.nothing'", "loss, or the dotted"]),
         ({"quantity": "plant.friction.coulomb_nm"}, ["one number of the scenario"]),
-        ({"quantity": "plant.payload_kg"}, ["limit", "must be given for plant.payload_kg"]),
-        ({"quantity": "plant.payload_kg", "limit": 2}, ["resolution", "must be given"]),
+        ({"quantity": "plant.payload_kg"}, ["--limit, or limit in", "must be given for"]),
+        ({"quantity": "plant.payload_kg", "limit": 2}, ["--resolution, or", "must be given"]),
         ({"quantity": "plant.payload_kg", "limit": -2, "resolution": 1}, ["payload_kg", "-2"]),
         ({"quantity": "plant.payload_kg", "limit": 0, "resolution": 1}, ["limit", "own 0"]),
         ({"quantity": "plant.payload_kg", "direction": "uplink"}, ["direction", "not a quantity"]),
@@ -199,3 +200,13 @@ def test_an_arm_with_motors_has_a_margin_from_the_start_and_one_of_a_running_loo
     assert loops(running=[True]) == [True]
     assert loops(duration_s=2) == [False]  # too short for a ramp
     assert loops(quantity="plant.payload_kg", limit=3, resolution=1) == [False]
+
+
+def test_a_running_loop_is_pushed_at_every_joint_unless_its_disturbances_are_off():
+    """The arm's largest torques are 400, 700 and 300 N m."""
+    (given,) = excitation(load_setup("paper_arm"))
+    pushed = load_setup("paper_arm", [given]).scenario.plant.disturbance.terms
+    pulses = [term for term in pushed if term.kind == "pulse"]
+    assert [pulse.torque_nm for pulse in pulses] == pytest.approx([4.0, -7.0, 3.0])
+    assert {(pulse.start_s, pulse.duration_s) for pulse in pulses} == {(3.0, 0.02)}
+    assert excitation(load_setup("paper_arm", ["plant.disturbance.enabled=false"])) == ()

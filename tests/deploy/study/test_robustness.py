@@ -33,6 +33,10 @@ def robustness_of(**values):
     return Robustness(given, Path("margin"))
 
 
+def all_of(**values):
+    return robustness_of(exhaustive=True, **values)
+
+
 def heavy_ones_lost(run):
     """The more delay, the less payload is carried: 3 kg at 8 ms, 1.5 at 16, 0.75 at 32."""
     lost = run.columns[PAYLOAD] * run.columns["value"] > 24.0
@@ -40,10 +44,11 @@ def heavy_ones_lost(run):
 
 
 def test_every_plant_meets_every_value_under_every_law_and_setting():
-    study = robustness_of(laws=["smc", "pid"], compensation=[False, True], seeds=2, set=NOISE)
+    study = all_of(laws=["smc", "pid"], compensation=[False, True], seeds=2, set=NOISE)
     runs = list(study.first())
-    assert len(runs) == study.expected == 2 * 2 * 3 * 20 * 2
-    assert len({run.key for run in runs}) == len(runs)
+    assert len(runs) == study.expected == 2 * 2 * 3 * 20
+    runs += [more for run in runs for more in study.follow(run, made_up(run))]
+    assert len({run.key for run in runs}) == len(runs) == study.expected == 2 * 2 * 3 * 20 * 2
     by_plant = {}
     for run in runs:
         by_plant.setdefault(run.columns["plant"], set()).add(run.columns[PAYLOAD])
@@ -57,23 +62,22 @@ def test_every_plant_meets_every_value_under_every_law_and_setting():
 
 def test_more_plants_leave_the_first_ones_as_they_were():
     few, many = (
-        {run.columns["plant"]: run.overrides for run in robustness_of(plants=n).first()}
-        for n in (3, 20)
+        {run.columns["plant"]: run.overrides for run in all_of(plants=n).first()} for n in (3, 20)
     )
     assert few == {number: many[number] for number in (1, 2, 3)}
-    other = next(iter(robustness_of(plant_seed=2).first()))
+    other = next(iter(all_of(plant_seed=2).first()))
     assert other.overrides != few[1]
 
 
 def test_factors_are_on_what_the_study_sets():
-    study = robustness_of(set={COULOMB: [1.0, 2.0, 4.0]})
+    study = all_of(set={COULOMB: [1.0, 2.0, 4.0]})
     run = next(iter(study.first()))
     coulomb = load_setup(run.scenario, run.overrides).scenario.plant.friction.coulomb_nm
     np.testing.assert_allclose(coulomb / [1.0, 2.0, 4.0], run.columns[COULOMB], rtol=1e-12)
 
 
 def test_shares_are_counted_and_losses_ranked(tmp_path):
-    study = robustness_of(kept_share=0.5)
+    study = all_of(kept_share=0.5)
     whole, folder = conduct(study, tmp_path / "out", Here(heavy_ones_lost, seed=3))
     assert whole
     summary = study.summary(folder.rows)
@@ -146,7 +150,7 @@ def test_draws_are_measured_joint_by_joint_and_to_both_sides():
 
 
 def test_a_plant_counts_as_kept_with_every_seed_only(tmp_path):
-    study = robustness_of(plants=4, seeds=2, values=[8], set=NOISE)
+    study = all_of(plants=4, seeds=2, values=[8], set=NOISE)
     one_seed = Here(lambda run: made_up(
         run, violation_fraction=0.1 * (run.seed == 2 and run.columns["plant"] > 1)))  # fmt: skip
     _, folder = conduct(study, tmp_path / "out", one_seed)
@@ -199,7 +203,7 @@ def test_shipped_studies_can_be_run(file):
 
 
 def test_a_study_of_plants_is_reported_again(funnel_hil, tmp_path):
-    study = robustness_of()
+    study = all_of()
     path = create_folder(study, tmp_path / "out")
     conduct(study, path, Here(heavy_ones_lost))
     assert read_study(path).definition == study.definition
@@ -221,7 +225,7 @@ def test_a_study_of_plants_is_reported_again(funnel_hil, tmp_path):
 
 
 def test_an_unfinished_study_of_plants_has_a_report(tmp_path):
-    study = robustness_of()
+    study = all_of()
     whole, folder = conduct(study, tmp_path / "out", Here(heavy_ones_lost, at_most=7))
     assert not whole
     summary = study.summary(folder.rows)

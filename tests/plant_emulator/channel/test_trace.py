@@ -10,6 +10,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, TracedChannel
 from plant_emulator.channel.impairment import ImpairedChannel, open_downlink, open_uplink
 from plant_emulator.channel.trace import curves
+from plant_emulator.command_gate import Command
 
 MS = 1_000_000
 ROWS = [(0, "1"), (10, "3"), (20, ""), (30, "5"), (40, "2")]
@@ -128,3 +129,63 @@ def test_curves_of_equal_delays_or_of_none_are_empty() -> None:
 def test_trace_without_repetition_needs_a_start(file: Path) -> None:
     with pytest.raises(ValueError, match="true unless start_s is given"):
         ChannelConfiguration(trace={"file": str(file), "loop": False})
+
+
+def round_trips_ms(file: Path, seed: int, period_ms: int, count: int) -> list[float | None]:
+    """From state to torque, of a controller that answers each state at once; None for losses."""
+    way = {"trace": {"file": str(file)}}
+    link = LinkConfiguration(uplink=way, downlink=way)
+    up, down = open_uplink(link, seed), open_downlink(link, seed)
+    found: list[float | None] = [None] * count
+    for number in range(count):
+        up.send(number, number * period_ms * MS, 100)
+    for arrived_ns, number in up.take_due(NEVER_NS - 1):
+        command = Command(np.zeros(1), number, number * period_ms * MS)
+        down.send(command, arrived_ns, 100)
+    for arrived_ns, command in down.take_due(NEVER_NS - 1):
+        found[command.sequence] = (arrived_ns - command.stamp_ns) / MS
+    return found
+
+
+@pytest.fixture
+def pings(tmp_path: Path) -> tuple[Path, np.ndarray]:
+    """A trace of round trips at 100 Hz with queues that drain and with losses, and its delays."""
+    random = np.random.default_rng(5)
+    delays_ms, queue_ms = [], 0.0
+    for _ in range(6000):
+        queue_ms = max(0.0, queue_ms - 10.0)
+        queue_ms += random.uniform(60.0, 120.0) if random.random() < 0.003 else 0.0
+        is_lost = random.random() < 0.02
+        delays_ms.append(np.nan if is_lost else 4.0 + random.exponential() + queue_ms)
+    file = tmp_path / "pings.csv"
+    rows = [f"{0.01 * n},{'' if np.isnan(d) else d}" for n, d in enumerate(delays_ms)]
+    file.write_text("\n".join(["time_s,round_trip_ms", *rows]))
+    return file, np.array(delays_ms)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_replayed_round_trips_are_those_measured(pings: tuple[Path, np.ndarray], seed: int) -> None:
+    file, measured_ms = pings
+    found = round_trips_ms(file, seed, 10, 6000)
+    lost = sum(each is None for each in found)
+    assert lost == pytest.approx(np.isnan(measured_ms).sum(), rel=0.1)
+    replayed_ms = [each for each in found if each is not None]
+    for percent in (50, 99, 99.9):
+        wanted_ms = np.nanpercentile(measured_ms, percent)
+        assert np.percentile(replayed_ms, percent) == pytest.approx(wanted_ms, rel=0.08)
+
+
+def test_halves_of_a_round_trip_stay_together_where_the_channel_does_more(
+    pings: tuple[Path, np.ndarray],
+) -> None:
+    file, _ = pings
+    found = []
+    for more in ({}, {"delay_ms": 1.0}):
+        way = {"trace": {"file": str(file)}, "reorder": True, **more}
+        link = LinkConfiguration(uplink=way, downlink={**way, "loss": 1e-9})
+        up, down = open_uplink(link, 7), open_downlink(link, 7)
+        up.send(0, 0, 1)
+        down.send(Command(np.zeros(1), 0, 0), 50 * MS, 1)
+        found.append((up.take_due(NEVER_NS - 1)[0][0], down.take_due(NEVER_NS - 1)[0][0]))
+    assert found[0][1] == found[0][0] + 50 * MS
+    assert found[1] == (found[0][0] + MS, found[0][1] + MS)

@@ -7,6 +7,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from plant_emulator.channel.jitter import read_delays_ms
 from plant_emulator.channel.trace_file import LOST_NS, Trace, read_trace
 
 MS = 1_000_000
@@ -29,11 +30,14 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("0,1\n1,2\n", "line 1, column 1 '0' is unknown: the columns are time_s, delay_ms, and"),
+        (
+            "0,1\n1,2\n",
+            "line 1, column 1 '0' is unknown: the columns are time_s, and perhaps delay_ms",
+        ),
         ("time,delay_ms\n0,1\n1,2\n", "line 1, column 1 'time' is unknown"),
         ("time_s,delay_ms,rtt\n0,1,2\n", "line 1, column 3 'rtt' is unknown"),
         ("time_s,delay_ms,time_s\n0,1,2\n", "line 1, column 1 'time_s' occurs twice"),
-        ("time_s\n0\n1\n", "line 1: column delay_ms is missing"),
+        ("time_s\n0\n1\n", "one of the columns delay_ms and round_trip_ms must be there"),
         ("time_s,delay_ms\n0,1\n\n2,3\n1,2\n", "line 5, column time_s = 1: must not be earlier"),
         ("time_s,delay_ms\n0,1\n,2\n", "line 3, column time_s = empty: must be a finite number"),
         ("time_s,delay_ms\n0,-1\n1,2\n", "line 2, column delay_ms = -1: must be 0 to 60000 ms"),
@@ -63,6 +67,39 @@ def test_cells_of_parquet_are_named_by_their_row(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(ValueError, match="cannot be read as Parquet"):
         read_trace(file)
+
+
+def test_small_parquet_file_of_gigabytes_is_refused_by_its_metadata(tmp_path: Path) -> None:
+    file, rows = tmp_path / "trace.parquet", 4_000_000
+    table = pa.table({"time_s": pa.repeat(0.0, rows), "delay_ms": pa.repeat(0.0, rows)})
+    with parquet.ParquetWriter(file, table.schema, compression="zstd") as writer:
+        for _ in range(6):
+            writer.write_table(table, row_group_size=rows)
+    assert file.stat().st_size < 500_000
+    before = pa.total_allocated_bytes()
+    with pytest.raises(ValueError, match="has 48,000,000 values, and at most 40,000,000 are read"):
+        read_trace(file)
+    assert pa.total_allocated_bytes() <= before + 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("delays", "kind"), [(["1", "2"], "string"), ([True, False], "bool"), ([b"1", b"2"], "binary")]
+)
+def test_texts_and_truth_values_of_parquet_are_no_delays(tmp_path: Path, delays, kind) -> None:
+    file = tmp_path / "trace.parquet"
+    parquet.write_table(pa.table({"time_s": [0.0, 1.0], "delay_ms": delays}), file)
+    complaint = f"column delay_ms holds values of type {kind}: must be numbers"
+    with pytest.raises(ValueError, match=complaint):
+        read_trace(file)
+    with pytest.raises(ValueError, match=complaint):
+        read_delays_ms(file)
+
+
+def test_losses_of_parquet_may_be_truth_values(tmp_path: Path) -> None:
+    file = tmp_path / "trace.parquet"
+    columns = {"time_s": [0.0, 1.0], "delay_ms": [1.0, None], "lost": [False, True]}
+    parquet.write_table(pa.table(columns), file)
+    assert read_trace(file).delays_ns.tolist() == [MS, LOST_NS]
 
 
 def test_changed_file_is_read_again(tmp_path: Path) -> None:

@@ -17,7 +17,11 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 
-LEROBOT = "0.6.1" if sys.version_info >= (3, 12) else "0.4.4"
+LEROBOT = (
+    {"huggingface-hub": "1.6.0", "lerobot": "0.6.1"}
+    if sys.version_info >= (3, 12)
+    else {"lerobot": "0.4.4"}
+)
 DAMIAO_MOTOR = "1.0.6"
 _UNUSED = ("torch", "accelerate", "datasets", "draccus", "serial", "deepdiff")
 
@@ -50,9 +54,9 @@ class _EmptyPackages:
 
 def fetch_lerobot(folder: Path) -> str | None:
     """Make `lerobot` importable, see `fetch_wheel`."""
-    why_not = fetch_wheel("lerobot", LEROBOT, folder)
+    why_not = [fetch_wheel(name, version, folder) for name, version in LEROBOT.items()]
     sys.meta_path.append(_EmptyPackages())  # after those that find what is installed
-    return why_not
+    return next(filter(None, why_not), None)
 
 
 def fetch_wheel(name: str, version: str, folder: Path) -> str | None:

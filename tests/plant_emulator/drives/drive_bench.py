@@ -1,4 +1,4 @@
-"""A drive on a bench: frames in and out by hand, time by hand, a joint that moves as told."""
+"""A drive on a bench: frames in and out by hand, time by hand, a joint that the test moves."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import struct
 import canopen
 from canopen.objectdictionary import ODVariable
 
+from bus_schema.can.cia402.codec import Cia402Settings
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.cia402.drive import Cia402Drive
@@ -16,8 +17,8 @@ NODE = 5
 MS = 1_000_000
 SETTINGS = DriveSettings(
     node_id=NODE,
-    rated_torque_nm=20.0,
     max_torque_nm=60.0,
+    own=Cia402Settings(rated_torque_nm=20.0),
     counts_per_turn=1 << 20,
     stop_damping_nm_s=10.0,
 )

@@ -1,4 +1,4 @@
-"""Driver code that knows nothing of us, in real time over python-can's virtual bus."""
+"""Driver code of others, in real time over python-can's virtual bus."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from bus_schema.can.cia402.codec import PEAK_TO_RATED
+from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
 from bus_schema.runtime.clock import MonotonicClock, TickGrid
 from controller.manipulator_model import ManipulatorModel
-from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
+from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from tests.arms import PAPER_ARM
 
 ROBOT = PAPER_ARM
@@ -69,13 +70,15 @@ class Rig:
         configuration = CanConfiguration.model_validate(options)
         self._bus = open_can_bus(configuration)
         robot, plant, start = arm
-        self.arm = ArmPlant(plant, robot, start, GRID, seed=1)
-        self.bank = build_bank(configuration, robot, plant, self._bus.send, tuned=tuned)
-        self.events = []
-        self._rig = DriveRig(
-            self.arm, self.bank, self._bus, UnhurriedClock(slower), GRID,
-            faults=faults, on_frame=lambda frame: None, on_event=self.events.append,
+        self.arm = DrivenArm(plant, robot, start, GRID, seed=1)
+        drives = DrivesOnBus(
+            self._bus, faults,
+            lambda send: build_bank(configuration, robot, plant, send, tuned=tuned),
+            CanMedium(configuration, seed=1),
         )  # fmt: skip
+        self.bank, self.events = drives.bank, []
+        clock = UnhurriedClock(slower)
+        self._rig = DriveRig(self.arm, drives, clock, GRID, self.events.append)
         self._thread = threading.Thread(target=self._rig.run, daemon=True)
 
     def __enter__(self):
@@ -90,7 +93,7 @@ class Rig:
 
 
 def until(condition):
-    """Wait until something is so."""
+    """Wait until a condition holds."""
     give_up_s = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < give_up_s, "it never came"
@@ -148,7 +151,7 @@ def canopen_client(rig, node_id, mode, pdo=1):
         network.disconnect()
 
 
-def test_canopens_own_client_brings_a_drive_up_moves_it_and_resets_a_fault():
+def test_canopen_client_enables_and_moves_a_drive_and_resets_a_fault():
     with (
         Rig("cia402", slower=4) as rig,
         canopen_client(rig, NODE_ID, "CYCLIC SYNCHRONOUS TORQUE") as node,
@@ -182,18 +185,18 @@ def check_motion(node):
 
 
 def check_fault(node):
-    """The master lets an RPDO wait for longer than it said it would."""
-    heard = []
-    node.emcy.add_callback(heard.append)
+    """The master sends an RPDO later than its event time."""
+    emergencies = []
+    node.emcy.add_callback(emergencies.append)
     node.state = "OPERATION ENABLED"
     node.sdo[0x1400][5].raw = 50
     node.rpdo[1]["Target torque"].raw = 0
     node.rpdo[1].transmit()
     until(lambda: node.state == "FAULT")
-    until(lambda: bool(heard))
-    assert [error.code for error in heard] == [0x8250]
+    until(lambda: bool(emergencies))
+    assert [error.code for error in emergencies] == [0x8250]
     node.sdo[0x1400][5].raw = 0
     node.reset_from_fault()
     assert node.state == "OPERATION ENABLED"
-    assert heard[-1].code == 0
+    assert emergencies[-1].code == 0
     node.state = "SWITCH ON DISABLED"

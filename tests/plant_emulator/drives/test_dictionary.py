@@ -1,6 +1,7 @@
 """The EDS and the DBC that are shipped say what the drives do."""
 
 import os
+from dataclasses import replace
 
 import canopen
 import cantools
@@ -10,7 +11,12 @@ from drive_bench import NODE, SETTINGS, AbortedError, Bench
 
 from bus_schema.can.cia402.protocol import Cia402Protocol
 from bus_schema.configuration import ConfigurationError
-from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
+from bus_schema.link.can_configuration import (
+    CANSIMPLE_DBC,
+    CIA402_EDS,
+    CanConfiguration,
+    CanSimpleConfiguration,
+)
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive
 
 DICTIONARY = canopen.import_od(str(CIA402_EDS), NODE)
@@ -85,7 +91,7 @@ NOT_THERE = {
     ids=lambda m: m.name,
 )  # fmt: skip
 def test_an_axis_knows_every_other_message_of_the_dbc(message):
-    bench = Bench(CanSimpleDrive)
+    bench = Bench(CanSimpleDrive, replace(SETTINGS, own=CanSimpleConfiguration()))
     identifier = NODE << 5 | message.frame_id
     if "Axis" in message.senders:
         bench.hear(identifier, remote=True)

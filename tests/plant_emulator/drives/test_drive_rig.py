@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from bus_schema.can.frame import CanFrame
+from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.medium import CanMedium
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.runtime.clock import MonotonicClock, TickGrid, VirtualClock
-from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
+from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from plant_emulator.drives.fault_plan import parse_fault
 from tests.arms import PAPER_ARM
 
@@ -28,7 +29,7 @@ ENABLE_2 = [
 pytestmark = pytest.mark.usefixtures("engine")
 
 
-class ScriptedBus:
+class ScriptedBus(CanBus):
     """Gives one frame per tick of a clock that it moves itself."""
 
     def __init__(self, clock, frames):
@@ -48,10 +49,13 @@ class ScriptedBus:
 class FloodedBus(ScriptedBus):
     """Has always one more frame."""
 
+    received = 0
+
     def __init__(self):
         super().__init__(None, ())
 
     def receive(self, timeout_s):
+        self.received += 1
         return CanFrame(0x7F3, bytes(8))
 
 
@@ -60,16 +64,15 @@ def make():
     arms = []
 
     def build(bus, clock, faults=()):
-        arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)
+        arm = DrivenArm(PLANT, ROBOT, START, GRID, seed=1)
         arms.append(arm)
-        bank = build_bank(CanConfiguration(), ROBOT, PLANT, bus.send)
+        can = CanConfiguration()
+        plan = [parse_fault(text, NODES) for text in faults]
+        drives = DrivesOnBus(
+            bus, plan, lambda send: build_bank(can, ROBOT, PLANT, send), CanMedium(can, seed=1)
+        )
         events = []
-        rig = DriveRig(
-            arm, bank, bus, clock, GRID,
-            faults=[parse_fault(text, NODES) for text in faults],
-            on_frame=lambda frame: None, on_event=events.append,
-        )  # fmt: skip
-        return rig, arm, bank, events
+        return DriveRig(arm, drives, clock, GRID, events.append), arm, drives.bank, events
 
     yield build
     for arm in arms:
@@ -80,6 +83,7 @@ def test_a_joint_falls_when_its_own_drive_lets_go_and_no_other_does(make):
     clock = VirtualClock()
     rig, arm, bank, events = make(ScriptedBus(clock, ENABLE_2), clock)
     rig.run(100)
+    assert (rig.ticks, rig.skipped) == (100, 0)
     assert bank.braked.tolist() == [True, False, True]
     moved = np.abs(arm.position - START)
     # The shoulder falls freely for 0.37 s, at first with 276 N m over 24 kg m²: over half a rad.
@@ -99,10 +103,11 @@ def test_a_fault_engages_the_brake_again(make):
 
 
 def test_under_a_flood_the_physics_keep_their_time_and_nothing_moves(make):
-    rig, arm, bank, _ = make(FloodedBus(), MonotonicClock())
+    bus = FloodedBus()
+    rig, arm, bank, _ = make(bus, MonotonicClock())
     rig.run(50)
-    assert rig.counts.ticks >= 50
-    assert bank.rejections.counts == {"unknown_identifier": rig.counts.received}
+    assert rig.ticks >= 50
+    assert bank.rejections.counts == {"unknown_identifier": bus.received}
     assert bank.braked.all()
     assert not bank.torque_nm.any()
     assert np.abs(arm.position - START).max() < 1e-3

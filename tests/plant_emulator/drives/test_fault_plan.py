@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from bus_schema.can.cia402.codec import Cia402Settings
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveFault, DriveSettings
@@ -26,18 +27,20 @@ def test_faults_in_words(text, planned):
 
 def test_faults_come_and_go_at_their_times():
     sent = []
-    bank = DriveBank(Cia402Drive, [DriveSettings(node, 1.0, 1.0) for node in NODES], sent.append)
+    bank = DriveBank(
+        Cia402Drive, [DriveSettings(node, 1.0, Cia402Settings(1.0)) for node in NODES], sent.append
+    )
     bank.measure(np.zeros(2), np.zeros(2), np.zeros(2))
     faults = [parse_fault("silent:4@1s+1s", NODES), parse_fault("drive:7@1500ms", NODES)]
     schedule = schedule_faults(faults, bank)
-    said = {}
+    announced = {}
     for now_ns in range(0, 3 * S, S // 4):
-        said[now_ns / S] = []
-        schedule.run_due(now_ns, said[now_ns / S].append)
+        announced[now_ns / S] = []
+        schedule.run_due(now_ns, announced[now_ns / S].append)
         sent.clear()
         bank.advance(now_ns)
         assert (0x704 in [frame.identifier for frame in sent]) == (not S <= now_ns < 2 * S)
-    assert {at: words for at, words in said.items() if words} == {
+    assert {at: words for at, words in announced.items() if words} == {
         1.0: ["silent injected at node 4"],
         1.5: ["drive injected at node 7"],
         2.0: ["silent over at node 4"],

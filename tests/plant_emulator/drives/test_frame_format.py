@@ -1,4 +1,4 @@
-"""CAN FD on one side and classical frames on the other: what a user sees, on UDP multicast too."""
+"""CAN FD on one side and classical frames on the other: messages to the user."""
 
 from __future__ import annotations
 
@@ -47,18 +47,18 @@ def place(request: pytest.FixtureRequest) -> dict:
     return {"interface": request.param, "channel": group, "port": port}
 
 
-def test_fd_master_of_classical_motors_says_what_it_sends_and_drives_what_they_hear(
+def test_fd_master_and_classical_motors_both_report_the_format(
     place: dict,
 ) -> None:
     with rig_of(**place) as rig, master_at(place, **FD) as (master, _):
         with pytest.raises(DriveError, match=r"no answer from drive 1, 2, .* to CAN FD frames"):
             master.enable(0.5, never)
         assert set(rig.bank.rejections.counts) == {"no_classical_frame"}
-        heard = rig.bank.describe(CanFrame(REGISTER_IDENTIFIER, ASK, is_fd=True))
-        assert heard == "a CAN FD frame, which these drives do not read"
+        description = rig.bank.describe(CanFrame(REGISTER_IDENTIFIER, ASK, is_fd=True))
+        assert description == "a CAN FD frame, which these drives do not read"
 
 
-def test_classical_master_of_fd_motors_says_what_came(place: dict) -> None:
+def test_classical_master_of_fd_motors_reports_their_format(place: dict) -> None:
     with rig_of(**place, **FD), master_at(place, **CLASSICAL) as (master, _):
         with pytest.raises(DriveError, match="to classical frames"):
             master.enable(0.5, never)

@@ -1,4 +1,4 @@
-"""mjbots' own client, unmodified, moves emulated moteus controllers; and what it sees of faults."""
+"""mjbots' own client, unmodified, moves emulated moteus controllers, and reads their faults."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_fault_of_the_drive_is_raised_by_the_client(moteus):
         talk(moteus, rig, conversation)
 
 
-def test_a_motor_that_is_not_there_shows_as_a_client_that_waits(moteus):
+def test_client_waits_for_a_missing_motor(moteus):
     async def conversation(controller, _):
         return await controller.query()
 
@@ -133,7 +133,7 @@ def test_commands_of_our_master_are_those_that_the_client_packs(moteus):
 )
 def test_client_reads_integers_in_the_steps_of_its_registers(moteus, form, position, torque_nm):
     sent = []
-    drive = MoteusDrive(DriveSettings(5, 1.0, 9.0), sent.append)
+    drive = MoteusDrive(DriveSettings(5, 9.0, None), sent.append)
     drive.measure(JointReading(8.8, 0.0, 4.1235))  # 1.400563 turns
     register, resolution = moteus.Register, getattr(moteus, form)
     asked = dict.fromkeys(
@@ -149,7 +149,7 @@ def test_client_reads_integers_in_the_steps_of_its_registers(moteus, form, posit
 
 
 def test_target_moves_at_its_velocity_up_to_where_it_is_to_stop(moteus):
-    drive = MoteusDrive(DriveSettings(5, 1.0, 9000.0), lambda _: None)
+    drive = MoteusDrive(DriveSettings(5, 9000.0, None), lambda _: None)
     command = moteus.Controller(id=5).make_position(
         position=0.0, velocity=1.0, stop_position=0.5, kd_scale=0.0
     )

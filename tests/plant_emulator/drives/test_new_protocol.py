@@ -73,7 +73,7 @@ class ToyCodec:
 
 
 class ToyMaster(CanMaster):
-    """Drives follow the first torque they get, and rest when told to."""
+    """Drives follow the first torque they get, and rest on request."""
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         self._is_powered = [True] * len(self._node_ids)
@@ -96,7 +96,7 @@ class ToyDrive(Drive):
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         super().__init__(settings, send)
         self._node_id = settings.node_id
-        self.heard = (SAMPLE, TORQUE + self._node_id, REST)
+        self.identifiers = (SAMPLE, TORQUE + self._node_id, REST)
         self._torque_nm: float | None = None
 
     @property
@@ -155,7 +155,7 @@ def test_loop_closes_over_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "words"),
     [
         ("link.can.node_ids=[1, 2, 10]", r"node_ids = \[1, 2, 10\]: must be at most 9 with Toy"),
         ("rate_hz=2000", r"takes sample \+ 3 × \(state 8 bytes \+ torque 4 bytes\) = up to"),
@@ -165,6 +165,6 @@ def test_loop_closes_over_it() -> None:
         ),
     ],
 )
-def test_scenario_that_does_not_fit_it_is_refused(override: str, told: str) -> None:
-    with pytest.raises(ScenarioError, match=told):
+def test_scenario_that_does_not_fit_it_is_refused(override: str, words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
         load_setup("paper_arm_can", [*OVER_TOY, override])

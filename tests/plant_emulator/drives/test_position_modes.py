@@ -1,6 +1,6 @@
 """Drives that close their loops: CiA 402's cyclic synchronous position, ODrive's position control.
 
-What is wanted of them is written here once more, from the profile and from ODrive's controller.
+The expected values follow the profile and ODrive's controller.
 """
 
 import math
@@ -108,7 +108,7 @@ def test_halt_and_quick_stop_slow_the_joint_down(bench):
         assert given_nm(bench) == pytest.approx(-SETTINGS.stop_damping_nm_s)
 
 
-def test_the_integral_bears_what_the_others_do_not_know_of(bench):
+def test_integral_compensates_an_unknown_load(bench):
     bench.write(0x60F9, 2, 8000)
     joint, load_nm = 0.5, -3.0
     bench.write(TARGET, 0, counts(0.5))
@@ -150,16 +150,16 @@ def axis():
     """An axis in closed-loop position control, its joint at a quarter turn."""
     made = Axis()
     made.move(position_rad=TURN / 4)
-    made.tell(POS_GAIN, "f", K_X)
-    made.tell(VEL_GAINS, "ff", K_V, 0.0)
-    made.tell(SET_MODE, "II", 3, 1)
-    made.tell(SET_STATE, "I", CLOSED_LOOP)
+    made.send(POS_GAIN, "f", K_X)
+    made.send(VEL_GAINS, "ff", K_V, 0.0)
+    made.send(SET_MODE, "II", 3, 1)
+    made.send(SET_STATE, "I", CLOSED_LOOP)
     return made
 
 
 def test_an_axis_controls_position_with_both_feed_forwards(axis):
     """Gains in (rev/s)/rev and N m/(rev/s), feed-forwards in thousandths."""
-    axis.tell(INPUT_POS, "fhh", 0.3, 200, -1500)
+    axis.send(INPUT_POS, "fhh", 0.3, 200, -1500)
     axis.move(position_rad=TURN / 4, velocity_rad_s=0.1 * TURN)
     wanted = -1.5 + K_V * (0.2 + K_X * 0.05 - 0.1)
     assert axis.drive.demand().torque_nm == pytest.approx(wanted, abs=1e-4)
@@ -176,25 +176,25 @@ def test_an_axis_holds_its_joint_until_it_has_an_input(axis):
 
 
 def test_an_axis_controls_velocity(axis):
-    axis.tell(SET_MODE, "II", 2, 1)
-    axis.tell(INPUT_VEL, "ff", 0.5, 2.0)
+    axis.send(SET_MODE, "II", 2, 1)
+    axis.send(INPUT_VEL, "ff", 0.5, 2.0)
     axis.move(position_rad=3.0, velocity_rad_s=0.3 * TURN)
     assert axis.drive.demand().torque_nm == pytest.approx(2.0 + K_V * 0.2, abs=1e-4)
 
 
 def test_limits_of_an_axis_hold_for_speed_wanted_and_torque(axis):
-    axis.tell(LIMITS, "ff", 0.5, 60.0)
-    axis.tell(INPUT_POS, "fhh", 3.0, 0, 0)
+    axis.send(LIMITS, "ff", 0.5, 60.0)
+    axis.send(INPUT_POS, "fhh", 3.0, 0, 0)
     assert axis.drive.demand().torque_nm == pytest.approx(K_V * 0.5, abs=1e-4)
-    axis.tell(LIMITS, "ff", 0.5, 1.25)
+    axis.send(LIMITS, "ff", 0.5, 1.25)
     assert axis.drive.demand().torque_nm == 1.25
 
 
 def test_an_absolute_position_is_that_of_estimates_and_inputs(axis):
-    axis.tell(ABSOLUTE, "f", 2.0)
+    axis.send(ABSOLUTE, "f", 2.0)
     assert axis.ask(0x09, "ff")[0] == pytest.approx(2.0)
     assert axis.drive.demand().torque_nm == pytest.approx(0.0, abs=1e-3)  # it stays where it is
-    axis.tell(INPUT_POS, "fhh", 2.1, 0, 0)
+    axis.send(INPUT_POS, "fhh", 2.1, 0, 0)
     assert axis.drive.demand().loop.target_rad == pytest.approx(0.35 * TURN)
 
 
@@ -206,8 +206,8 @@ def test_an_absolute_position_is_that_of_estimates_and_inputs(axis):
     ],
 )  # fmt: skip
 def test_gains_and_inputs_that_make_no_sense_change_nothing(axis, command, form, values):
-    axis.tell(INPUT_POS, "fhh", 0.3, 0, 0)
+    axis.send(INPUT_POS, "fhh", 0.3, 0, 0)
     before = axis.drive.demand()
     with pytest.raises(InvalidMessageError):
-        axis.tell(command, form, *values)
+        axis.send(command, form, *values)
     assert axis.drive.demand() == before

@@ -1,4 +1,4 @@
-"""PDOs: when they go, when they come into force, and how a master maps them (CiA 301, 7.2.2)."""
+"""PDOs: when they are sent, take effect, and how a master maps them (CiA 301, 7.2.2)."""
 
 import struct
 
@@ -106,7 +106,7 @@ def test_remapping_over_sdo(bench):
     assert bench.take(TPDO_3) == [struct.pack("<hHb", -250, 0x0250, 0)]
 
 
-def test_a_remapped_rpdo_takes_what_it_was_told(bench):
+def test_remapped_rpdo_writes_the_mapped_objects(bench):
     remap(bench, 0x1402, 0x1602, 0x60710010, 0x60B20010, kind=255)
     bench.hear(0x400 + NODE, *struct.pack("<hh", 100, -30))
     assert bench.read(0x6071) == 100
@@ -152,7 +152,7 @@ def test_nmt_commands_to_others_and_unknown_ones_change_nothing(bench):
     assert bench.state == "READY_TO_SWITCH_ON"  # still operational
 
 
-def test_emcy_moves_and_falls_silent_where_the_master_wants(bench):
+def test_master_moves_and_disables_emcy(bench):
     bench.write(0x1014, 0, NOT_VALID | EMCY)
     bench.write(0x1014, 0, 0xF0)
     bench.take()

@@ -1,4 +1,4 @@
-"""What the states do to the joint: torque, brake, slowing down; what master and bus can cause."""
+"""Effects of states, master and bus on the joint: torque, brake, slowing down."""
 
 import pytest
 from drive_bench import (
@@ -194,7 +194,7 @@ def test_a_heartbeat_that_never_came_is_not_missed(enabled):
     assert enabled.state == "OPERATION_ENABLED"
 
 
-def test_bus_off_stops_the_joint_and_8140_tells_when_the_bus_is_back(enabled):
+def test_bus_off_stops_the_joint_and_8140_reports_the_restart(enabled):
     enabled.drive.lose_bus(enabled.now_ns)
     assert enabled.state == "FAULT_REACTION_ACTIVE"
     enabled.wait(400)

@@ -89,7 +89,7 @@ def test_every_command_in_every_state(state, command):
 def test_transitions_0_and_1_are_made_at_power_on():
     bench = Bench(boot=False)
     assert bench.state == "NOT_READY_TO_SWITCH_ON"
-    assert not bench.hear(0x600 + 5, 0x40, 0x41, 0x60, 0, 0, 0, 0, 0)  # nobody is there yet
+    assert not bench.hear(0x600 + 5, 0x40, 0x41, 0x60, 0, 0, 0, 0, 0)  # it has not booted
     bench.wait(0)
     assert bench.state == "SWITCH_ON_DISABLED"
 

@@ -1,4 +1,4 @@
-"""What the plant's side over CAN tells of others on its bus, and of a host that was late."""
+"""Reports of the plant about other nodes on its CAN bus, and about a late host."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CODECS: dict[str, tuple[CanCodec, CanFrame]] = {
 def test_frames_that_only_a_drive_sends_name_another_drive(protocol: str) -> None:
     codec, state = CODECS[protocol]
     strangers = Strangers(codec, (1, 2), 2 * MS)
-    strangers.hear(state, None, 0)
+    strangers.note(state, None, 0)
     assert strangers.in_words() == "another drive on this bus has address 2 and sent 1 states"
 
 
@@ -46,9 +46,9 @@ def test_more_commands_than_cycles_name_another_master(protocol: str) -> None:
     alone, joined = (Strangers(codec, (1, 2), 2 * MS) for _ in range(2))
     for tick in range(50):
         for joint, frame in enumerate(codec.command_frames(np.zeros(2))):
-            alone.hear(frame, joint, tick * 2 * MS)
-            joined.hear(frame, joint, tick * 2 * MS)
-            joined.hear(frame, joint, tick * 2 * MS)
+            alone.note(frame, joint, tick * 2 * MS)
+            joined.note(frame, joint, tick * 2 * MS)
+            joined.note(frame, joint, tick * 2 * MS)
     assert alone.in_words() == ""
     assert "another master is on this bus: drive 1 was sent 100 commands in 50 cycles" in (
         joined.in_words()

@@ -7,16 +7,18 @@ from contextlib import closing, contextmanager
 
 import pytest
 
+from bus_schema.can.cia402.master import MASTER_NODE
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import DriveError
 from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.can.session import open_can_bus
 from bus_schema.can.survey import ask_drives, require_no_others
-from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
 from deploy.cli.findings import Finding
 from deploy.cli.rig import examine_rig
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.drive import DriveFault
+from tests.eds_decoding import EdsDecoder
 from tests.plant_emulator.drives.test_clients import Rig, until
 from tests.plant_emulator.drives.test_damiao_clients import FD, rig_of
 
@@ -56,6 +58,15 @@ def test_bus_with_drives_that_the_scenario_does_not_know_is_refused(name: str) -
         require_no_others(bus, protocol, can, (3, 5, 9))
         with pytest.raises(DriveError, match="drives with addresses 3, 9 answer on this bus"):
             require_no_others(bus, protocol, can, (5,))
+
+
+def test_eds_explains_what_absent_nodes_are_asked() -> None:
+    decoder = EdsDecoder(CIA402_EDS, (1, 2, 3), MASTER_NODE)
+    questions = PROTOCOLS.build("cia402").questions(CanConfiguration(), 4)
+    names = [name for each in questions for name in decoder.decode(each.identifier, each.data)]
+    assert names == ["Motor rated torque", "Encoder increments"]
+    with pytest.raises(ValueError, match="knows no frame 584#"):  # no such node is there to answer
+        decoder.decode(0x584, questions[0].data)
 
 
 def findings(channel: str, *overrides: str) -> dict[str, Finding]:

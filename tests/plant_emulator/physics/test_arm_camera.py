@@ -7,8 +7,9 @@ import pytest
 
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.scenario import load_setup
+from tests.arms import needs_bullet
 
-pytest.importorskip("pybullet")
+pytestmark = needs_bullet
 SIZE = WIDTH, HEIGHT = 120, 90
 
 

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from plant_emulator.physics.bullet.library import quiet
+from tests.arms import needs_bullet
 
 
 @pytest.fixture
@@ -24,8 +24,11 @@ def where(descriptor):
     return status.st_dev, status.st_ino
 
 
+@needs_bullet
 @pytest.mark.usefixtures("_streams_put_back")
 def test_of_two_threads_none_leaves_standard_output_quiet():
+    from plant_emulator.physics.bullet.library import quiet
+
     before = where(1), where(2)
     other_is_in, first_is_out = threading.Event(), threading.Event()
 

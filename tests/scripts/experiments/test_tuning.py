@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.laws import LAWS
+from controller.laws import COMPARED_LAWS
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from scripts.experiments.tuning import (
@@ -26,7 +26,7 @@ from scripts.experiments.tuning import (
 )
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", COMPARED_LAWS)
 def test_every_tuned_number_has_a_factor_of_its_own_and_structure_stays(law):
     gains = tuning_setup("paper_arm", law).gains
     factors = np.linspace(-1.0, 1.0, entries(gains))

@@ -4,4 +4,4 @@
 set -eu
 cd "$(dirname "$0")"
 exec funnel-hil margin paper_arm --laws my_laws:FilteredTorque --duration 3 --resolution 1 \
-  --set plant.physics.engine=mujoco   --at-least 10ms --baseline baseline.json --tolerance 1ms --out margin "$@"
+  --set plant.physics.engine=mujoco   --at-least 10ms --baseline baseline.json --tolerance 1ms --out margin --overwrite "$@"

@@ -20,14 +20,17 @@ FIRST_OF_CYCLE = {
     "cansimple": r"029#R",  # the first axis is asked for its estimates
     "mit": r"001#(?!FFFFFFFFFFFFFF)",  # the first motor is commanded
 }
+GIVEN_UP = re.compile(r"6..#80.{6}00000405")
+"""A client's SDO abort of a request that timed out (CiA 301, 7.2.4.3.17, code 0504 0000h)."""
 TICKS = 300
 
 
 def digests(folder: Path, scenario: str, *overrides: str) -> tuple[str, str]:
     """Of the start, and of the first ticks.
 
-    Start-up may repeat requests on a slow machine: so its frames count once each, without order,
-    and bus time is counted from the first cycle on.
+    Start-up may repeat requests on a slow machine, and the master gives up those that are answered
+    too late: so its frames count once each, without order and without what gives up a request, and
+    bus time is counted from the first cycle on.
     """
     run = run_over_can(scenario, "duration_s=0.8", *overrides, folder=folder)
     fields = [line.split() for line in (folder / "can.log").read_text().splitlines()]
@@ -37,7 +40,8 @@ def digests(folder: Path, scenario: str, *overrides: str) -> tuple[str, str]:
     cycles = [number for number, frame in enumerate(frames) if pattern.match(frame)]
     first, end = cycles[0], cycles[TICKS]
     timed = [f"{times_us[n] - times_us[first]} {frames[n]}" for n in range(first, end)]
-    return digest(sorted(set(frames[:first]))), digest(timed)
+    of_start = {frame for frame in frames[:first] if not GIVEN_UP.match(frame)}
+    return digest(sorted(of_start)), digest(timed)
 
 
 def digest(lines: list[str]) -> str:

@@ -18,7 +18,6 @@ from bus_schema.can.master import CanMaster
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
-from deploy.judge.run_data import RunData
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from tests.deploy.run.can.can_runs import CANSIMPLE, FEEDBACK, CanRun, run_over_can
@@ -26,6 +25,8 @@ from tests.eds_decoding import EdsDecoder
 from tests.multicast import own_bus
 
 STRUCK_S = 0.5
+MOTEUS = "iiwa_can link.can.protocol=moteus"
+COMPENSATED = "controller.delay_compensation.enabled=true"
 TICK_S = 0.002
 SLOW_DOWN_S = 0.3
 """Object 0x2000: the longest a CiA 402 drive takes to slow down before it brakes."""
@@ -43,22 +44,28 @@ def cansimple(tmp_path_factory: pytest.TempPathFactory) -> CanRun:
     return run_over_can("paper_arm_can", *plain, folder=folder)
 
 
-@pytest.fixture(scope="module")
-def in_process() -> RunData:
-    setup = load_setup("paper_arm_can", ["duration_s=1", "link.kind=in_process"])
-    return simulate(setup).data()
-
-
-@pytest.mark.parametrize("protocol", ["cia402", "cansimple"])
-def test_bounds_are_kept_and_quantisation_is_all_that_differs(
-    protocol: str, in_process: RunData, request: pytest.FixtureRequest
-) -> None:
-    run: CanRun = request.getfixturevalue(protocol)
-    assert run.summary["completed"]
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        "paper_arm_can", f"paper_arm_can {CANSIMPLE[0]}",
+        "paper_arm_can plant.drive_feedback.enabled=true",  # drives could take targets
+        "paper_arm_mit controller.law=fixed_time_neural", MOTEUS, "iiwa_can",
+        "openarm link.can.fd=false link.can.fd_process_data=false rate_hz=250",
+        f"{MOTEUS} {FEEDBACK} {COMPENSATED}", f"{MOTEUS} link.uplink.delay_ms=4 {COMPENSATED}",
+    ],
+)  # fmt: skip
+def test_bounds_are_kept_and_quantisation_alone_changes_errors(scenario: str) -> None:
+    words = (*scenario.split(), "duration_s=0.6")
+    run = run_over_can(*words)
+    assert (run.faults, run.summary["completed"]) == ("", True)
     assert run.summary["bounds"]["kept"]
-    errors = run.data.true_errors_rad[250:], in_process.true_errors_rad[250:]
-    ours, reference = (np.sqrt((each**2).mean(axis=0)) for each in errors)
-    assert (ours <= 1.5 * reference).all()
+    if not any(word in scenario for word in ("delay", "feedback", "openarm")):
+        plain = run_over_can(*words, "link.kind=in_process")
+        errors = run.data.true_errors_rad, plain.data.true_errors_rad
+        settled = (each[len(each) * 2 // 3 :] for each in errors)
+        ours, reference = (np.sqrt((each**2).mean(axis=0)) for each in settled)
+        step_rad = 0.0 if scenario.startswith("paper_arm_can") else 4e-4
+        assert (ours <= 1.5 * reference + step_rad).all()
 
 
 def test_log_decodes_completely_with_our_eds(cia402: CanRun) -> None:
@@ -100,6 +107,9 @@ def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
 @pytest.mark.parametrize(
     ("scenario", "fault", "reason", "emergency"),
     [
+        (MOTEUS, "drive:2@500ms", "drive 2: error 33", None),
+        (MOTEUS, "encoder:2@500ms", "drive 2: error 35", None),
+        (MOTEUS, "over-temperature:3@500ms", "drive 3: error 38", None),
         ("paper_arm_can", "drive:2@500ms", "node 2: short circuit", "082#2023"),
         ("paper_arm_can", "over-temperature:3@500ms", "node 3: over-temperature", "083#1043"),
         ("paper_arm_can", "silent:2@500ms", "no answer from drive 2", None),
@@ -120,11 +130,11 @@ def test_all_axes_come_to_rest_when_one_drive_fails(
         f"link.can.faults.drives=['{fault}']",
         "link.can.answer_timeout_s=2",
     )
-    run = run_over_can(scenario, *struck, folder=tmp_path)
+    run = run_over_can(*scenario.split(), *struck, folder=tmp_path)
     assert reason in run.faults
     # of the cycle that brought it, so that no consequence stands before its cause
-    told_ns = {event.stamp_ns for event in run.data.events if "DriveError" in event.detail}
-    assert told_ns == {round(STRUCK_S * 1e9)}
+    stamps_ns = {event.stamp_ns for event in run.data.events if "DriveError" in event.detail}
+    assert stamps_ns == {round(STRUCK_S * 1e9)}
     assert emergency is None or any(each.startswith(emergency) for each in run.logged)
     # the other drives hear of it at the next tick, then slow down; two ticks to see it
     if scenario == "paper_arm_can":
@@ -187,6 +197,29 @@ def test_hostile_frames_are_counted_and_change_nothing(
     assert sum(rejected.values()) > 50
 
 
+def test_emergency_of_a_drive_that_goes_on_is_a_fault_of_the_run(
+    cia402: CanRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It moves nothing, and many of them are reported once: anyone can send the frame."""
+    place, sample, ticks = own_bus(), CanMaster.sample, count()
+    stranger = open_can_bus(load_setup("paper_arm_can", place).scenario.link.can)
+    emergency = CanFrame(0x082, bytes.fromhex("1023020000000000"))
+
+    def sample_with_emergency(master: CanMaster, now_ns: int) -> None:
+        if next(ticks) % 100 == 50:
+            stranger.send(emergency)
+        sample(master, now_ns)
+
+    monkeypatch.setattr(CanMaster, "sample", sample_with_emergency)
+    run = run_over_can("paper_arm_can", "duration_s=1", *place)
+    stranger.close()
+    (fault,) = run.data.faults()
+    assert fault.startswith("controller at 0.1")
+    assert "s: drive 2 sent emergency 0x2310 (" in fault
+    assert run.summary["verdict"] == "faulted"
+    assert run.data.digest == cia402.data.digest
+
+
 def test_error_frames_lengthen_latencies_and_change_nothing_else(cia402: CanRun) -> None:
     errors = "link.can.faults.frame_error_probability=0.1"
     noisy = run_over_can("paper_arm_can", "duration_s=1", errors)
@@ -213,13 +246,6 @@ def test_drives_with_loops_keep_bounds_as_those_that_are_no_can_nodes(protocol: 
     assert over_can.summary["bounds"]["margin_min"] == pytest.approx(
         without["bounds"]["margin_min"], abs=0.01
     )
-
-
-def test_torques_without_targets_keep_bounds_too() -> None:
-    """The drives could take targets, and the controller sends none."""
-    data = run_over_can("paper_arm_can", "duration_s=0.4", "plant.drive_feedback.enabled=true")
-    assert data.summary["bounds"]["kept"]
-    assert data.faults == ""
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

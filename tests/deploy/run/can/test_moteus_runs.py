@@ -7,8 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from deploy.scenario.yaml_files import ScenarioError
-from tests.deploy.run.can.can_runs import FEEDBACK, CanRun, run_over_can
+from tests.deploy.run.can.can_runs import CanRun, run_over_can
 
 MOTEUS = "link.can.protocol=moteus"
 
@@ -47,35 +46,6 @@ def test_torques_are_those_in_the_frames(run: CanRun) -> None:
     assert written[-1] == bytes(2).join((b"\x01", b""))  # a master leaves them stopped
 
 
-def test_cia402_drives_are_followed_as_well(run: CanRun) -> None:
-    """What differs is rounding."""
-    cia402 = run_over_can("iiwa_can", "duration_s=0.6")
-    np.testing.assert_allclose(run.data.true_errors_rad, cia402.data.true_errors_rad, atol=5e-4)
-
-
-@pytest.mark.parametrize("more", [FEEDBACK, "link.uplink.delay_ms=4"], ids=["targets", "delay"])
-def test_bounds_are_kept_with_targets_and_with_a_compensated_delay(more: str) -> None:
-    compensated = "controller.delay_compensation.enabled=true"
-    over_can = run_over_can("iiwa_can", MOTEUS, "duration_s=0.6", more, compensated)
-    assert over_can.summary["faults"] == []
-    assert over_can.summary["verdict"] == "kept"
-
-
-@pytest.mark.parametrize(
-    ("fault", "reason"),
-    [
-        ("drive:2@300ms", "drive 2: error 33"),
-        ("encoder:2@300ms", "drive 2: error 35"),
-        ("over-temperature:3@300ms", "drive 3: error 38"),
-    ],
-)
-def test_all_axes_come_to_rest_when_one_drive_fails(fault: str, reason: str) -> None:
-    faults = f"link.can.faults.drives=['{fault}']", "link.can.answer_timeout_s=2"
-    run = run_over_can("iiwa_can", MOTEUS, "duration_s=0.8", *faults)
-    assert reason in run.faults
-    run.assert_stopped()
-
-
 def test_drive_that_its_master_gave_up_damps_its_joint_while_the_others_rest() -> None:
     """moteus has no brake command: the drive damps the joint until it is stopped."""
     faults = "link.can.faults.drives=['silent:2@300ms']", "link.can.answer_timeout_s=2"
@@ -90,8 +60,3 @@ def test_drives_that_lose_their_master_time_out_and_damp_their_joints() -> None:
     run = run_over_can("iiwa_can", MOTEUS, "duration_s=1", "link.can.faults.bus_off_s=0.3")
     assert "node 7: command timeout (mode 11)" in run.faults
     assert run.speed[-1] < 0.5
-
-
-def test_classical_frames_are_refused() -> None:
-    with pytest.raises(ScenarioError, match="must be true with moteus, whose frames are longer"):
-        run_over_can("iiwa_can", MOTEUS, "link.can.fd_process_data=false")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,10 @@ from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from deploy.run.measure.latency import find_latency
 from deploy.run.measure.mcap_series import read_series
 
+MOST_ROWS = 4_000
 
+
+@cache
 def recorded(
     rate_hz: float, dead_ms: float, lag_ms: float, noise: float, *, feedback: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -23,7 +28,7 @@ def recorded(
     random, step_s = np.random.default_rng(5), 1e-4
     every, dead = round(1.0 / rate_hz / step_s), round(dead_ms * 1e-3 / step_s)
     decay = 1.0 - math.exp(-step_s / (lag_ms * 1e-3))
-    rows = round(20.0 * rate_hz)
+    rows = min(round(20.0 * rate_hz), MOST_ROWS)
     wanted = np.repeat(random.standard_normal(rows // 8 + 1), 8)[:rows]  # steps of eight rows
     held = np.zeros(dead + rows * every + 1)
     state, commands, responses = 0.0, [], []
@@ -38,8 +43,10 @@ def recorded(
 
 
 @pytest.mark.parametrize("rate_hz", [30.0, 100.0, 1000.0])
-@pytest.mark.parametrize(("dead_ms", "lag_ms"), [(4.0, 20.0), (35.0, 60.0), (80.0, 15.0)])
-@pytest.mark.parametrize("feedback", [0.0, 0.3])
+@pytest.mark.parametrize(
+    ("dead_ms", "lag_ms", "feedback"),
+    [(4.0, 20.0, 0.0), (35.0, 60.0, 0.3), (80.0, 15.0, 0.0)],
+)
 def test_known_system_is_recovered(
     rate_hz: float, dead_ms: float, lag_ms: float, feedback: float
 ) -> None:
@@ -119,7 +126,9 @@ def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> 
             channel = writer.register_channel(topic, "cdr", schema)
             for time_s, effort in zip(times_s, efforts, strict=True):
                 none, log_time = np.zeros(0), round(time_s * 1e9)
-                message = joint_state(header, [], none, none, np.array([0.0, effort]))
+                message = joint_state(
+                    header, ["shoulder", "elbow"], none, none, np.array([0.0, effort])
+                )
                 data = bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE))
                 writer.add_message(channel, log_time, data, log_time)
         writer.finish()
@@ -137,7 +146,7 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     words = ("latency", file, "--command", "/wanted.effort[1]", "--response")
     code, said = funnel_hil(*words, "/found.effort[1]")
     assert code == 0, said
-    assert "1,538 rows at 76.92 Hz" in said  # responses before the last command, 1000 Hz / 13
+    assert "307 rows at 76.92 Hz" in said  # responses before the last command, 1000 Hz / 13
     for response_name, complaint in (
         ("/fuond.effort[1]", "did you mean /found"),
         ("/found.effort[2]", "/found.effort[2]: cannot be read as a number"),
@@ -180,16 +189,137 @@ def delayed_rows(seed: int, dead_s: float, lag_s: float) -> tuple[np.ndarray, ..
     return times_s, commands, np.array(responses)
 
 
-@pytest.mark.parametrize("lag_ms", [0.0, 2.0])
-def test_interval_of_a_response_that_ends_between_two_rows_has_the_true_dead_time(
-    lag_ms: float,
-) -> None:
+def test_interval_of_a_response_that_ends_between_two_rows_has_the_true_dead_time() -> None:
     """Rows 33 ms apart do not tell when in between: 95 % of intervals hold it, so 18 of 20 do."""
     inside = []
-    for seed in range(20):
+    for seed, lag_ms in zip(range(20), 10 * [0.0, 2.0], strict=True):
         dead_s = np.random.default_rng(seed).uniform(0.004, 0.080)
         found = find_latency(*delayed_rows(seed, dead_s, 1e-3 * lag_ms), 0.3, is_held=True)
         inside.append(abs(found.dead_time_s[0] - dead_s) <= found.dead_time_s[1])
         assert abs(found.lag_s[0] - 1e-3 * lag_ms) <= found.lag_s[1] + 1e-3
         assert found.dead_time_s[1] < 0.55 / 30
     assert sum(inside) >= 18
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 50.0, 1000.0])
+@pytest.mark.parametrize("periods", [1, 10])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_interval_has_a_dead_time_of_whole_periods(
+    rate_hz: float, periods: int, noise: float
+) -> None:
+    """All dead times of a period give the same rows; the true one is the end of that interval."""
+    random, times_s = np.random.default_rng(3), np.arange(1000) / rate_hz
+    commands = np.repeat(random.standard_normal(125), 8)
+    responses = np.concatenate([np.zeros(periods), commands[:-periods]])
+    responses += noise * random.standard_normal(1000)
+    found = find_latency(times_s, commands, responses, 12 / rate_hz, is_held=True)
+    middle_s, half_s = found.dead_time_s
+    assert middle_s - half_s <= periods / rate_hz <= middle_s + half_s
+    assert half_s < 0.55 / rate_hz
+
+
+def with_stiction(rate_hz: float, width: float) -> tuple[np.ndarray, ...]:
+    """Held commands, and a joint of 43 ms and 12 ms that moves only where an error exceeds this."""
+    random, step_s = np.random.default_rng(1), 1e-3
+    times_s = np.arange(20_000) * step_s
+    wanted = sum(
+        amplitude * np.sin(frequency * times_s + phase)
+        for amplitude, frequency, phase in random.uniform([0.05, 0.6, 0], [0.3, 12, 6], (6, 3))
+    )
+    every = round(1.0 / rate_hz / step_s)
+    held = np.concatenate([np.full(43, wanted[0]), np.repeat(wanted[::every], every)])
+    position, found, moves = wanted[0], [], 1.0 - math.exp(-step_s / 0.012)
+    for command in held[: len(times_s)]:
+        found.append(position)
+        error = command - position
+        position += moves * math.copysign(max(abs(error) - width, 0.0), error)
+    noise = 1e-4 * random.standard_normal(len(times_s))
+    return times_s[::every], wanted[::every], (np.array(found) + noise)[::every]
+
+
+@pytest.mark.parametrize("rate_hz", [40.0, 100.0, 500.0])
+def test_stiction_is_no_dead_time_and_lag(rate_hz: float) -> None:
+    for width in (0.003, 0.03):
+        found = find_latency(*with_stiction(rate_hz, width), 0.3, is_held=True)
+        assert found.misfit is not None, (width, found)
+    without = find_latency(*with_stiction(rate_hz, 0.0), 0.3, is_held=True)
+    assert without.misfit is None
+    assert 1e3 * without.dead_time_s[0] == pytest.approx(43.0, abs=1.0)
+    assert 1e3 * without.lag_s[0] == pytest.approx(12.0, abs=1.0)
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 100.0, 1000.0])
+@pytest.mark.parametrize("counts", [0, 100])
+def test_noise_and_a_coarse_encoder_are_no_misfit(rate_hz: float, counts: int) -> None:
+    times_s, commands, responses = recorded(rate_hz, 35.0, 60.0, 0.002)
+    if counts:
+        responses = np.round(counts * responses) / counts
+    assert find_latency(times_s, commands, responses, 0.3, is_held=True).misfit is None
+
+
+def write_csv(file: Path, time: str, columns: tuple[np.ndarray, ...]) -> None:
+    rows = (",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns), strict=True))
+    file.write_text("\n".join([f"{time},wanted,angle", *rows]))
+
+
+def test_command_gives_no_intervals_where_the_model_does_not_fit(tmp_path, funnel_hil) -> None:
+    file = tmp_path / "sticks.csv"
+    write_csv(file, "t", with_stiction(100.0, 0.01))  # the column t is found
+    code, said = funnel_hil("latency", file, "--command", "wanted", "--response", "angle")
+    assert code == 0, said
+    assert "the model does not fit, so there are no intervals: what is left depends on" in said
+    assert "stiction" in said
+    assert "±" not in said
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_command_names_the_better_interpolation(tmp_path, funnel_hil, held: bool) -> None:
+    times_s, commands, responses = recorded(30.0, 35.0, 60.0, 0.002)
+    if not held:  # a pure delay of half a period, on lines
+        responses = np.interp(times_s - 1 / 60, times_s, commands)
+    write_csv(tmp_path / "log.csv", "timestamp", (times_s, commands, responses))
+    words = ("latency", tmp_path / "log.csv", "--command", "wanted", "--response", "angle")
+    code, wrong = funnel_hil(*words, *(["--linear"] if held else []))
+    assert code == 0, wrong
+    assert f"{'without' if held else 'with'} --linear the model fits better" in wrong
+    code, right = funnel_hil(*words, *([] if held else ["--linear"]))
+    assert code == 0, right
+    assert "±" in right
+    assert "fits better" not in right
+
+
+def test_elements_have_names_of_joints(tmp_path: Path, funnel_hil) -> None:
+    times_s, command, response = recorded(100.0, 20.0, 30.0, 0.001)
+    file = tmp_path / "robot.mcap"
+    write_mcap(file, {"/wanted": (times_s, command), "/found": (times_s, response)})
+    words = ("latency", file, "--command", "/wanted.effort[elbow]", "--response")
+    code, by_name = funnel_hil(*words, "/found.effort[elbow]")
+    assert code == 0, by_name
+    code, by_number = funnel_hil(*words, "/found.effort[1]")
+    assert by_number == by_name
+    code, said = funnel_hil(*words, "/found.effort[elbw]")
+    assert code == 2
+    assert "no element 'elbw'; there are shoulder, elbow" in said
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, nested) -> None:
+    times_s, command, response = recorded(100.0, 20.0, 30.0, 0.001)
+    names = ["shoulder.pos", "elbow.pos"]
+    told = {"motors": names} if nested else names
+    (tmp_path / "meta").mkdir()
+    info = {"features": {"action": {"names": told}, "observation.state": {"names": told}}}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
+    (folder := tmp_path / "data" / "chunk-000").mkdir(parents=True)
+    columns = {
+        name: np.column_stack([np.zeros(len(times_s)), values]).tolist()
+        for name, values in (("action", command), ("observation.state", response))
+    }
+    parquet.write_table(pa.table({"timestamp": times_s, **columns}), folder / "file.parquet")
+    words = ("latency", folder / "file.parquet", "--command", "action[elbow.pos]", "--response")
+    code, said = funnel_hil(*words, "observation.state[elbow.pos]")
+    assert code == 0, said
+    assert "dead time: 2" in said or "dead time: 19.9" in said
+    code, said = funnel_hil(*words, "observation.state[wrist.pos]")
+    assert code == 2
+    assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in said

@@ -31,6 +31,13 @@ CAN_LOG = """(1700000000.000000) can0 201#0011
 (1700000000.020900) can0 181#2233
 """
 CSV = "seq,sent,got\n1,10,12.5\n2,20,\n3,30,31\n"
+TSHARK = """frame.time_relative,ip.src,tcp.analysis.ack_rtt
+0.000,10.0.0.1,
+0.002,10.0.0.2,0.002
+0.098,10.0.0.1,
+0.102,10.0.0.2,0.004
+0.200,10.0.0.1,
+"""
 
 
 @pytest.fixture
@@ -53,6 +60,30 @@ def imported(tmp_path: Path, funnel_hil):
 def test_ping_is_half_a_round_trip(imported, tmp_path: Path) -> None:
     assert imported("ping.txt", PING, "ping", "--interval", "0.2") == [1000, 2000, LOST_NS, 500]
     assert read_trace(tmp_path / "trace.parquet").gap_ns == 200 * MS
+
+
+def test_ping_says_that_it_measured_round_trips(imported, tmp_path: Path) -> None:
+    imported("ping.txt", PING, "ping")
+    assert read_trace(tmp_path / "trace.parquet").is_round_trip
+    imported("can.log", CAN_LOG, "candump", "--from", "201", "--to", "181")
+    assert not read_trace(tmp_path / "trace.parquet").is_round_trip
+
+
+def test_round_trips_of_tshark_are_halved_and_packets_without_ack_are_not_lost(
+    imported, tmp_path: Path
+) -> None:
+    words = ("csv", "--from", "frame.time_relative", "--delay", "tcp.analysis.ack_rtt")
+    assert imported("packets.csv", TSHARK, *words) == [1000, 2000]
+    trace = read_trace(tmp_path / "trace.parquet")
+    assert trace.is_round_trip
+    assert trace.times_ns.tolist() == [0, 99 * MS - 1 * MS]  # when the segments were sent
+
+
+def test_order_of_requests_survives_the_rounding_of_long_round_trips(imported, tmp_path) -> None:
+    lines = [
+        f"[{9.9 + n / 1e4:.6f}] 64 bytes: icmp_seq={n} time={t} ms" for n, t in enumerate("573")
+    ]
+    assert imported("ping.txt", "\n".join(lines), "ping") == [2500, 3500, 1500]
 
 
 def test_ping_counts_on_beyond_its_16_bits(imported, tmp_path: Path) -> None:
@@ -98,12 +129,48 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
     ("text", "words", "complaint"),
     [
         ("hello", ("ping",), "does not contain two replies in the format of ping"),
+        (CAN_LOG, ("ping",), "is a log of candump: funnel-hil trace import candump makes"),
+        (
+            PING,
+            ("candump", "--from", "1", "--to", "2"),
+            "is output of ping: funnel-hil trace import",
+        ),
+        ("".join(f"{n}\n" for n in range(0, 1500, 7)), ("ping",), "it is a trace of mahimahi"),
+        ("Loss%   Snt   Last\n", ("csv", "--from", "a", "--to", "b"), "is output of mtr, which"),
         (CAN_LOG, ("candump", "--from", "201"), "--to must be given"),
         (CAN_LOG, ("candump", "--from", "7ff", "--to", "181"), "does not contain frame 7ff"),
         (CSV, ("csv", "--from", "sent"), "give one of --to and --delay"),
-        (CSV, ("csv", "--from", "sent", "--to", "nowhere"), "nowhere"),
         (
             CSV,
+            ("csv", "--from", "sent", "--to", "nowhere"),
+            "line 1: column nowhere is missing: the columns are seq, sent, got",
+        ),
+        (CSV, ("csv", "--from", "sent", "--to", "sent"), "--from and --to must differ"),
+        (CAN_LOG, ("candump", "--from", "201", "--to", "201"), "--from and --to must differ"),
+        (
+            CAN_LOG,
+            ("candump", "--from", "201", "--to", "0x201"),
+            "does not contain frame 201",
+        ),
+        (
+            CAN_LOG,
+            ("candump", "--from", "20x", "--to", "181"),
+            "--from 20x --to 181: must be CAN identifiers in hexadecimal",
+        ),
+        ("a,b,a\n1,2,3\n", ("csv", "--from", "a", "--to", "b"), "column 1 'a' occurs twice"),
+        (
+            "a,b\n1,2\n,3\n",
+            ("csv", "--from", "a", "--to", "b"),
+            "line 3, column a = empty: must be a",
+        ),
+        ("a,b\n1,2\n2,x\n", ("csv", "--from", "a", "--to", "b"), "line 3, column b = 'x': is not"),
+        (
+            "a,b,c\nx,y,z\n",
+            ("csv", "--from", "a", "--delay", "b"),
+            "line 2, column a = 'x': is not",
+        ),
+        (
+            CSV.replace("2,20,\n", ""),
             ("csv", "--from", "got", "--to", "sent"),
             "give the true smallest delay with --least MS",
         ),

@@ -1,0 +1,116 @@
+"""The user's files that Python reads, with digests of their contents.
+
+An audit hook sees every file that Python opens, in this thread and those started meanwhile:
+modules, tables, weights, libraries of ``ctypes``. It does not see files that a library opens in C.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+import sysconfig
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import source_from_cache
+from pathlib import Path
+from typing import Any
+
+OURS = ("bus_schema", "controller", "deploy", "plant_emulator", "funnel_hil")
+"""Names of our packages, which no user module replaces."""
+OUR_FOLDER = str(Path(__file__).resolve().parents[2])
+
+_INSTALLED = ("/site-packages/", "/dist-packages/")
+_EXAMPLES = f"{OUR_FOLDER}/deploy/docs/"
+_OF_OTHERS = (
+    *(f"{OUR_FOLDER}/{name}/" for name in OURS),
+    *(f"{Path(sysconfig.get_path(name)).resolve()}/" for name in ("stdlib", "platstdlib")),
+    "/proc/", "/sys/", "/dev/", "/etc/", "/run/", "/usr/lib/", "/usr/share/",
+)  # fmt: skip
+_CACHES = (".nbi", ".nbc")
+"""Compiled functions of numba, which belong to their module."""
+_DIGITS = 16
+_WRITTEN = ""
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Digests of what is read, and threads that read for others, such as a recorder's."""
+
+    read: dict[str, str]
+    other_threads: set[threading.Thread]
+
+
+_reading: list[_Reading] = []
+
+
+def is_of_the_user(path: str) -> bool:
+    """Whether a file is neither installed, nor the system's, nor ours, nor a cache."""
+    is_of_others = path.startswith(_OF_OTHERS) and not path.startswith(_EXAMPLES)
+    return not (is_of_others or path.endswith(_CACHES) or any(part in path for part in _INSTALLED))
+
+
+def digest_of_file(path: Path) -> str | None:
+    """Return a digest of a regular file; None if there is none that can be read."""
+    try:
+        if not path.is_file():  # opening a pipe could wait for ever
+            return None
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()[:_DIGITS]
+    except (OSError, ValueError):
+        return None
+
+
+@contextlib.contextmanager
+def files_read() -> Iterator[dict[str, str]]:
+    """Return digests by path, complete at the end, of the user's files that are read meanwhile.
+
+    Files that are also written are results, not inputs: their digest is empty. Files that are gone
+    at the end are left out.
+    """
+    _install_hook()
+    read: dict[str, str] = {}
+    reading = _Reading(read, {*threading.enumerate()} - {threading.current_thread()})
+    _reading.append(reading)
+    try:
+        yield read
+    finally:
+        _reading[:] = [each for each in _reading if each is not reading]
+        for path in [path for path in read if not Path(path).exists()]:
+            del read[path]
+
+
+@cache
+def _install_hook() -> None:
+    """Install the hook, which cannot be removed."""
+    sys.addaudithook(_hook)
+
+
+def _hook(event: str, arguments: tuple[Any, ...]) -> None:
+    if _reading and event in ("open", "ctypes.dlopen"):
+        with contextlib.suppress(Exception):  # it would end the call that opens the file
+            _note(arguments[0], arguments[2] if event == "open" else os.O_RDONLY)
+
+
+def _note(name: Any, flags: int) -> None:
+    if not isinstance(name, str | bytes | os.PathLike):
+        return
+    path = str(Path(os.fsdecode(name)).resolve())
+    if not is_of_the_user(path):
+        return
+    if path.endswith(".pyc"):
+        path = source_from_cache(path)
+    thread = threading.current_thread()
+    reading = [each.read for each in _reading if thread not in each.other_threads]
+    if flags & (os.O_WRONLY | os.O_RDWR):
+        for read in reading:
+            read[path] = _WRITTEN
+    elif unknown := [read for read in reading if path not in read]:
+        for read in unknown:
+            read[path] = _WRITTEN  # until it is read, which comes here once more
+        digest = digest_of_file(Path(path))
+        for read in unknown:
+            read[path] = digest or _WRITTEN

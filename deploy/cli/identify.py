@@ -1,0 +1,193 @@
+"""The command `identify`: from a robot's own log to its plant."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from bus_schema.arrays import Vector
+from bus_schema.errors import InputError, RobotDescriptionError
+from bus_schema.robot_description import RobotDescription, load_robot
+from deploy.cli.network.trace import Unit
+from deploy.identify.design import design, write_design
+from deploy.identify.identification import Identified, Wishes
+from deploy.identify.identification import identify as identify_arm
+from deploy.identify.results import RANGES, SCENARIO, check_is_free, write_results
+from deploy.reports.identify_report import error_table, joint_table, write_identify_report
+from deploy.reports.terminal import print_table
+from deploy.run.console import Console
+from deploy.run.measure.trace_import import UNITS_MS
+from deploy.run.new_folder import new_folder
+from deploy.scenario.referenced_files import find_urdf
+from deploy.scenario.xacro_arguments import split_arguments
+from deploy.scenario.yaml_files import ScenarioError
+
+_POOR = 0.5
+"""Error on held-out data, over the measured torque, from which a fit is doubtful."""
+
+
+def identify(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG…", help="CSV, Parquet, MCAP or rosbag2 files of one robot."),
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="The arm's file, or the name of a shipped robot.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace results in that folder.")
+    ] = False,
+    test: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="LOG", help="Log to test on; repeatable.", show_default=False),
+    ] = None,
+    held_out: Annotated[
+        float, typer.Option(help="Without --test: share at the end of each log to test on.")
+    ] = 1.0 / 3.0,
+    position: Annotated[
+        str | None,
+        typer.Option(
+            help="Columns of positions: a,b,… or a pattern with {n} or {joint}; topic of a bag."
+        ),
+    ] = None,
+    velocity: Annotated[str | None, typer.Option(help="Columns of velocities.")] = None,
+    torque: Annotated[str | None, typer.Option(help="Columns of torques.")] = None,
+    current: Annotated[str | None, typer.Option(help="Columns of motor currents.")] = None,
+    command: Annotated[
+        str | None, typer.Option(help="Columns of commanded positions, for the dead time.")
+    ] = None,
+    time: Annotated[str | None, typer.Option(help="Column of times.")] = None,
+    unit: Annotated[Unit, typer.Option(help="Unit of the times.")] = Unit.S,
+    degrees: Annotated[
+        bool, typer.Option("--degrees", help="Positions and velocities are in degrees.")
+    ] = False,
+    link_side: Annotated[
+        bool,
+        typer.Option(
+            "--link-side", help="Torques are measured beyond the gears: no rotor acts on them."
+        ),
+    ] = False,
+    current_constants: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,…", help="N m/A of each joint; by default from its weight."),
+    ] = None,
+    payload: Annotated[
+        Path | None, typer.Option(metavar="LOG", help="Log of the same arm with a payload.")
+    ] = None,
+    payload_kg: Annotated[
+        float | None, typer.Option(metavar="KG", help="Its mass, to check the current constants.")
+    ] = None,
+    design_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--design",
+            metavar="FILE.csv",
+            help="Write a trajectory that shows all parameters; FILE.yaml is a JointTrajectory.",
+        ),
+    ] = None,
+    duration_s: Annotated[
+        float, typer.Option("--duration", metavar="S", help="Duration of that trajectory.")
+    ] = 30.0,
+) -> None:
+    """Identify an arm from its own log: masses, friction, rotors, delay, with intervals.
+
+    DIR gets a URDF, a scenario, ranges for `margin --uncertainty`, a summary and a report. With
+    --design, the command writes a trajectory that would show all of it, instead.
+    """
+    if robot is None:
+        raise InputError("identify: --robot must name the arm's file, or a shipped robot")
+    arm = _arm(robot)
+    if design_file is not None:
+        if logs:
+            raise InputError(f"--design {design_file}: must be given without LOG files")
+        _design(arm, design_file, duration_s)
+        return
+    if not logs:
+        raise InputError("identify: give one or more LOG files")
+    if not 0.05 <= held_out <= 0.9:
+        raise InputError(f"--held-out {held_out:g}: must be between 0.05 and 0.9")
+    columns = {
+        "position": position, "velocity": velocity, "torque": torque, "current": current,
+        "command": command, "time": time,
+    }  # fmt: skip
+    constants = None if current_constants is None else _numbers(current_constants, arm)
+    wishes = Wishes(
+        columns, UNITS_MS[unit] / 1e3, degrees, link_side, held_out, constants, payload_kg
+    )
+    found = identify_arm(logs, test or [], payload, arm, wishes)
+    folder = new_folder(f"identify-{arm.path.stem}", out, overwrite=overwrite)
+    check_is_free(folder)
+    summary = write_results(found, folder)
+    write_identify_report(found, summary, folder / "report.html")
+    _show(found, folder)
+
+
+def _arm(name: str) -> RobotDescription:
+    try:
+        file, arguments = split_arguments(name)
+        return load_robot(find_urdf(file, Path.cwd()), arguments=arguments)
+    except RobotDescriptionError as error:
+        text = str(error)
+        raise ScenarioError(text if text.startswith("/") else f"{name}: {text}") from error
+
+
+def _design(arm: RobotDescription, file: Path, duration_s: float) -> None:
+    if file.suffix != ".csv":
+        raise InputError(f"--design {file}: must end in .csv; the JointTrajectory ends in .yaml")
+    for each in (file, file.with_suffix(".yaml")):
+        if each.exists():
+            raise InputError(f"--design {file}: {each} exists; name another file")
+    if not file.absolute().parent.is_dir():
+        raise InputError(f"--design {file}: there is no folder {file.absolute().parent}")
+    found = design(arm, duration_s)
+    beside = write_design(found, arm, file)
+    print(f"condition number of the regressor: {found.condition:.3g}")
+    for j, name in enumerate(arm.joint_names):
+        low, high = found.motion[0, :, j].min(), found.motion[0, :, j].max()
+        fastest = np.abs(found.motion[1, :, j]).max()
+        print(f"{name}: {low:.3g} … {high:.3g} rad, at most {fastest:.3g} rad/s")
+    print("check it for collisions of the arm with itself and with what is around it")
+    print(f"trajectory: {file}\nJointTrajectory: {beside}")
+
+
+def _numbers(text: str, arm: RobotDescription) -> Vector:
+    try:
+        values = np.array([float(each) for each in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != arm.joints or not (values > 0.0).all():
+        allowed = f"must be {arm.joints} positive numbers, one per joint, in N m/A"
+        raise InputError(f"--current-constants {text[:100]}: {allowed}")
+    return values
+
+
+def _show(found: Identified, folder: Path) -> None:
+    """Print the errors, the joints, what was not seen, and the next commands."""
+    console = Console()
+    for table in (error_table(found), joint_table(found)):
+        print_table(console, table)
+    if found.payload is not None:
+        kg, half = found.payload.kg
+        print(f"payload: {kg:.3f} ± {half:.3f} kg")
+    poor = [
+        name for name, e in zip(found.robot.joint_names, found.errors(), strict=True) if e > _POOR
+    ]
+    if poor:
+        print(
+            f"warning: {', '.join(poor)}: more than {100 * _POOR:g} % of the torque is not"
+            " predicted; is this the robot of the log, and are these its columns?"
+        )
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"not seen in these logs: {'; '.join(found.not_seen)}")
+    scenario, ranges = (shlex.quote(str(folder / name)) for name in (SCENARIO, RANGES))
+    print(f"results: {folder}\nfunnel-hil simulate {scenario} runs it")
+    print(
+        f"funnel-hil margin {scenario} --uncertainty {ranges} --plants 40 --values 4,8,16,32"
+        " finds how much delay this robot tolerates"
+    )

@@ -1,0 +1,286 @@
+"""The whole way from logs to an identified arm, with what the logs do not show."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Vector
+from bus_schema.errors import InputError
+from bus_schema.robot_description import RobotDescription
+from controller.manipulator_model import ManipulatorModel
+from deploy.identify.base_parameters import SEEN, Z_95, Grouping, Interval, grouping
+from deploy.identify.currents import Constants, Payload, constants_by_weight, payload_of
+from deploy.identify.fit import Fit, fit, prior_of
+from deploy.identify.quality import predicted_before, relative_errors, residual_notes
+from deploy.identify.regression import (
+    COULOMB,
+    ROTOR,
+    TERMS,
+    Trial,
+    split,
+    trial_of,
+)
+from deploy.identify.robot_log import RobotLog, read_robot_log
+from deploy.identify.signals import checked, cutoff_hz, moves, samples_of
+from deploy.run.measure.latency import find_latency
+from deploy.scenario.starter import Drives, drives_of
+
+_LEAST_MOVING = 0.5
+_SURELY, _NOTABLE = 5.0, 0.02
+_LONGEST_S = 0.3
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """How to identify.
+
+    Attributes:
+        columns: as `read_robot_log` takes them.
+        unit_s: unit of times in tables.
+        degrees: whether positions and velocities are in degrees.
+        link_side: whether the torques are measured beyond the gears, where rotors do not act.
+        held_out: share at the end of each log that is not fitted, if there are no `tests`.
+        constants: N m/A of each joint, if they are known.
+        payload_kg: mass of the payload, if it is known.
+    """
+
+    columns: Mapping[str, str | None] = field(default_factory=dict)
+    unit_s: float = 1.0
+    degrees: bool = False
+    link_side: bool = False
+    held_out: float = 1.0 / 3.0
+    constants: Vector | None = None
+    payload_kg: float | None = None
+
+
+@dataclass(frozen=True)
+class Identified:
+    """An identified arm.
+
+    Attributes:
+        robot: the arm as its file has it.
+        model: likewise.
+        group: its base parameters.
+        drives: motors and friction before.
+        fit: what was found.
+        training: motions that were fitted.
+        held_out: motions that were not.
+        logs: names of the files of both.
+        constants: torque per current; None for logs with torques.
+        payload: what the log with a payload carries; None without.
+        dead_time_s: from commanded to measured positions, and half of its interval; None without.
+        not_seen: a sentence for each value that stays as it was.
+        notes: what was changed in the logs, and what residuals show.
+    """
+
+    robot: RobotDescription
+    model: ManipulatorModel
+    group: Grouping
+    drives: Drives
+    fit: Fit
+    training: list[Trial]
+    held_out: list[Trial]
+    logs: tuple[list[str], list[str]]
+    constants: Constants | None
+    payload: Payload | None
+    dead_time_s: tuple[float, float] | None
+    not_seen: list[str]
+    notes: list[str]
+
+    def errors(self, *, before: bool = False) -> Vector:
+        """Return relative RMS errors of the held-out torques, shape (joints,)."""
+        of = (lambda t: predicted_before(self.fit, t)) if before else self.fit.predicted
+        measured = np.concatenate([each.torque * self.fit.constants for each in self.held_out])
+        return relative_errors(np.concatenate([of(each) for each in self.held_out]), measured)
+
+    def term(self, joint: int, term: int) -> Interval:
+        """Return a parameter of a joint."""
+        found, has = self.fit, self.fit.has_term[joint, term]
+        before = float(found.prior.terms[joint, term])
+        if not has:
+            value = before if term == ROTOR else 0.0
+            return Interval(value, math.nan, before, seen=False)
+        sd = float(found.terms_sd[joint, term])
+        seen = bool(sd < SEEN * found.prior.terms_sd[joint, term])
+        seen = seen and not (term == ROTOR and self.group.of_rotor[joint].any())
+        return Interval(float(found.terms[joint, term]), Z_95 * sd, before, seen)
+
+
+def identify(
+    files: Sequence[Path], tests: Sequence[Path], loaded: Path | None, robot: RobotDescription,
+    wishes: Wishes,
+) -> Identified:  # fmt: skip
+    """Identify an arm from its logs.
+
+    Args:
+        files: logs to fit.
+        tests: logs to test the fit on; without, the end of each of `files`.
+        loaded: a log with a payload.
+        robot: the arm.
+        wishes: how.
+
+    Raises:
+        InputError: a log cannot be used; the message says what would do.
+    """
+    model, drives, notes = ManipulatorModel(robot), drives_of(robot), list[str]()
+    logs = []
+    for file in (*files, *tests, *([loaded] if loaded else [])):
+        log = read_robot_log(file, robot.joint_names, wishes.columns, wishes.unit_s)
+        log, changed = checked(_in_radians(log) if wishes.degrees else log, robot)
+        logs.append(log)
+        notes += changed
+    if len({log.is_current for log in logs}) > 1:
+        raise InputError("identify: all logs must have torques, or all currents")
+    cutoff = float(np.median([cutoff_hz(log) for log in logs]))
+    trials = [trial_of(samples_of(log, cutoff), model) for log in logs]
+    _require_motion(trials[: len(files)], robot, logs)
+    notes += [note for trial in trials for note in trial.samples.notes]
+    training, held_out = _parts(trials, len(files), len(tests), wishes.held_out)
+    constants = _constants(logs, training, model, wishes.constants)
+    factors = np.ones(robot.joints) if constants is None else constants.nm_per_a
+    prior = prior_of(model, drives)
+    rotors = np.full(robot.joints, not wishes.link_side)
+    found = fit(training, prior, factors, rotors)
+    if (without := _without_rotor(found)).any():
+        found = fit(training, prior, factors, rotors & ~without)
+        named = ", ".join(np.array(robot.joint_names)[without])
+        notes.append(
+            f"the torques of {named} show no rotor, as torques beyond the gears (--link-side):"
+            " estimates are used"
+        )
+    together = trials[: len(files) + len(tests)]
+    _require_one_payload(found, together, model, [log.path for log in logs])
+    payload = payload_of(found, trials[-1], wishes.payload_kg) if loaded else None
+    if payload is not None and payload.nm_per_a is not None:
+        apart = np.nanmedian(payload.nm_per_a / factors) - 1.0
+        notes.append(
+            f"current constants by the payload differ by {apart:+.1%} (median) from those by the"
+            " weight of the robot's file"
+        )
+    for trial in held_out:
+        notes += residual_notes(found, trial, robot.joint_names)
+    names = [log.path.name for log in logs]
+    result = Identified(
+        robot, model, grouping(model), drives, found, training, held_out,
+        (names[: len(files)], names[len(files) : len(files) + len(tests)]), constants, payload,
+        _dead_time(logs), [], list(dict.fromkeys(notes)),
+    )  # fmt: skip
+    result.not_seen.extend(_not_seen(result))
+    return result
+
+
+def _in_radians(log: RobotLog) -> RobotLog:
+    def turned(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else np.radians(values)
+
+    return replace(
+        log, position=np.radians(log.position), velocity=turned(log.velocity),
+        command=turned(log.command),
+    )  # fmt: skip
+
+
+def _require_motion(trials: list[Trial], robot: RobotDescription, logs: list[RobotLog]) -> None:
+    """Refuse logs in which too few joints move."""
+    moving = np.any([moves(each.samples.velocity) for each in trials], axis=0)
+    if moving.mean() >= _LEAST_MOVING:
+        return
+    slow = ", ".join(np.array(robot.joint_names)[~moving])
+    raise logs[0].refusal(
+        f"too slow: {slow} never move faster than 0.05 rad/s in both directions, which friction and"
+        " weight need; funnel-hil identify --design FILE writes a trajectory that shows all joints"
+    )
+
+
+def _parts(
+    trials: list[Trial], files: int, tests: int, held_out: float
+) -> tuple[list[Trial], list[Trial]]:
+    """Return what is fitted, and what is held out."""
+    if tests:
+        return trials[:files], trials[files : files + tests]
+    parts = [split(each, held_out) for each in trials[:files]]
+    return [early for early, _ in parts], [late for _, late in parts]
+
+
+def _constants(
+    logs: list[RobotLog], training: list[Trial], model: ManipulatorModel, given: Vector | None
+) -> Constants | None:
+    if not logs[0].is_current:
+        return None
+    if given is not None:
+        return Constants(given, np.full(given.size, math.nan))
+    return constants_by_weight(training, model)
+
+
+def _without_rotor(found: Fit) -> NDArray[np.bool_]:
+    """Return whether each joint's torque may be that of no rotor at all, shape (joints,)."""
+    is_none = found.terms[:, ROTOR] < Z_95 * found.terms_sd[:, ROTOR]
+    return np.asarray(is_none & found.has_term[:, ROTOR])
+
+
+def _require_one_payload(
+    found: Fit, trials: list[Trial], model: ManipulatorModel, paths: list[Path]
+) -> None:
+    """Refuse logs of which some carry a payload and others do not."""
+    if len(trials) < 2:
+        return
+    masses = [payload_of(found, each, None).kg for each in trials]
+    heavy = int(np.argmax([kg for kg, _ in masses]))
+    light = int(np.argmin([kg for kg, _ in masses]))
+    more = masses[heavy][0] - masses[light][0]
+    unsure = (masses[heavy][1] + masses[light][1]) / Z_95
+    if more > _SURELY * unsure and more > _NOTABLE * model.moved_kg:
+        raise InputError(
+            f"{paths[heavy]}: carries about {more:.2g} kg more than {paths[light]}: logs must have"
+            " the same payload; --payload takes one that has another"
+        )
+
+
+def _dead_time(logs: list[RobotLog]) -> tuple[float, float] | None:
+    """Return the dead time from commanded to measured positions; None where no log shows it."""
+    found = []
+    for log in logs:
+        if log.command is None:
+            continue
+        for command, response in zip(log.command.T, log.position.T, strict=True):
+            if np.isfinite(command).all():
+                with contextlib.suppress(ValueError):  # this joint does not show it
+                    each = find_latency(log.times_s, command, response, _LONGEST_S, is_held=False)
+                    found.append(each.dead_time_s)
+    if not found:
+        return None
+    middle = np.median([value for value, _ in found])
+    return float(middle), float(np.median([half for _, half in found]))
+
+
+def _not_seen(found: Identified) -> list[str]:
+    """Return a sentence for each parameter of a joint that the logs do not show."""
+    sentences = []
+    moving = np.any([moves(each.samples.velocity) for each in found.training], axis=0)
+    for joint, name in enumerate(found.robot.joint_names):
+        if not moving[joint]:
+            sentences.append(f"all of {name}: move it faster than 0.05 rad/s in both directions")
+            continue
+        fastest = max(float(np.abs(t.samples.velocity[:, joint]).max()) for t in found.training)
+        advice = {
+            COULOMB: "move it slowly in both directions",
+            ROTOR: "accelerate it more",
+        }
+        for term in (COULOMB, 1, ROTOR):
+            if found.fit.has_term[joint, term] and not found.term(joint, term).seen:
+                hint = advice.get(term, f"move it faster than {2.0 * fastest:.2g} rad/s")
+                if term == ROTOR and found.group.of_rotor[joint].any():
+                    hint = "no motion tells it from the inertia of the link, which is believed"
+                sentences.append(f"{TERMS[term]} of {name}: {hint}")
+        if found.constants is not None and math.isnan(found.constants.half[joint]):
+            sentences.append(f"current constant of {name}: taken from the nearest joint")
+        if not found.fit.has_term[joint, ROTOR]:
+            sentences.append(f"rotor of {name}: its torques do not show it, it is an estimate")
+    sentences.append("elasticity of the gears: needs motion near their resonance")
+    return sentences

@@ -1,0 +1,199 @@
+"""Reads a robot's log: times, positions, velocities and torques or currents of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.errors import InputError, did_you_mean
+from deploy.run.measure.mcap_series import messages
+from plant_emulator.channel.columns import column_names, read_columns
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+_MOSTLY = 0.9
+TIMES = ("time_s", "t", "time", "timestamp", "stamp")
+PATTERNS = {
+    "position": (
+        "position.{joint}", "{joint}.position_rad", "{joint}.position", "q{n}_rad", "q{n}", "q_{n}",
+        "actual_q_{n}", "q[{n}]", "state.q[{n}]", "position[{n}]", "observation.state[{n}]",
+    ),
+    "velocity": (
+        "velocity.{joint}", "{joint}.velocity_rad_s", "{joint}.velocity", "dq{n}_rad_s", "dq{n}",
+        "dq_{n}", "qd{n}", "actual_qd_{n}", "dq[{n}]", "state.dq[{n}]", "velocity[{n}]",
+        "observation.velocity[{n}]",
+    ),
+    "torque": (
+        "effort.{joint}", "{joint}.effort", "{joint}.torque_nm", "tau{n}_nm", "tau{n}", "tau_{n}",
+        "tau_J_{n}", "tau_J[{n}]", "state.tau_J[{n}]", "effort[{n}]", "observation.effort[{n}]",
+    ),
+    "current": ("{joint}.current_a", "current{n}_a", "current{n}", "actual_current_{n}"),
+    "command": (
+        "target_q{n}_rad", "target_q_{n}", "q_d{n}", "q_d_{n}", "q_d[{n}]", "state.q_d[{n}]",
+        "action[{n}]",
+    ),
+}  # fmt: skip
+"""Names of columns, by what they hold; {n} counts joints from 0 or 1."""
+
+
+@dataclass(frozen=True)
+class RobotLog:
+    """What a log holds, as recorded; joints in the order of the robot's file.
+
+    Attributes:
+        path: the file.
+        times_s: shape (rows,).
+        position: shape (rows, joints), rad.
+        velocity: same shape, rad/s; None if the log has none.
+        torque: same shape, N m, or A for currents.
+        is_current: whether `torque` are motor currents.
+        command: commanded positions, same shape; None if the log has none.
+        names: name of the column of each of these values by joint, for messages.
+        place: returns where a row is in the file, as ``line 12``.
+    """
+
+    path: Path
+    times_s: Vector
+    position: Matrix
+    velocity: Matrix | None
+    torque: Matrix
+    is_current: bool
+    command: Matrix | None
+    names: Mapping[str, Sequence[str]]
+    place: Callable[[int], str]
+
+    def refusal(self, what: str, row: int | None = None) -> InputError:
+        """Return the error that names file and row."""
+        where = "" if row is None else f", {self.place(row)}"
+        return InputError(f"{self.path}{where}: {what}")
+
+
+def read_robot_log(
+    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit_s: float = 1.0
+) -> RobotLog:
+    """Read a log.
+
+    Args:
+        path: CSV (also gzip), Parquet, MCAP, rosbag2 (``.db3``) or a bag's folder.
+        joints: the robot's joints.
+        given: by keys of `PATTERNS` and ``time``: columns, separated by commas or as a pattern with
+            ``{n}`` or ``{joint}``; in bags, ``position`` is the topic. None: known names.
+        unit_s: unit of the times in tables.
+
+    Raises:
+        InputError: it cannot be read, or lacks values; the message names file, column and line.
+    """
+    if path.is_dir() or path.suffix in (".mcap", ".db3"):
+        return _from_bag(path, joints, given.get("position"))
+    try:
+        names = column_names(path)
+        wanted = {kind: _chosen(kind, given.get(kind), names, joints) for kind in PATTERNS}
+        time = given.get("time") or next((each for each in TIMES if each in names), TIMES[0])
+        if not (wanted["position"] and (wanted["torque"] or wanted["current"])):
+            kind = "position" if not wanted["position"] else "torque"
+            example = ", ".join(p.format(joint=joints[0], n=1) for p in PATTERNS[kind][:6])
+            raise ValueError(
+                f"{path}: has no {kind} of each of the {len(joints)} joints {', '.join(joints)};"
+                f" known names are {example}, …, and --{kind} names others. Columns are"
+                f" {', '.join(names[:60])}"
+            )
+        found = read_columns(path, [time, *(c for each in wanted.values() for c in each)], None)
+        times_s, rows = found.values[time] * unit_s, range(found.rows)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+    def matrix(kind: str) -> Matrix | None:
+        return np.column_stack([found.values[c] for c in wanted[kind]]) if wanted[kind] else None
+
+    position, torque = matrix("position"), matrix("torque")
+    is_current = given.get("current") is not None or torque is None
+    torque = matrix("current") if is_current else torque
+    assert position is not None and torque is not None  # noqa: PT018 (checked above)
+
+    def place(row: int) -> str:
+        return str(found.refusal(rows[row], time, "")).removeprefix(f"{path}, ").split(",")[0]
+
+    return RobotLog(
+        path, times_s, position, matrix("velocity"), torque, is_current, matrix("command"),
+        {**wanted, "time": [time]}, place,
+    )  # fmt: skip
+
+
+def _chosen(kind: str, given: str | None, names: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return the columns of one kind, one per joint; none if the file has none of that kind.
+
+    Raises:
+        ValueError: a column that the user names is missing.
+    """
+    for pattern in PATTERNS[kind] if given is None else (given,):
+        for first in (0, 1):
+            columns = [
+                pattern.replace("{joint}", joint).replace("{n}", str(number))
+                for number, joint in enumerate(joints, first)
+            ] if "{" in pattern else [each.strip() for each in pattern.split(",")]  # fmt: skip
+            if len(columns) == 1 < len(joints) and f"{columns[0]}[0]" in names:
+                columns = [f"{columns[0]}[{index}]" for index in range(len(joints))]
+            if len(set(columns)) == len(joints) and set(columns) <= set(names):
+                return columns
+    if given is None:
+        return []
+    missing = next((each for each in columns if each not in names), "")
+    what = f"column {missing} is missing{did_you_mean(missing, names)}"
+    if len(set(columns)) < len(columns):
+        what = "names a column twice; a pattern may contain {n} or {joint}"
+    elif not missing:
+        what = f"names {len(columns)} columns, the robot has {len(joints)} joints"
+    raise ValueError(f"--{kind} {given}: {what}")
+
+
+def _from_bag(path: Path, joints: Sequence[str], topic: str | None) -> RobotLog:
+    """Read messages of type JointState from one topic, by the stamps in their headers."""
+    found: dict[str, list[tuple[int, Matrix]]] = {}
+    others: dict[str, Sequence[str]] = {}
+    try:
+        for message in messages(path, topic or JOINT_STATE):
+            state = message.content
+            if state is None:
+                continue
+            if not set(joints) <= set(state.name):
+                others[message.topic] = state.name
+                continue
+            stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
+            values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
+            found.setdefault(message.topic, []).append((stamp_ns, np.array(values)))
+    except Exception as error:  # mcap and rosbags raise many kinds of errors
+        raise InputError(f"{path}: cannot be read as a bag: {error}") from error
+    whole = {
+        name: rows
+        for name, rows in found.items()
+        if any(np.isfinite(values[[0, 2]]).all() for _, values in rows)
+    }
+    if len(whole) != 1:
+        what = f"{', '.join(whole)}: --position must name one of these topics"
+        if not whole:
+            named = "; ".join(f"{name} has {', '.join(each)}" for name, each in others.items())
+            what = f"no {topic or JOINT_STATE} with position and effort of {', '.join(joints)}"
+            what = f"{what}; {named}" if named else what
+        raise InputError(f"{path}: {what}")
+    ((name, rows),) = whole.items()
+    stamps_ns, every = np.array([ns for ns, _ in rows]), np.array([values for _, values in rows])
+    has_velocity = bool(np.isfinite(every[:, 1]).mean() > _MOSTLY)
+    return RobotLog(
+        path, (np.array(stamps_ns) - stamps_ns[0]) * 1e-9, every[:, 0],
+        every[:, 1] if has_velocity else None, every[:, 2], is_current=False, command=None,
+        names={kind: [f"{name}.{kind}[{j}]" for j in joints] for kind in ("position", "velocity",
+                                                                         "torque")},
+        place=lambda row: f"message {row + 1} on {name}",
+    )  # fmt: skip
+
+
+def _by_name(state: Any, kind: str, joints: Sequence[str]) -> Vector:
+    """Return the values of joints in a JointState; NaN if it has none of this kind."""
+    values, names = np.asarray(getattr(state, kind), float), list(state.name)
+    if len(values) != len(names):
+        return np.full(len(joints), np.nan)
+    return np.asarray(values[[names.index(name) for name in joints]])

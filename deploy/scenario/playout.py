@@ -1,0 +1,110 @@
+"""When commands act: on arrival, after a fixed play-out time, or when they say so."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.configuration import AUTO, LinkConfiguration
+from bus_schema.messages import topics
+from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, MOST_ROWS
+from controller.compensation.command_timeline import HorizonSettings
+from deploy.scenario.held_arm import held_arm_ceiling_ms
+from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
+
+if TYPE_CHECKING:
+    from deploy.scenario.setup import Setup
+
+_IN_TIME, _IN_TIME_AT_START = 0.995, 0.95
+"""Shares of the commands that arrive before they have to act."""
+_SHARE_OF_CEILING = 0.6
+"""Of the time that the arm may be held at its start; until the first command acts, it is held."""
+
+
+def resolved_link(setup: Setup) -> LinkConfiguration:
+    """Return the section ``link`` with the play-out time that applies.
+
+    Raises:
+        ConfigurationError: it is ``auto``, but no command can say when it acts.
+    """
+    scenario = setup.scenario
+    link = scenario.link
+    controller = scenario.controller
+    brings_status = setup.link_kind.brings_plant_status
+    may_be_automatic = (
+        controller.delay_compensation.enabled and controller.process is None and brings_status
+    )
+    if link.playout_ms is None:
+        return link.model_copy(update={"playout_ms": AUTO if may_be_automatic else 0.0})
+    if link.plays_automatically and not may_be_automatic:
+        allowed = "a time in ms, unless controller.delay_compensation.enabled is true"
+        if not brings_status:
+            allowed = f"a time in ms with link.kind {link.kind}"
+        elif controller.process is not None:
+            allowed = "a time in ms with controller.process: its commands do not say when they act"
+        raise ConfigurationError("link.playout_ms", AUTO, allowed)
+    return link
+
+
+def horizon_settings(setup: Setup) -> HorizonSettings:
+    """Return how the controller chooses the time from a state until its command acts."""
+    link = setup.link
+    expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
+    expected_ns = None if expected_ms is None else round(expected_ms * 1e6)
+    rows = _bridge_rows(setup)
+    if not link.plays_automatically:
+        first_ns = link.emulated_round_trip_ns if expected_ns is None else expected_ns
+        return HorizonSettings(least_ns=link.playout_ns, first_ns=first_ns)
+    if expected_ns is None:
+        first_ns, wanted_ns = _emulated(setup, link)
+    else:
+        first_ns = wanted_ns = expected_ns
+    return HorizonSettings(
+        first_ns=first_ns,
+        wanted_ns=wanted_ns,
+        is_announced=True,
+        grain_ns=setup.grid.period_ns // setup.grid.substeps,
+        reserve_ns=setup.grid.period_ns,
+        bridge_rows=rows,
+        row_ns=setup.grid.period_ns,
+    )
+
+
+def _bridge_rows(setup: Setup) -> int:
+    """Return how many rows a command has after its first.
+
+    Raises:
+        ConfigurationError: they are more than a command may have, or commands cannot have any.
+    """
+    bridge_ms = setup.scenario.controller.delay_compensation.bridge_ms
+    rows = math.ceil(1e6 * bridge_ms / setup.grid.period_ns)
+    key = "controller.delay_compensation.bridge_ms"
+    if rows and not setup.link.plays_automatically:
+        allowed = (
+            f"must be 0 unless delay_compensation.enabled is true, with link.playout_ms {AUTO}"
+        )
+        raise ConfigurationError(key, bridge_ms, allowed, ["link.playout_ms"])
+    row_bytes = 8 * setup.robot.joints * (3 if setup.drive.is_active else 1)
+    one_bytes = setup.layouts()[topics.JOINT_COMMANDS.name].size
+    most = min(MOST_ROWS - 1, (MAX_PAYLOAD_BYTES - one_bytes) // row_bytes)
+    if rows > most:
+        allowed = (
+            f"must be at most {1e-6 * most * setup.grid.period_ns:g}, as a command has {most} more"
+            " rows"
+        )
+        raise ConfigurationError(key, bridge_ms, allowed, ["rate_hz"])
+    return rows
+
+
+def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int]:
+    """Return the horizon at the start, and the one to reach, for the emulated link."""
+    up_ns, down_ns = configured_delays_ns(link.uplink), configured_delays_ns(link.downlink)
+    at_start_ns, wanted_ns = (
+        round_trip_ns(up_ns, down_ns, share) for share in (_IN_TIME_AT_START, _IN_TIME)
+    )
+    if at_start_ns == wanted_ns:
+        return wanted_ns, wanted_ns
+    ceiling_ms = held_arm_ceiling_ms(setup)
+    bearable_ns = wanted_ns if ceiling_ms is None else round(1e6 * _SHARE_OF_CEILING * ceiling_ms)
+    return min(wanted_ns, max(at_start_ns, bearable_ns)), wanted_ns

@@ -1,0 +1,35 @@
+"""Why the runs of a study do not show a margin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from deploy.judge.run_rows import Row
+from deploy.study.cases import Setting
+from deploy.study.quantities import RAMP_FOR_S, RAMP_FROM_S
+from deploy.study.statistics import NO_EFFECT, without_effect
+
+TIME_CONSTANTS = 10
+"""Of the funnel: this long the quantity must act at its full size."""
+_NEAR_S = 1e-9
+
+
+def doubts(setting: Setting, rows: Sequence[Row], columns: Iterable[str]) -> list[str]:
+    """Return why the runs of a setting do not show its margin, a sentence each; [] if they do.
+
+    Args:
+        setting: the setting.
+        rows: its rows.
+        columns: the columns that identify a run in its study.
+    """
+    found, scenario = [], setting.base.scenario
+    full_s = RAMP_FROM_S + RAMP_FOR_S if setting.tags["running"] else 0.0
+    least_s = full_s + TIME_CONSTANTS / scenario.funnel.rate_per_s
+    if scenario.duration_s < least_s - _NEAR_S:
+        found.append(
+            f"runs of {scenario.duration_s:g} s are too short: they must last {least_s:g} s,"
+            f" {TIME_CONSTANTS} time constants of the funnel after the quantity has its full size"
+        )
+    if without_effect(rows, [("value",)], columns):
+        found.append(f"{setting.quantity.title}: {NO_EFFECT}")
+    return found

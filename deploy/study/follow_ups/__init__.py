@@ -1,0 +1,1 @@
+"""Questions after a margin: theory, patterns of delays, disturbances, remedies."""

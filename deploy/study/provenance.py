@@ -1,0 +1,175 @@
+"""What made a row: versions, arithmetic, and every file that its run and its law have read.
+
+A provenance has a value by part: a version, or the digest of a file. A row is valid as long as all
+of its parts have the same values.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import importlib.util
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+
+from bus_schema.user_files import is_file, read_bytes
+from controller.laws.custom import EXTERNAL, find_law, is_custom, read_by_imports
+from controller.laws.read_files import OUR_FOLDER, OURS, digest_of_file, is_of_the_user
+from deploy.judge.arithmetic import libm_fingerprint
+from deploy.run.confirmation import other_physics
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import leaves, plain
+from plant_emulator.physics.engines import ENGINES, engine_name
+
+Provenance = dict[str, str]
+
+_LIBM = "C library"
+_OURS = "funnel-hil"
+_COMPUTING = ("numpy", "numba", "pin")
+_MAKING_ROWS = ("bus_schema", "controller", "plant_emulator", "deploy/judge", "deploy/run",
+                "deploy/scenario")  # fmt: skip
+_LONGEST = 255
+_ABSENT = "absent"
+
+
+def provenance_of(setup: Setup, confirm: bool, read: Mapping[str, str]) -> Provenance:
+    """Return the provenance of a run, without the code of a custom law.
+
+    Args:
+        setup: its scenario.
+        confirm: whether it was also simulated on other physics.
+        read: the files that it has read, as in `files_read`.
+    """
+    setups = [setup, *(other_physics(setup).values() if confirm else ())]
+    engines = [ENGINES[engine_name(each.scenario.plant)].distribution for each in setups]
+    files = {str(setup.robot.path.resolve()), *_named_files(setup)}
+    parts = current([_OURS, _LIBM, *_COMPUTING, *engines, *files])
+    return {**parts, **read}
+
+
+def provenance_of_law(name: str) -> Provenance:
+    """Return the code of a custom law: its modules, files that they name, versions of packages.
+
+    Its modules are those of the user that it imports, directly or not, as loaded in this process.
+    """
+    if not is_custom(name) or name == EXTERNAL:
+        return {}
+    find_law(name)
+    modules, packages, files = dict[str, ModuleType](), set[str](), set[str]()
+    left = [name.partition(":")[0]]
+    while left:
+        module = sys.modules.get(each := left.pop())
+        if module is None or each in modules:
+            continue
+        left.append(each.rpartition(".")[0])
+        file = Path(getattr(module, "__file__", None) or "").resolve()
+        if not (file.is_file() and is_of_the_user(str(file))):
+            packages.add(each.partition(".")[0])
+            continue
+        modules[each] = module
+        imported, texts = _parsed(module, file)
+        left += imported
+        files |= {str(file), *_files_named(texts, file.parent)}
+    parts = current([*files, *_distributions(packages)])
+    return {
+        k: v for read in (parts, *read_by_imports) if parts.keys() & read for k, v in read.items()
+    }
+
+
+def current(parts: Iterable[str]) -> Provenance:
+    """Return the present values of parts of a provenance, in this process."""
+    return {part: _value(part) for part in sorted(set(parts))}
+
+
+def differences(old: Provenance, now: Mapping[str, str]) -> list[str]:
+    """Name the parts of a provenance that have changed since, each with both values."""
+    return [
+        f"{part}: {value} before, {now.get(part, _ABSENT)} now"
+        for part, value in old.items()
+        if now.get(part, _ABSENT) != value
+    ]
+
+
+def _value(part: str) -> str:
+    if part == _LIBM:
+        return libm_fingerprint()
+    if "/" in part:
+        return digest_of_file(Path(part)) or _ABSENT
+    return _version(part) + (_own_source() if part == _OURS else "")
+
+
+@cache  # it reads files
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except (metadata.PackageNotFoundError, ValueError):
+        return _ABSENT
+
+
+@cache
+def _own_source() -> str:
+    """Return a digest of our code that makes rows, in a checkout, whose version says too little."""
+    if not is_of_the_user(f"{OUR_FOLDER}/"):
+        return ""
+    found = hashlib.sha256()
+    for file in sorted(f for room in _MAKING_ROWS for f in Path(OUR_FOLDER, room).rglob("*.py")):
+        found.update(file.read_bytes())
+    return f" with source {found.hexdigest()[:8]}"
+
+
+def _named_files(setup: Setup) -> Iterator[str]:
+    """Return the files that a scenario names, such as traces, programs, arguments and gains."""
+    words = [value for _, value in leaves(plain(setup.scenario))]
+    texts = [text for word in words for text in (word if isinstance(word, list) else [word])]
+    yield from _files_named((text for text in texts if isinstance(text, str)), Path.cwd())
+    controller = setup.scenario.controller
+    external = controller.external.command if controller.external is not None else ()
+    for command in (controller.process, external):
+        if command and (program := shutil.which(command[0])):
+            yield str(Path(program).resolve())
+
+
+def _files_named(texts: Iterable[str], folder: Path) -> Iterator[str]:
+    """Return the files in this or the current folder that texts name, also as ``--option=file``."""
+    for text in texts:
+        for name in {text, text.partition("=")[2]}:
+            if "." in name and len(name) <= _LONGEST and name.isprintable():
+                found = (place / name for place in (folder, Path.cwd()))
+                yield from (str(path.resolve()) for path in found if is_file(path))
+
+
+def _parsed(module: ModuleType, file: Path) -> tuple[list[str], list[str]]:
+    """Return the names that a module imports, also in functions, and its texts."""
+    imported, texts = list[str](), [str(v) for v in vars(module).values() if isinstance(v, Path)]
+    try:
+        tree = ast.parse(read_bytes(file))
+    except (OSError, SyntaxError, ValueError):  # compiled, or changed since
+        return imported, texts
+    package = module.__package__ or ""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Constant(value=str(text)):
+                texts.append(text)
+            case ast.Import():
+                imported += [alias.name for alias in node.names]
+            case ast.ImportFrom():
+                with contextlib.suppress(ImportError):
+                    name = importlib.util.resolve_name(
+                        "." * node.level + (node.module or ""), package
+                    )
+                    imported += [name, *(f"{name}.{alias.name}" for alias in node.names)]
+    return imported, texts
+
+
+def _distributions(packages: Iterable[str]) -> set[str]:
+    """Return the distributions of installed packages; not Python's own, nor ours."""
+    found = set(packages) - sys.stdlib_module_names - set(OURS)
+    unlike = {name for name in found if _version(name) == _ABSENT}
+    named = metadata.packages_distributions() if unlike else {}  # takes time
+    return (found - unlike) | {each for name in unlike for each in named.get(name, ())}

@@ -1,0 +1,98 @@
+"""Logs of real robots, which lie beside the project: errors on data that were not fitted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.warm_process import here
+
+pytest.importorskip("scipy", reason="the extra identify is not installed")
+SHARED = Path(__file__).parents[4] / "shared"
+LOGS = SHARED / "logs"
+UR10E = "ur10e_20_02_{}.csv.gz"
+
+
+def expanded(maker: str, file: str, folder: Path, **arguments: str) -> Path:
+    """Write the URDF of a maker's xacro file, without its meshes."""
+    import xacro
+    from xacro import substitution_args
+
+    package = SHARED / "arms" / maker
+    if not (package / file).is_file() or not LOGS.is_dir():
+        pytest.skip(f"{package} or {LOGS} is not here")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(substitution_args, "_eval_find", lambda _: str(package))
+        document = xacro.process_file(str(package / file), mappings=arguments)
+    urdf = folder / "arm.urdf"
+    urdf.write_text(document.toxml())
+    return urdf
+
+
+def ur(kind: str, folder: Path) -> Path:
+    package = "04-ur/Universal_Robots_ROS2_Description"
+    return expanded(package, "urdf/ur.urdf.xacro", folder, ur_type=kind, name="ur")
+
+
+def identified(folder: Path, *words: object) -> dict:
+    code, output = here("identify", *words, "--out", folder / "found")
+    assert code == 0, output
+    return json.loads((folder / "found" / "summary.json").read_text())
+
+
+def errors(summary: dict) -> np.ndarray:
+    return np.array([joint["relative_error_held_out"] for joint in summary["joints"]])
+
+
+def test_panda_is_predicted_on_the_second_half_of_its_log(tmp_path):
+    arm = expanded("03-franka-fr3/franka_description", "robots/fr3/fr3.urdf.xacro", tmp_path,
+                   hand="false")  # fmt: skip
+    log = LOGS / "panda_exciting.csv.gz"
+    summary = identified(tmp_path, log, "--robot", arm, "--held-out", 0.5)
+    assert (errors(summary) <= [0.10] * 6 + [0.20]).all()
+    assert any("link-side" in note for note in summary["notes"])
+    published = [0.273, 0.436, 0.320, 0.640, 0.420, 0.152, 0.282]  # Gaz et al., another robot
+    coulomb = np.array([joint["coulomb_nm"]["value"] for joint in summary["joints"]])
+    assert (coulomb / published > 0.4).all()
+    assert (coulomb / published < 1.2).all()
+
+
+def test_shipped_panda_as_a_start_gives_the_same_errors(tmp_path):
+    if not LOGS.is_dir():
+        pytest.skip(f"{LOGS} is not here")
+    log = LOGS / "panda_exciting.csv.gz"
+    words = (log, "--robot", "panda", "--held-out", 0.5, "--link-side")
+    assert (errors(identified(tmp_path, *words)) <= [0.10] * 6 + [0.20]).all()
+
+
+def test_ur10_bag_is_predicted_on_its_second_half(tmp_path):
+    log = LOGS / "ur10_exciting_trajectory.db3"
+    summary = identified(tmp_path, log, "--robot", ur("ur10", tmp_path), "--held-out", 0.5)
+    assert (errors(summary) <= [0.16, 0.05, 0.07, 0.09, 0.10, 0.35]).all()
+
+
+def test_ur10e_is_predicted_on_another_day_and_its_payload_is_found(tmp_path):
+    fitted = [LOGS / UR10E.format(each) for each in ("10-30sec_12harm", "12-50sec_12harm")]
+    tested, loaded = (LOGS / UR10E.format(f"19_15harm50sec{each}") for each in ("", "Load"))
+    arm = ur("ur10e", tmp_path)
+    words = (*fitted, "--test", tested, "--robot", arm)
+    summary = identified(tmp_path, *words, "--payload", loaded, "--payload-kg", 2.805)
+    assert (errors(summary) <= [0.10, 0.06, 0.06, 0.12, 0.22, 0.20]).all()
+    assert summary["payload"]["kg"] == pytest.approx(2.805, rel=0.12)
+    rotors = [joint["rotor_inertia_kg_m2"]["value"] for joint in summary["joints"]]
+    assert rotors == pytest.approx([5.1, 5.7, 1.1, 0.40, 0.40, 0.42], rel=0.7)
+    by_weight = [joint["nm_per_a"]["value"] for joint in summary["joints"]]
+    assert all(9.0 < each < 12.5 for each in by_weight)
+    apart = np.array(summary["payload"]["nm_per_a_by_payload"]) / by_weight - 1.0
+    assert (np.abs(apart) < 0.25).all()
+    assert any("by the payload" in note for note in summary["notes"])
+
+
+def test_a_log_with_payload_among_others_is_refused_by_name(tmp_path):
+    fitted, loaded = (LOGS / UR10E.format(f"19_15harm50sec{each}") for each in ("", "Load"))
+    arm = ur("ur10e", tmp_path)
+    words = ("identify", fitted, loaded, "--robot", arm, "--out", tmp_path / "found")
+    code, output = here(*words)
+    assert code == 2
+    assert f"{loaded.name}: carries about" in output

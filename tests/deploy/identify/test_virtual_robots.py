@@ -1,0 +1,250 @@
+"""Virtual robots with known parameters are identified; formats, intervals, files."""
+
+import gzip
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import yaml
+from mcap.writer import Writer
+from pyarrow import csv, parquet
+
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
+from bus_schema.robot_description import load_robot
+from controller.manipulator_model import ManipulatorModel
+from deploy.identify.base_parameters import base_values, grouping
+from deploy.identify.identification import Wishes, identify
+from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
+from deploy.scenario.scenario import load_setup
+from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
+from tests.warm_process import here
+
+pytest.importorskip("scipy", reason="the extra identify is not installed")
+NAME, SHORT_S = "paper_arm", 25.0
+
+
+@pytest.fixture(scope="module")
+def virtual(tmp_path_factory):
+    """A log of a virtual robot, and the truth."""
+    random = np.random.default_rng(4)
+    robot, model, *_ = excitation(NAME, SHORT_S)
+    truth = truth_of(robot, model, random)
+    file = tmp_path_factory.mktemp("logs") / "log.csv"
+    write_log(file, NAME, truth, random)
+    return file, truth
+
+
+def test_intervals_hold_the_truth_in_most_draws(tmp_path):
+    """Of 200 draws, 95 % are inside; here there is time for few."""
+    robot, model, *_ = excitation(NAME, SHORT_S)
+    group, inside = grouping(model), []
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        truth = truth_of(robot, model, random)
+        write_log(tmp_path / "log.csv", NAME, truth, random)
+        found = identify([tmp_path / "log.csv"], [], None, robot, Wishes())
+        values = list(zip(base_values(found.fit, group), group.matrix @ truth.bodies, strict=True))
+        for term, true in (
+            (COULOMB, truth.coulomb),
+            (VISCOUS, truth.viscous),
+            (ROTOR, truth.rotors),
+        ):
+            values += [(found.term(joint, term), each) for joint, each in enumerate(true)]
+        inside += [abs(v.value - true) <= v.half for v, true in values if v.seen]
+    assert len(inside) > 100
+    assert np.mean(inside) > 0.88
+
+
+def test_all_formats_give_the_same_arm(virtual, tmp_path):
+    file, _ = virtual
+    table = csv.read_csv(file)
+    packed, columns = tmp_path / "log.csv.gz", tmp_path / "log.parquet"
+    packed.write_bytes(gzip.compress(file.read_bytes()))
+    parquet.write_table(_as_lists(table), columns)
+    bag = tmp_path / "log.mcap"
+    _write_bag(bag, table)
+    robot = excitation(NAME, SHORT_S)[0]
+    own = identify([file], [], None, robot, Wishes()).fit.terms
+    for other in (packed, columns, bag, _as_rosbag2(bag, tmp_path / "bag")):
+        found = identify([other], [], None, robot, Wishes()).fit.terms
+        assert found == pytest.approx(own, rel=1e-3, abs=1e-4)
+
+
+def _as_lists(table: pa.Table) -> pa.Table:
+    """As LeRobot writes it: a list per kind."""
+    names = {"position": "observation.state", "velocity": "observation.velocity",
+             "effort": "observation.effort"}  # fmt: skip
+    lists = {"timestamp": table["time_s"]}
+    for kind, name in names.items():
+        own = [c for c in table.column_names if c.startswith(f"{kind}.")]
+        rows = np.column_stack([table[c].to_numpy() for c in own])
+        lists[name] = pa.array(rows.tolist(), pa.list_(pa.float64()))
+    return pa.table(lists)
+
+
+def _as_rosbag2(file, folder):
+    """The same messages as a bag's folder."""
+    from mcap.reader import make_reader
+    from rosbags.rosbag2 import Writer as BagWriter
+
+    with file.open("rb") as stream, BagWriter(folder, version=9) as writer:
+        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=TYPESTORE)
+        for _, _, message in make_reader(stream).iter_messages():
+            writer.write(connection, message.log_time, message.data)
+    return folder
+
+
+def _write_bag(file, table: pa.Table) -> None:
+    """JointState whose order of joints changes from message to message."""
+    joints = [c.removeprefix("position.") for c in table.column_names if c.startswith("position.")]
+    values = {c: table[c].to_numpy() for c in table.column_names}
+    header, stamp = (TYPESTORE.types[f"{t}"] for t in ("std_msgs/msg/Header",
+                                                      "builtin_interfaces/msg/Time"))  # fmt: skip
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", schema_text(JOINT_STATE).encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        for row, time_s in enumerate(values["time_s"]):
+            names = joints if row % 2 else joints[::-1]
+            kinds = [np.array([values[f"{kind}.{name}"][row] for name in names])
+                     for kind in ("position", "velocity", "effort")]  # fmt: skip
+            sec, ns = divmod(round(1e9 * time_s), 1_000_000_000)
+            message = TYPESTORE.types[JOINT_STATE](header(stamp(sec, ns), ""), names, *kinds)
+            data = TYPESTORE.serialize_cdr(message, JOINT_STATE)
+            writer.add_message(channel, round(1e9 * time_s), bytes(data), round(1e9 * time_s))
+        writer.finish()
+
+
+def test_results_are_files_that_other_commands_take(virtual, tmp_path):
+    file, truth = virtual
+    folder = tmp_path / "found"
+    code, output = here("identify", file, "--robot", NAME, "--out", folder)
+    assert code == 0, output
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["kind"] == "identify"
+    assert all(0.0 < j["relative_error_held_out"] < 0.05 for j in summary["joints"])
+    assert all(j["relative_error_held_out"] < j["relative_error_before"] for j in summary["joints"])
+    setup = load_setup(str(folder / "scenario.yaml"), ["duration_s=0.1"])
+    coulomb = setup.scenario.plant.friction.coulomb_nm
+    assert coulomb == pytest.approx(truth.coulomb, rel=0.1)
+    model = ManipulatorModel(load_robot(folder / "robot.urdf"))
+    group = grouping(model)
+    written = group.matrix @ model.body_parameters().ravel()
+    assert written == pytest.approx([e["value"] for e in summary["base_parameters"]], abs=1e-6)
+    code, output = here("simulate", folder / "scenario.yaml", "--set", "duration_s=0.1", "--out",
+                        tmp_path / "run")  # fmt: skip
+    assert code == 0, output
+    short = ("--plants", 2, "--values", 4, "--duration", 0.2, "--laws", "pid", "--workers", 1)
+    code, output = here(
+        "margin", folder / "scenario.yaml", "--uncertainty", folder / "uncertainty.yaml", *short,
+        "--out", tmp_path / "margin",
+    )  # fmt: skip
+    assert code == 0, output
+    assert "Measured and predicted torque" in (folder / "report.html").read_text()
+    code, output = here("identify", file, "--robot", NAME, "--out", folder)
+    assert (code, "holds results" in output) == (2, True)
+    assert here("identify", file, "--robot", NAME, "--out", folder, "--overwrite")[0] == 0
+
+
+def test_drawn_plants_keep_values_of_one_draw_together(virtual, tmp_path):
+    folder = tmp_path / "found"
+    assert here("identify", virtual[0], "--robot", NAME, "--out", folder)[0] == 0
+    ranges = yaml.safe_load((folder / "uncertainty.yaml").read_text())
+    from pydantic import TypeAdapter
+
+    from deploy.scenario.uncertainty import Uncertainty, draw_plant
+    from deploy.scenario.yaml_files import plain
+
+    draws = TypeAdapter(Uncertainty).validate_python(ranges)
+    setup = load_setup(str(folder / "scenario.yaml"))
+    for number in range(1, 6):
+        plant = draw_plant(draws, plain(setup.scenario), 3, seed=1, number=number)
+        rows = {key: each["rows"] for key, each in ranges.items()}
+        drawn = {key: np.atleast_1d(value).tolist() for key, value in plant.values.items()}
+        place = rows["plant.friction.coulomb_nm"].index(drawn["plant.friction.coulomb_nm"])
+        assert drawn == {key: each[place] for key, each in rows.items()}
+
+
+def test_currents_need_the_weight_and_find_a_payload(tmp_path):
+    random = np.random.default_rng(2)
+    robot, model, *_ = excitation("ur5e", SHORT_S)
+    truth = truth_of(robot, model, random)
+    truth.bodies[:] = model.body_parameters().ravel()  # its weight is the scale
+    write_log(tmp_path / "log.csv", "ur5e", truth, random)
+    constants = np.array([11.0, 12.0, 9.0, 10.0, 10.5, 10.0])
+    _to_currents(tmp_path / "log.csv", constants)
+    found = identify([tmp_path / "log.csv"], [], None, robot, Wishes())
+    sure = np.isfinite(found.constants.half)
+    assert sure.sum() >= 3
+    assert found.constants.nm_per_a[sure] == pytest.approx(constants[sure], rel=0.05)
+    truth.bodies[-10:] += 2.0 * np.array([1, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.01])
+    write_log(tmp_path / "loaded.csv", "ur5e", truth, random)
+    _to_currents(tmp_path / "loaded.csv", constants)
+    wishes = Wishes(payload_kg=2.0, constants=constants)
+    found = identify([tmp_path / "log.csv"], [], tmp_path / "loaded.csv", robot, wishes)
+    assert found.payload.kg[0] == pytest.approx(2.0, rel=0.1)
+
+
+def _to_currents(file, constants) -> None:
+    head, *rows = file.read_text().splitlines()
+    values = np.array([list(map(float, row.split(","))) for row in rows])
+    joints = len(constants)
+    values[:, -joints:] /= constants
+    names = head.split(",")
+    names[-joints:] = [f"current{n}_a" for n in range(1, joints + 1)]
+    np.savetxt(file, values, "%.9g", ",", header=",".join(names), comments="")
+
+
+def test_dead_time_from_command_to_position_becomes_a_delay_of_the_link(virtual, tmp_path):
+    head, *rows = virtual[0].read_text().splitlines()
+    values = np.array([list(map(float, row.split(","))) for row in rows])
+    late = [np.interp(values[:, 0] + 0.03, values[:, 0], column) for column in values[:, 1:4].T]
+    names = ",".join(f"target_q_{n}" for n in range(3))
+    file, folder = tmp_path / "log.csv", tmp_path / "found"
+    values = np.column_stack([values, *late])
+    np.savetxt(file, values, "%.9g", ",", header=f"{head},{names}", comments="")
+    code, output = here("identify", file, "--robot", NAME, "--out", folder)
+    assert code == 0, output
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["dead_time_ms"]["value"] == pytest.approx(30.0, abs=2.0)
+    link = load_setup(str(folder / "scenario.yaml")).scenario.link
+    assert link.downlink.delay_ms == pytest.approx(30.0, abs=2.0)
+    code, output = here("report", folder)
+    assert (code, "report.html shows it" in output) == (2, True)
+
+
+def test_rounded_and_lost_samples_and_spikes_change_little(virtual, tmp_path):
+    file, truth = virtual
+    head, *rows = file.read_text().splitlines()
+    random = np.random.default_rng(1)
+    values = np.array([list(map(float, row.split(","))) for row in rows])
+    values[random.integers(0, len(values), 15), -1] += 500.0  # spikes of a sensor
+    values = np.delete(values, random.integers(500, len(values), 120), axis=0)  # lost ones
+    values = np.delete(values, slice(1000, 1100), axis=0)  # a gap
+    np.savetxt(tmp_path / "log.csv", values, "%.9g", ",", header=head, comments="")
+    found = identify([tmp_path / "log.csv"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
+    assert found.fit.terms[:, COULOMB] == pytest.approx(truth.coulomb, rel=0.15)
+    assert any("gaps are left out" in note for note in found.notes)
+
+
+def test_designed_trajectory_is_a_reference_and_a_joint_trajectory(tmp_path):
+    file = tmp_path / "excite.csv"
+    code, output = here("identify", "--robot", NAME, "--design", file, "--duration", 12)
+    assert code == 0, output
+    assert "condition number" in output
+    trajectory = yaml.safe_load(file.with_suffix(".yaml").read_text())
+    robot = load_robot(load_setup(NAME).robot.path)
+    assert trajectory["joint_names"] == list(robot.joint_names)
+    first, last = trajectory["points"][0], trajectory["points"][-1]
+    assert np.abs([first["velocities"], last["velocities"]]).max() < 0.01
+    assert last["time_from_start"]["sec"] >= 11
+    position = np.array([each["positions"] for each in trajectory["points"]])
+    assert (position > robot.lower_rad).all()
+    assert (position < robot.upper_rad).all()
+    words = ["reference.kind=csv", f"reference.file={file}", "duration_s=12",
+             "robot.initial_offset_rad=0"]  # fmt: skip
+    values = {"extends": NAME, "name": "excited", "reference": {"kind": "csv", "file": str(file)}}
+    (tmp_path / "excited.yaml").write_text(yaml.safe_dump(values))
+    load_setup(str(tmp_path / "excited.yaml"), words[2:])

@@ -1,0 +1,87 @@
+"""Reports of arms with long names show all they contain, on a screen and on a telephone."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.judge.metrics import summarise
+from deploy.reports.run_reports import write_report
+from deploy.run.simulate import simulate
+from deploy.scenario.referenced_files import ROBOTS
+from deploy.scenario.scenario import load_setup
+
+sys.path.append(str(Path(__file__).parents[1] / "live"))
+from browser import CHROMIUM, opened
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+NAMES = {
+    "base_yaw": "shoulder_lift_joint",
+    "shoulder": "left_manipulator_shoulder_flexion_joint_of_the_second_arm",
+    "elbow": "LeftManipulatorElbowFlexionJointOfTheSecondArmInTheLaboratory",
+}
+CLIPPED = """
+(() => {
+  const found = [], root = document.documentElement;
+  const name = (what, e, ...sizes) => found.push([what, e.tagName, e.className,
+    e.closest(".card")?.querySelector("h1, h2, h3")?.textContent,
+    e.textContent.trim().slice(0, 40), ...sizes].join(" "));
+  const isBeyond = (e, frame) => {
+    const inner = e.getBoundingClientRect(), outer = frame.getBoundingClientRect();
+    return inner.width && (inner.right > outer.right + 1 || inner.left < outer.left - 1);
+  };
+  if (root.scrollWidth > root.clientWidth) name("page", root, root.scrollWidth);
+  for (const e of document.querySelectorAll("main :not(.plot, .plot *)")) {
+    const isBlock = getComputedStyle(e).display != "inline" && e.clientWidth;
+    if (isBlock && e.scrollWidth > e.clientWidth + 1) name("clipped", e, e.scrollWidth);
+    const card = e.parentElement.closest(".card");
+    if (card && isBeyond(e, card)) name("beyond its card", e);
+    const isCell = ["TD", "TH"].includes(e.tagName) && e.clientWidth;
+    if (isCell && e.textContent.trim().length > 3 && e.clientWidth < 45) name("squeezed", e);
+  }
+  for (const e of document.querySelectorAll(".plot .main-svg text"))
+    if (isBeyond(e, e.closest(".plot"))) name("beyond its figure", e);
+  return found;
+})()
+"""
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """The report of an arm that leaves its bounds, with messages lost and rejected."""
+    folder = tmp_path_factory.mktemp("long_names")
+    text = (ROBOTS / "paper_arm.urdf").read_text()
+    for before, name in NAMES.items():
+        text = text.replace(f'joint name="{before}"', f'joint name="{name}"')
+    (folder / "arm.urdf").write_text(text)
+    run = simulate(
+        load_setup(
+            "paper_arm",
+            [f"robot.urdf={folder / 'arm.urdf'}", "plant.disturbance.terms=[]", "duration_s=0.5",
+             "metrics.from_s=0.2", "link.uplink.jitter_ms=1", "link.uplink.loss=0.05",
+             "link.downlink.delay_ms=8"],
+        )
+    ).data()  # fmt: skip
+    summary = summarise(run)
+    assert len(summary["bounds"]["margin_min_joint"]) > 50
+    write_report(run, summary, folder / "report.html", {"set": "x" * 300})
+    return folder / "report.html"
+
+
+@pytest.mark.parametrize("width_px", [1600, 390])
+def test_nothing_in_a_report_is_clipped(width_px, report, tmp_path):
+    async def clipped():
+        async with opened(report.as_uri(), tmp_path / "profile") as page:
+            await page.call(
+                "Emulation.setDeviceMetricsOverride",
+                width=width_px, height=1200, deviceScaleFactor=1, mobile=width_px < 600,
+            )  # fmt: skip
+            await page.call("Page.reload")
+            await page.await_true("document.querySelectorAll('.plot .main-svg text').length > 20")
+            return await page.value(CLIPPED)
+
+    assert asyncio.run(clipped()) == []

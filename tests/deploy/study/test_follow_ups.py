@@ -1,0 +1,287 @@
+"""What a study of margins tries once it has a margin: remedies, and lost or late messages."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from deploy.cli.study.margin_options import MarginOptions, definition_with
+from deploy.judge.metrics import summarise
+from deploy.reports.gate_numbers import gauged
+from deploy.reports.results import judge_rows
+from deploy.reports.study_tables import disturbance_tables
+from deploy.reports.study_texts import sentences
+from deploy.run.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.folder import create_folder, find_folder
+from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
+from deploy.study.runner import retrace
+from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
+
+PLAIN = {"set": {}, "laws": ["pid"], "seeds": 1, "offsets": [1.0, 0.5], "resolution": 4}
+LOST = {"violation_fraction": 0.1, "margin_min": -0.2}
+HELPS = {"compensation": 0.31, "drive loop": 0.42, None: 0.5}
+
+
+def helped(**values):
+    return margin_of(**{**PLAIN, "limit": 12, "what_helps": True, **values})
+
+
+def below_six(run):
+    """At 6 ms all is lost, but with compensation or a loop at the drives."""
+    change, value = run.columns["change"], run.columns["value"]
+    if value < 6.0 or (change in HELPS and change is not None):
+        return made_up(run) | {"margin_min": HELPS.get(change, 0.1)}
+    return made_up(run, **LOST)
+
+
+def case_of(study, folder):
+    (case,) = study.summary(folder.rows)["cases"]
+    return case
+
+
+def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_path):
+    study = helped()
+    whole, folder = conduct(study, tmp_path / "out", Here(below_six, seed=4))
+    assert whole
+    case, helps = case_of(study, folder), case_of(study, folder)["what_helps"]
+    assert (case["margin"], case["first_failure"], helps["value"]) == (4.0, 8.0, 8.0)
+    assert {each["change"]: each["held"] for each in helps["tried"]} == {
+        "compensation": True,
+        "drive loop": True,
+        "half the gains": False,
+        "twice the rate": False,
+    }
+    assert len([row for row in folder.rows if row["change"] == "drive loop"]) == 2
+    assert study.expected == len(folder.rows)
+    best = helps["best"]
+    assert (best["change"], best["margin_min"]) == ("drive loop", 0.42)
+    assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
+    (said,) = [each for each in sentences(study.summary(folder.rows)) if "what helps" in each]
+    assert said.startswith(
+        "paper_arm, pid, 8 ms: what helps: compensation (31 % of the bound left), drive loop (42 %"
+        " of the bound left), not twice the rate and not half the gains. The best, drive loop:"
+        " funnel-hil simulate"
+    )
+
+
+def test_where_nothing_helps_the_result_says_so(tmp_path):
+    study = helped(compensation=[True], drive_feedback=[True])
+    lost = Here(lambda run: made_up(run, **(LOST if run.columns["value"] > 5 else {})))
+    _, folder = conduct(study, tmp_path / "out", lost)
+    helps = case_of(study, folder)["what_helps"]
+    assert helps["best"] is None
+    # What is in force already is not tried again.
+    assert [each["change"] for each in helps["tried"]] == ["twice the rate", "half the gains"]
+    said = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
+    assert said in " ".join(sentences(study.summary(folder.rows)))
+
+
+@pytest.mark.parametrize(
+    ("values", "tried"),
+    [
+        ({"set": {"link.playout_ms": 0}, "compensation": [True]},
+         {"drive loop", "twice the rate", "half the gains", "automatic play-out"}),
+        ({"quantity": "rate_hz", "limit": 400, "resolution": 200},
+         {"compensation", "drive loop", "half the gains"}),
+        ({"scenarios": ["paper_arm_can"]},
+         {"compensation", "drive loop", "twice the rate", "half the gains"}),
+    ],
+    ids=["play-out", "rate", "can"],
+)  # fmt: skip
+def test_remedies_are_those_that_the_scenario_accepts_and_that_change_it(tmp_path, values, tried):
+    study = helped(**values)
+    first = study.cases[0].setting.quantity.origin
+
+    def lost(run):
+        return made_up(run, **({} if run.columns["value"] == first else LOST))
+
+    _, folder = conduct(study, tmp_path / "out", Here(lost))
+    assert {each["change"] for each in case_of(study, folder)["what_helps"]["tried"]} == tried
+
+
+def test_what_never_fails_needs_no_help(tmp_path):
+    study = helped()
+    _, folder = conduct(study, tmp_path / "out", Here(made_up))
+    assert case_of(study, folder)["what_helps"] is None
+    assert study.summary(folder.rows)["completed"]
+
+
+def test_the_remedies_go_on_where_they_stopped_and_are_reproducible(tmp_path):
+    _, folder = conduct(helped(), tmp_path / "a", Here(below_six, seed=1))
+    stopped = len(folder.rows) - 3
+    first, workers = Here(below_six, seed=2, at_most=stopped), Here(below_six, seed=3)
+    first.count = workers.count = 1  # a second worker would try what may not be needed
+    assert not conduct(helped(), tmp_path / "b", first)[0]
+    assert conduct(helped(), tmp_path / "b", workers)[0]
+    assert len(workers.submitted) == 3
+    rows = [(tmp_path / name / "margin.parquet").read_bytes() for name in "ab"]
+    assert rows[0] == rows[1]
+    again = helped()
+    retrace(again, folder := folder_of(again, tmp_path / "b"))
+    assert case_of(again, folder)["what_helps"]["best"]["change"] == "drive loop"
+
+
+def test_a_gate_after_a_margin_does_no_run_again(tmp_path):
+    path = create_folder(helped(), tmp_path / "out")
+    conduct(helped(), path, Here(below_six))
+    plain = helped(what_helps=False)
+    assert find_folder(plain, path) == path
+    workers = Here(below_six)
+    assert conduct(plain, path, workers)[0]
+    assert not workers.submitted
+
+
+def test_compensation_helps_an_arm_and_the_command_shows_it(tmp_path):
+    study = helped(laws=["fixed_time_adaptive"], offsets=[1.0], duration_s=0.6)
+    _, folder = conduct(study, tmp_path / "out", Here())
+    helps = case_of(study, folder)["what_helps"]
+    held = {each["change"]: each for each in helps["tried"] if each["held"]}
+    assert "compensation" in held
+    best = helps["best"]
+    _, command, scenario, *words = shlex.split(best["command"])
+    again = summarise(simulate(load_setup(scenario, words[1::2])).data())
+    assert (command, again["verdict"]) == ("simulate", "kept")
+    assert again["bounds"]["margin_min"] == best["margin_min"]
+
+
+def disturbed(**values):
+    values = {"offsets": [1.0], "limit": 16, "pattern": "any", "compensation": [True], **values}
+    return helped(what_helps=False, **values)
+
+
+def test_disturbances_are_tried_at_the_margin_its_half_and_its_quarter(tmp_path):
+    def late_loses(run):
+        """Messages that are late lose above 5 ms, without a bridge."""
+        change = run.columns["change"] or ""
+        is_lost = "late" in change and "bridge" not in change and run.columns["value"] > 5
+        return made_up(run, motion="same", **(LOST if is_lost else {}))
+
+    study = disturbed()
+    _, folder = conduct(study, tmp_path / "out", Here(late_loses, seed=2))
+    case, summary = case_of(study, folder), study.summary(folder.rows)
+    assert summary["completed"]
+    assert (case["margin"], case["guaranteed"]) == (16.0, 16.0)
+    found = {(e["disturbance"], e["bridge"]): e for e in case["disturbances"]}
+    assert len(found) == 8
+    late = found["1 % late by 20 ms", False]
+    assert late["held_up_to"] == 4.0
+    assert [(at["value"], at["held"]) for at in late["tried"]] == [
+        (16.0, False),
+        (8.0, False),
+        (4.0, True),
+    ]
+    assert {each["held_up_to"] for key, each in found.items() if each is not late} == {16.0}
+    (table,) = disturbance_tables(summary)
+    assert [row[3:] for row in table.rows if "1 % late by 20 ms" in row] == [
+        ["without", "4 ms", "8 ms"],
+        ["with", "16 ms", "–"],
+    ]
+
+
+def test_without_compensation_there_is_no_bridge_and_null_leaves_disturbances_out(tmp_path):
+    def kept(run):
+        return made_up(run, motion="same")
+
+    study = disturbed(compensation=[False], set={"link.playout_ms": 16})
+    _, folder = conduct(study, tmp_path / "a", Here(kept))
+    assert {each["bridge"] for each in case_of(study, folder)["disturbances"]} == {False}
+    study = disturbed(disturbances=None)
+    _, folder = conduct(study, tmp_path / "b", Here(kept))
+    assert case_of(study, folder)["disturbances"] is None
+    assert disturbance_tables(study.summary(folder.rows)) == []
+
+
+def transport_with(name, sizes):
+    study = disturbed(disturbances=sizes, set={"duration_s": 2.0})
+    setting = study.cases[0].setting
+    overrides = changes(DisturbanceSizes(**sizes), setting)[name]
+    setup = load_setup(setting.scenario, setting.at(16.0, overrides))
+    run = summarise(simulate(setup).data())
+    assert run["seed_used"] is False
+    return run["transport"]
+
+
+def test_losses_late_messages_and_overtaking_have_their_stated_size():
+    lost = transport_with("up to 3 lost in a row", {"lost_in_a_row": 3})
+    late = transport_with("2 % late by 7 ms", {"late_share": 0.02, "late_by_ms": 7.0})
+    overtaken = transport_with("overtaking, random delays", {})
+    outage = transport_with("outage of 50 ms", {"outage_ms": 50.0})
+    for direction in ("uplink", "downlink"):
+        assert lost[direction]["loss_burst"] == {"mean": 2.0, "longest": 3}
+        assert late[direction]["delay_ms"]["max"] == 15.0
+        assert late[direction]["reordered"] == 0
+        assert overtaken[direction]["reordered"] > 100
+        assert overtaken[direction]["lost"] == 0
+    assert overtaken["playout"]["late"] == 0
+    assert outage["uplink"]["loss_burst"]["longest"] == 50
+    # No state arrives, so the commands lost are those that answer the states on their way.
+    assert outage["downlink"]["loss_burst"]["longest"] == 8
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [({"late_share": 2}, "disturbances.late_share"), ({"lost": 2}, "disturbances.lost")],
+)
+def test_impossible_sizes_of_disturbances_are_refused(sizes, said):
+    with pytest.raises(ScenarioError, match=said):
+        disturbed(disturbances=sizes)
+
+
+@pytest.mark.parametrize(
+    ("set_", "limit", "worst"),
+    [({"link.playout_ms": 0}, 6.0, 4.0), ({"link.playout_ms": 0}, 1.0, 0.0), ({}, 99.0, 12.0)],
+    ids=["worst pattern", "no pattern holds", "guaranteed"],
+)
+def test_a_gate_takes_the_figure_for_every_pattern(tmp_path, set_, limit, worst):
+    def patterns_lose(run):
+        is_lost = run.columns["value"] > limit and run.columns["pattern"] is not None
+        return made_up(run, motion="same", **(LOST if is_lost else {}))
+
+    study = disturbed(disturbances=None, limit=12, set=set_)
+    _, folder = conduct(study, tmp_path / "out", Here(patterns_lose))
+    summary = judge_rows(study, folder)
+    assert summary["cases"][0]["margin"] == 12.0
+    (number,) = gauged(json.loads(json.dumps(summary)))
+    name = "paper_arm, pid with compensation, every pattern of delays"
+    assert (number.name, number.value) == (name, worst)
+    assert number.is_below(12.0) == (worst < 12.0)
+
+
+def test_gate_of_every_pattern_ends_the_command_and_compares_with_its_like(funnel_hil, tmp_path):
+    """As measured by hand: square waves of up to 16 ms lose where constant 16 ms are kept."""
+    (file := tmp_path / "waves.yaml").write_text(
+        "{laws: [fixed_time_adaptive], compensation: [true], offsets: [1.0], resolution: 16,"
+        " limit: 16, disturbances: null, set: {duration_s: 1.0, link.playout_ms: 0}}"
+    )
+    words = ["margin", "--study", file, "--seeds", "1", "--workers", "1", "--at-least", "1ms"]
+    words = [*words, "--set", "funnel.rate_per_s=10"]  # else runs of 1 s are too short
+    assert funnel_hil(*words, "--out", tmp_path / "out")[0] == 0
+    code, output = funnel_hil(*words, "--pattern", "any", "--out", tmp_path / "out")
+    assert code == 3
+    assert "with compensation, every pattern of delays: 0 ms, must be at least 1 ms" in output
+    assert len(list(Path(tmp_path / "out").glob("worst_pattern-000-*.csv"))) == 2
+    code, output = funnel_hil(*words, "--baseline", tmp_path / "out", "--out", tmp_path / "new")
+    assert code == 2
+    assert "is a result of margin of delay, every pattern of delays: must be of" in output
+
+
+@pytest.mark.parametrize(
+    ("options", "asks"),
+    [
+        ({}, True),
+        ({"study": "delay_margin"}, None),
+        ({"at_least": "20ms"}, None),
+        ({"baseline": Path("before")}, None),
+        ({"plants": 3}, None),
+        ({"what_helps": False}, False),
+        ({"at_least": "20ms", "what_helps": True}, True),
+    ],
+)
+def test_the_command_asks_what_helps_where_it_costs_little(options, asks):
+    found = definition_with(MarginOptions(**options), {"what_helps": None})
+    assert found.get("what_helps") is asks
