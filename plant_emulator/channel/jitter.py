@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from bus_schema.arrays import Vector, elementwise
+from bus_schema.foreign_files import refuse_foreign
 from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.tables import MOST_BYTES, PARQUET, read_columns
 from bus_schema.user_files import read_bytes
-from plant_emulator.channel.columns import MOST_BYTES, PARQUET, read_columns
-from plant_emulator.channel.foreign_files import refuse_foreign
 
 _BLOCK = 256
 _HEADER_BYTES = 1000

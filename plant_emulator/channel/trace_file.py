@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.channel.columns import read_columns
+from bus_schema.tables import read_columns
 
 LOST_NS = -1
 """Stands for a delay where a message was lost."""

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from bus_schema.errors import did_you_mean
+from bus_schema.foreign_files import refuse_foreign
 from bus_schema.messages.types import stamp_of
+from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
 from deploy.judge.link_delays import Measured
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.channel.columns import MOST_BYTES, read_columns
-from plant_emulator.channel.foreign_files import refuse_foreign
 
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
 """tshark's field: the time from a TCP segment to its ACK."""

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from plant_emulator.channel.foreign_files import refuse_foreign
+from bus_schema.foreign_files import refuse_foreign
 from plant_emulator.channel.jitter import read_delays_ms
 from plant_emulator.channel.trace_file import read_trace
 

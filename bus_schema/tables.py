@@ -1,4 +1,4 @@
-"""Reads network measurements: CSV or Parquet files with named columns of numbers."""
+"""Reads tables: CSV or Parquet files with named columns of numbers."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Vector
 from bus_schema.configuration import shown
 from bus_schema.errors import did_you_mean
+from bus_schema.foreign_files import refuse_foreign
 from bus_schema.user_files import open_parquet, read_bytes
-from plant_emulator.channel.foreign_files import refuse_foreign
 
 MOST_BYTES = 500_000_000
 """Ten million samples as text take less."""
