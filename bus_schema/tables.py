@@ -25,6 +25,7 @@ MOST_BYTES = 500_000_000
 """Ten million samples as text take less."""
 PARQUET, _GZIP = b"PAR1", b"\x1f\x8b"
 """How files of these formats begin."""
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _LONGEST_LIST = 100
 Names = Sequence[str]
 _DELIMITERS = ",;\t"
@@ -50,14 +51,24 @@ class Columns:
     def rows(self) -> int:
         return len(next(iter(self.values.values())))
 
+    def place(self, row: int) -> str:
+        """Return where a row (counted from 0) is in the file, as ``line 12``."""
+        if not self.content:
+            return f"row {row + 1}"
+        return f"line {self._line(row)[0]}"
+
     def refusal(self, row: int, column: str, allowed: str) -> ValueError:
         """Return the error for a cell of a row (counted from 0), with line and column."""
-        where = f"row {row + 1}"
-        if self.content:
-            where = f"line {next(islice(_lines(self.content), row + 1, None))[0]}"
         value = self.values[column][row]
-        text = "empty" if np.isnan(value) else f"{value:g}"
-        return ValueError(f"{self.path}, {where}, column {column} = {text}: {allowed}")
+        text = "" if np.isnan(value) else f"{value:g}"
+        if self.content:
+            _, delimiter, names = _header(self.content)
+            text = self._line(row)[1].split(delimiter)[names.index(column)].strip()
+        where = f"{self.path}, {self.place(row)}, column {column}"
+        return ValueError(f"{where} = {text or 'empty'}: {allowed}")
+
+    def _line(self, row: int) -> tuple[int, str]:
+        return next(islice(_lines(self.content), row + 1, None))
 
     def refuse_where(self, is_wrong: NDArray[np.bool_], column: str, allowed: str) -> None:
         """Raise a `refusal` for the first wrong row, if there is one."""
@@ -107,6 +118,8 @@ def _content(path: Path) -> bytes:
         raise ValueError(f"{path} cannot be read: {error}") from error
     if len(content) > MOST_BYTES:
         raise ValueError(f"{path} cannot be read: is larger than {MOST_BYTES / 1e6:g} MB unpacked")
+    if content.startswith(_UTF_16):
+        raise ValueError(f"{path} cannot be read as CSV: must be text in UTF-8, is in UTF-16")
     return content
 
 

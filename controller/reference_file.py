@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,14 +12,13 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import LARGEST, ConfigurationError, shown
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
-from bus_schema.user_files import read_text
+from bus_schema.tables import column_names, read_columns
 
 KEY = "reference.file"
 TIME = "time_s"
 KINDS = ("position_rad", "velocity_rad_s", "acceleration_rad_s2")
 """Columns of a joint, as ``<joint>.<kind>``; in m for prismatic joints."""
 _SHORTEST_STEP_S = 0.999e-6  # a microsecond, allowing for rounding of sums of seconds
-_LARGEST_BYTES = 50_000_000
 _MOST_WARNINGS = 3
 _AT_REST_RAD_S = 1e-3
 
@@ -33,13 +29,13 @@ class ReferenceRows:
 
     Attributes:
         file: its name as given.
-        lines: number of each row's line, from 1, shape (rows,).
+        place: returns where a row, counted from 0, is in the file.
         times_s: increasing, shape (rows,).
         motion: position, velocity and acceleration, shape (rows, 3, joints).
     """
 
     file: str
-    lines: Sequence[int]
+    place: Callable[[int], str]
     times_s: Vector
     motion: Matrix
 
@@ -50,7 +46,7 @@ class ReferenceRows:
         steps = np.diff(self.motion[:, 0], axis=0) * (speed / np.diff(self.times_s))[:, np.newaxis]
         too_fast = np.abs(steps) > robot.velocity_limits_rad_s
         said = [
-            f"{self.file}, line {self.lines[(row := int(np.argmax(too_fast[:, j]))) + 1]}: {name}"
+            f"{self.file}, {self.place((row := int(np.argmax(too_fast[:, j]))) + 1)}: {name}"
             f" needs {abs(steps[row, j]):.4g} rad/s to get there, but its velocity limit is"
             f" {robot.velocity_limits_rad_s[j]:.4g}"
             for j, name in enumerate(robot.joint_names)
@@ -74,78 +70,43 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
         ConfigurationError: it cannot be read or is invalid; the message names line, column, value
             and what is allowed.
     """
+    path = Path(file)
     try:
-        text = read_text(Path(file), _LARGEST_BYTES, newline="").removeprefix("\ufeff")
-        reader = csv.reader(io.StringIO(text, newline=""))
-        header = [name.strip() for name in next(reader, [])]
-        places = _places(file, header, robot.joint_names)
-        cells = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
-    except (OSError, csv.Error) as error:
-        raise _wrong(file, f"cannot be read as CSV: {error}") from error
-    for line, row in cells:
-        if any(map(str.strip, row[len(header) :])):
-            what = f"has {len(row)} values, the first line {len(header)} names: must have one each"
-            raise _wrong(file, f"line {line} {what}")
-    if not cells:
-        raise _wrong(file, "must have a row after its first line")
-    numbers = [number for number, _ in cells]
-    columns = {
-        name: np.array(list(_numbers(file, cells, name, place))) for name, place in places.items()
-    }
-    times_s = columns.pop(TIME)
-    late = np.flatnonzero(np.diff(times_s) < _SHORTEST_STEP_S)
-    if late.size:
-        at = int(late[0]) + 1
-        allowed = f"must be later than {times_s[at - 1]:g}, the time of the row before, by 1 us"
-        raise _cell(file, numbers[at], TIME, f"{times_s[at]:g}", allowed)
-    joints = [_motion(columns, name, times_s) for name in robot.joint_names]
-    return ReferenceRows(file, numbers, times_s, np.stack(joints, axis=-1))
+        wanted = _wanted(path, column_names(path), robot.joint_names)
+        columns = read_columns(path, wanted, None)
+        if not columns.rows:
+            raise ValueError("must have a row after its first line")
+        for name, values in columns.values.items():
+            allowed = f"must be a finite number of at most {LARGEST:g} in size"
+            columns.refuse_where(~(np.abs(values) <= LARGEST), name, allowed)
+        times_s = columns.values[TIME]
+        is_late = np.concatenate([[False], np.diff(times_s) < _SHORTEST_STEP_S])
+        allowed = "must be later than the time of the row before, by 1 us"
+        columns.refuse_where(is_late, TIME, allowed)
+    except ValueError as error:
+        raise ConfigurationError(KEY, file, str(error).removeprefix(f"{path}, ")) from error
+    joints = [_motion(columns.values, name, times_s) for name in robot.joint_names]
+    return ReferenceRows(file, columns.place, times_s, np.stack(joints, axis=-1))
 
 
-def _places(file: str, header: Sequence[str], joints: Sequence[str]) -> dict[str, int]:
-    """Return the indices of the columns to read."""
+def _wanted(path: Path, header: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return the columns to read; refuse misspelt ones of joints."""
     known = [f"{joint}.{kind}" for joint in joints for kind in KINDS]
     for name in header:
-        of_joint = any(name.startswith(f"{joint}.") for joint in joints)
-        if of_joint and name not in known:
+        if name.startswith(tuple(f"{joint}." for joint in joints)) and name not in known:
             allowed = f"the columns of a joint are {', '.join(f'<joint>.{kind}' for kind in KINDS)}"
-            raise _wrong(file, f"line 1: column {shown(name)}: {allowed}")
-        if name in (TIME, *known) and header.count(name) > 1:
-            raise _wrong(file, f"line 1: column {shown(name)}: must occur only once")
+            raise ValueError(f"{path}, line 1: column {shown(name)}: {allowed}")
     required = [TIME, *(f"{joint}.{KINDS[0]}" for joint in joints)]
     required += [
         f"{joint}.{KINDS[1]}" for joint in joints if f"{joint}.{KINDS[2]}" in header
     ]  # accelerations alone do not suffice
-    for name in required:
-        if name not in header:
-            found = ", ".join(header) or "none"
-            raise _wrong(
-                file, f"line 1: column {name!r} is missing; there are {shown(found)[1:-1]}"
-            )
-    return {name: header.index(name) for name in (TIME, *known) if name in header}
-
-
-def _numbers(
-    file: str, cells: Sequence[tuple[int, list[str]]], name: str, place: int
-) -> Iterator[float]:
-    """Return a column; refuse a value that is no number."""
-    for line, row in cells:
-        if place >= len(row):
-            raise _cell(file, line, name, "", "must be a number; the line ends before")
-        try:
-            value = float(row[place])
-        except ValueError:
-            value = math.nan
-        if not abs(value) <= LARGEST:
-            allowed = f"must be a finite number of at most {LARGEST:g} in size"
-            raise _cell(file, line, name, row[place].strip(), allowed)
-        yield value
+    return required + [name for name in known if name in header and name not in required]
 
 
 def _motion(columns: Mapping[str, Vector], joint: str, times_s: Vector) -> Matrix:
     """Return position, velocity and acceleration of a joint at each time, shape (rows, 3)."""
     position, velocity, acceleration = (columns.get(f"{joint}.{kind}") for kind in KINDS)
-    assert position is not None  # `_places` has checked this
+    assert position is not None  # `_wanted` requires it
     if velocity is None:
         velocity = spline_slopes(times_s, position)
         acceleration = spline_curvatures(times_s, position, velocity)
@@ -204,11 +165,3 @@ def _solve_for_slopes(times_s: Vector, values: Vector, slopes: Vector) -> None:
         slopes[i] = (wanted - slopes[i - 1] / before) / pivot
     for i in range(rows - 2, 0, -1):
         slopes[i] -= upper[i] * slopes[i + 1]
-
-
-def _cell(file: str, line: int, column: str, value: str, allowed: str) -> ConfigurationError:
-    return _wrong(file, f"line {line}, column {column} = {shown(value)}: {allowed}")
-
-
-def _wrong(file: str, what: str) -> ConfigurationError:
-    return ConfigurationError(KEY, file, what)

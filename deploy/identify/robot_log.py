@@ -102,7 +102,7 @@ def read_robot_log(
                 f" {', '.join(names[:60])}"
             )
         found = read_columns(path, [time, *(c for each in wanted.values() for c in each)], None)
-        times_s, rows = found.values[time] * unit_s, range(found.rows)
+        times_s = found.values[time] * unit_s
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -114,12 +114,9 @@ def read_robot_log(
     torque = matrix("current") if is_current else torque
     assert position is not None and torque is not None  # noqa: PT018 (checked above)
 
-    def place(row: int) -> str:
-        return str(found.refusal(rows[row], time, "")).removeprefix(f"{path}, ").split(",")[0]
-
     return RobotLog(
         path, times_s, position, matrix("velocity"), torque, is_current, matrix("command"),
-        {**wanted, "time": [time]}, place,
+        {**wanted, "time": [time]}, found.place,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,8 +13,8 @@ import numpy as np
 import typer
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import InputError, did_you_mean
-from bus_schema.user_files import open_parquet
+from bus_schema.errors import InputError
+from bus_schema.tables import column_names, read_columns
 from deploy.cli.network.trace import Unit
 from deploy.run.measure.latency import Latency, find_latency
 from deploy.run.measure.mcap_series import element_place, read_series
@@ -59,11 +60,7 @@ def latency(
             read_series(file, command, response, is_held=is_held) for is_held in (True, False)
         )
     else:
-        table = _table(file)
-        time = time or next((each for each in _TIMES if each in table.column_names), _TIMES[0])
-        times_s, commands, responses = (
-            _column(file, table, each) for each in (time, command, response)
-        )
+        times_s, commands, responses = _columns(file, time, command, response)
         held = on_lines = times_s * (UNITS_MS[unit] / 1e3), commands, responses
     longest_s, (series, others) = longest_ms / 1e3, (held, on_lines)[:: -1 if linear else 1]
     try:
@@ -112,35 +109,30 @@ def _fitted(
     return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
-def _table(file: Path) -> Any:
-    from pyarrow import ArrowException, csv  # heavy, and needed by few commands
+def _columns(file: Path, time: str | None, *names: str) -> Iterator[Vector]:
+    """Yield the columns of times and of these names, of finite numbers alone.
 
+    An element of a column of lists may be given by its name in the data set.
+    """
     try:
-        return open_parquet(file).read() if file.suffix == ".parquet" else csv.read_csv(file)
-    except (ArrowException, OSError) as error:
-        raise InputError(f"{file}: cannot be read: {error}") from error
+        known = column_names(file)
+        time = time or next((each for each in _TIMES if each in known), _TIMES[0])
+        wanted = [time, *(_numbered(file, each, known) for each in names)]
+        columns = read_columns(file, list(dict.fromkeys(wanted)), None)
+        for name in wanted:
+            allowed = "must be one finite number in each row"
+            columns.refuse_where(~np.isfinite(columns.values[name]), name, allowed)
+            yield columns.values[name]
+    except ValueError as error:
+        raise InputError(str(error)) from error
 
 
-def _column(file: Path, table: Any, name: str) -> Vector:
-    """A column of finite numbers, or an element of a column of lists."""
-    element = None if name in table.column_names else _ELEMENT.fullmatch(name)
-    column = name if element is None else element[1]
-    if column not in table.column_names:
-        known = ", ".join(table.column_names)
-        hint = did_you_mean(column, table.column_names)
-        raise InputError(f"{file}: column {column!r} is missing; there are {known}{hint}")
-    try:
-        values = np.array(table[column].to_pylist(), dtype=np.float64)
-        values = (
-            values
-            if element is None
-            else values[:, element_place(element[2], _names(file, column))]
-        )
-    except (ValueError, TypeError, IndexError) as error:
-        raise InputError(f"{file}: {name}: must be numbers: {error}") from error
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise InputError(f"{file}: {name}: must be one finite number in each row")
-    return values
+def _numbered(file: Path, name: str, known: Sequence[str]) -> str:
+    """Return the name of a column, whose element is given by number or by its name."""
+    element = None if name in known else _ELEMENT.fullmatch(name)
+    if element is None:
+        return name
+    return f"{element[1]}[{element_place(element[2], _names(file, element[1]))}]"
 
 
 def _names(file: Path, column: str) -> list[str]:

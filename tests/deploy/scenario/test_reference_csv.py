@@ -138,7 +138,7 @@ def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> Non
     assert isinstance(result.exception, ScenarioError)
     said = str(result.exception)
     assert "ref.csv" in said
-    assert "line 8, column shoulder.position_rad = 'NaN': must be a finite number" in said
+    assert "line 8, column shoulder.position_rad = NaN: must be a finite number" in said
     assert not (tmp_path / "o").exists()
 
 

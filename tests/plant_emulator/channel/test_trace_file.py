@@ -41,7 +41,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
         ("time_s,delay_ms\n0,1\n\n2,3\n1,2\n", "line 5, column time_s = 1: must not be earlier"),
         ("time_s,delay_ms\n0,1\n,2\n", "line 3, column time_s = empty: must be a finite number"),
         ("time_s,delay_ms\n0,-1\n1,2\n", "line 2, column delay_ms = -1: must be 0 to 60000 ms"),
-        ("time_s,delay_ms\n0,1\n1,6e7\n", "line 3, column delay_ms = 6e\\+07: must be 0 to 60000"),
+        ("time_s,delay_ms\n0,1\n1,6e7\n", "line 3, column delay_ms = 6e7: must be 0 to 60000"),
         ("time_s,delay_ms\n0,1\n1,lost\n", "line 3, column delay_ms = 'lost': is not a number"),
         ("time_s;delay_ms\n0;1\n1;2,5\n", "line 3, column delay_ms = '2,5': is not a number"),
         ("time_s,delay_ms,lost\n0,1,0\n1,2,1\n", "line 3, column lost = 1: must be 1 if delay"),
