@@ -50,7 +50,7 @@ def playout(of_run):
 
 
 @settings(
-    max_examples=12, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate]
+    max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate]
 )
 @given(
     st.sampled_from(sorted(PATTERNS)),
