@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
@@ -24,43 +21,12 @@ from controller.reference import Reference
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
+from deploy.scenario.plant_count import FunnelCounter
 from deploy.scenario.playout import horizon_settings, resolved_link
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.plant_task import PlantTask
-
-_SECOND_NS = 1_000_000_000
-
-
-class FunnelCounter:
-    """Counter of the ticks at which the arm was outside its funnel.
-
-    Args:
-        reference: the arm's reference.
-        funnel: the bounds.
-        position: true joint positions, rad, shape (joints,), read at each `look`.
-    """
-
-    def __init__(self, reference: Reference, funnel: Funnel, position: Vector) -> None:
-        wanted, *rates = np.empty((3, len(position)))
-        self._counts = np.zeros(3)
-        self._follow = reference.onto(wanted, *rates)
-        self._compare = funnel.counting(position, wanted, self._counts)
-
-    def look(self, stamp_ns: int) -> bool:
-        """Count the tick at this instant; return whether any tick so far was outside."""
-        seconds, rest_ns = divmod(stamp_ns, _SECOND_NS)
-        time_s = seconds + 1e-9 * rest_ns  # computed as readers of stamps do, to the bit
-        self._follow(time_s)
-        self._compare(time_s)
-        return bool(self._counts[1])
-
-    def counts(self) -> dict[str, Any]:
-        """Return the number of ``ticks``, those ``outside`` the funnel, and the smallest margin."""
-        ticks, outside, largest = self._counts.tolist()
-        margin = 1.0 - largest if math.isfinite(largest) else None
-        return {"ticks": int(ticks), "outside": int(outside), "margin_min": margin}
 
 
 @dataclass(frozen=True)
