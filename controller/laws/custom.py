@@ -6,6 +6,7 @@ Custom modules are found in the current folder, after installed ones.
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -159,6 +160,16 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         )
     built: ControlLaw = law
     return built
+
+
+def default_gains(name: str) -> dict[str, Any]:
+    """Return the numbers that a custom law's constructor has as defaults, by their names.
+
+    Raises:
+        ConfigurationError: there is no such class.
+    """
+    given = inspect.signature(find_law(name)).parameters.values()
+    return {each.name: each.default for each in given if type(each.default) in (int, float, list)}
 
 
 def find_law(name: str) -> Maker:

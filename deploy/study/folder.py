@@ -40,11 +40,12 @@ from deploy.study.provenance import Provenance, current, differences, provenance
 from deploy.study.robustness import Robustness
 from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
 from deploy.study.sweep import Sweep
+from deploy.study.tuning.tuning import Tuning
 
 STUDY_FILE = "study.yaml"
 _PROVENANCES_FILE = "provenance.json"
 KINDS: dict[str, type[StudyOfRuns]] = {
-    kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison)
+    kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison, Tuning)
 }
 _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3

@@ -65,7 +65,7 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
                 yield _lacks(f"grid.{axis}", before, now)
             elif (kind := column_type(old[axis])) != column_type(new[axis]):
                 yield f"grid.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
-    elif key == "plants" and isinstance(old, int) and isinstance(new, int):
+    elif key in ("plants", "budget") and isinstance(old, int) and isinstance(new, int):
         if new < old:
             yield _lacks(key, old, new)
     elif isinstance(old, list) and (isinstance(new, list) or key == "laws"):  # tried in turn
