@@ -42,6 +42,7 @@ COMMANDS = {
     "compare": "cli.study.studies:compare",
     "sweep": "cli.study.studies:sweep",
     "margin": "cli.study.studies:margin",
+    "tune": "cli.study.studies:tune",
     "report": "cli.study.recorded:report",
     "diff": "cli.study.recorded:diff",
     "replay": "cli.study.recorded:replay",

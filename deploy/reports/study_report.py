@@ -13,6 +13,7 @@ from deploy.reports.margin_reports import margin_page, robustness_page
 from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import result_tables
+from deploy.reports.tune_report import tune_page
 from deploy.reports.verdict import ReportHead, level_of
 from deploy.study.folder import StudyFolder
 from deploy.study.study import shown_value
@@ -201,5 +202,10 @@ def _is_numeric(axis: Summary) -> bool:
     return all(isinstance(value, float) for value in axis["values"])
 
 
-_PAGES = {"sweep": sweep_page, "margin": margin_page, "robustness": robustness_page}
+_PAGES = {
+    "sweep": sweep_page,
+    "margin": margin_page,
+    "robustness": robustness_page,
+    "tune": tune_page,
+}
 """What is particular to each kind of study."""

@@ -9,6 +9,7 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_whole
 from deploy.reports import study_texts as texts
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, quotable, scaled, table_of
+from deploy.reports.tune_report import tune_tables
 from deploy.study.study import shown_value
 
 _SHOWN_EFFECTS = 6
@@ -265,6 +266,8 @@ def result_tables(summary: Summary) -> list[Table]:
     """The tables of a study's report."""
     if summary["kind"] == "sweep":
         return [point_table(summary)]
+    if summary["kind"] == "tune":
+        return tune_tables(summary)
     if summary["kind"] == "margin":
         return [margin_table(summary), *disturbance_tables(summary)]
     return [robustness_table(summary), interval_table(summary), losses_table(summary)]

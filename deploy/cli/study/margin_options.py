@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from controller.laws import COMPARED_LAWS
 from deploy.cli.common import parse_laws
 from deploy.cli.options import (
     Confirm,
@@ -17,7 +19,7 @@ from deploy.cli.options import (
     RequireBounds,
     ScenarioArgument,
 )
-from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override
+from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override, read_yaml
 from deploy.study.comparison.settling import OFFSETS_RAD
 
 
@@ -85,6 +87,54 @@ class StudyOptions(WorkerOptions):
             "confirm": self.confirm or None,
         }  # fmt: skip
         return {key: value for key, value in given.items() if value is not None}
+
+
+@dataclass(kw_only=True)
+class TuneOptions(StudyOptions):
+    """The options of `tune`."""
+
+    scenario: ScenarioArgument = "paper_arm"
+    laws: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,…", help="Laws to tune; by default those of compare."),
+    ] = None
+    goal: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            metavar="rms|margin",
+            help="rms: a small error with a smooth torque; margin: a large delay.  [default: rms]",
+        ),
+    ] = None
+    budget: Annotated[
+        int | None, typer.Option(metavar="N", help="Candidates for each law; default 100.")
+    ] = None
+    search_seed: Annotated[int | None, typer.Option(help="Seed of the search; default 1.")] = None
+    duration: Annotated[
+        float | None, typer.Option(help="Longest run of the search in s; default 8.")
+    ] = None
+    delays: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,…", help="Round trips in ms that --for margin tries."),
+    ] = None
+    travel_limit: Annotated[
+        float | None,
+        typer.Option(help="With --for rms: limit on a torque's travel, in its own limits per s."),
+    ] = None
+    ranges: Annotated[
+        Path | None, typer.Option(help="A YAML file: least and largest value of gains, by name.")
+    ] = None
+
+    def definition(self) -> dict[str, Any]:
+        given = {
+            "laws": parse_laws(self.laws) or COMPARED_LAWS,
+            "goal": self.goal, "budget": self.budget, "search_seed": self.search_seed,
+            "duration_s": self.duration, "travel_limit_per_s": self.travel_limit,
+            "delays_ms": _listed("delays", self.delays),
+            "ranges": None if self.ranges is None else read_yaml(self.ranges),
+        }  # fmt: skip
+        told = super().definition() | {"scenario": self.scenario, "set": self.fixed()}
+        return told | {key: value for key, value in given.items() if value is not None}
 
 
 @dataclass(kw_only=True)

@@ -12,6 +12,7 @@ from typing import Any
 import typer
 from rich.text import Text
 
+from bus_schema.configuration import ConfigurationError
 from deploy.cli.common import CommandGate, judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
@@ -19,6 +20,7 @@ from deploy.cli.study.margin_options import (
     MarginOptions,
     StudyOptions,
     SweepOptions,
+    TuneOptions,
     WorkerOptions,
     definition_with,
 )
@@ -62,6 +64,7 @@ from deploy.study.runner import carry_out, retrace
 from deploy.study.statistics import NO_EFFECT
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
+from deploy.study.tuning.tuning import Tuning
 
 _SHOWN_POINTS = 40
 _GOES_ON = "{}: repeat the same command to continue."
@@ -97,6 +100,21 @@ def margin(options: MarginOptions) -> None:
         path = find_yaml(options.study, SHIPPED, fits=lambda file: not is_sweep(file))
         values = read_yaml(path)
     _conduct(margin_study(definition_with(options, values), path), options)
+
+
+@taking(TuneOptions)
+def tune(options: TuneOptions) -> None:
+    """Search for the gains of laws: the same search, budget and runs for each of them.
+
+    The gains that were found are judged with another seed, start and reference and on uncertain
+    plants, and written to a scenario for each law. After an interruption or a kill, the same
+    command continues; so does one with a larger --budget.
+    """
+    for name in ("at_least", "baseline"):
+        if getattr(options, name) is not None:
+            told = "must be left out: tune has no margin to gate"
+            raise ConfigurationError(f"--{name.replace('_', '-')}", getattr(options, name), told)
+    _conduct(Tuning(options.definition(), Path("tune")), options)
 
 
 @taking(CompareOptions)
@@ -269,7 +287,7 @@ def _conclude(study: StudyOfRuns, folder: StudyFolder, console: Console) -> bool
 def _show(summary: dict[str, Any], folder: StudyFolder, console: Console) -> None:
     """Show the results of a study, and write its table for documents."""
     show_study(console, summary)
-    if summary["kind"] != "sweep":
+    if summary["kind"] not in ("sweep", "tune"):
         write_study_table(summary, folder.path / "table.md")
         console.print(f"table:   {folder.path / 'table.md'}", soft_wrap=True)
     show_places(console, folder)
@@ -277,7 +295,7 @@ def _show(summary: dict[str, Any], folder: StudyFolder, console: Console) -> Non
 
 def show_study(console: Console, summary: dict[str, Any]) -> None:
     """Print the result as a table."""
-    if summary["kind"] == "margin":
+    if summary["kind"] in ("margin", "tune"):
         for table in result_tables(summary):
             print_table(console, table)
     elif summary["kind"] == "robustness":

@@ -1,0 +1,1 @@
+"""Tuning: the gains of laws, found by one search."""

@@ -60,8 +60,10 @@ class GainSearch:
         self, start: Gains, budget: int, seed: int, ranges: Mapping[str, tuple[float, float]],
         fixed: Collection[str] = FIXED,
     ) -> None:  # fmt: skip
-        import cma  # of the extra `tuning`, which nothing else needs
-
+        try:
+            import cma  # of the extra `tuning`, which nothing else needs
+        except ImportError as error:
+            raise InputError("the search needs the package cma: pip install cma") from error
         start = _within(start, ranges)
         self._entries = list(_entries(start, ranges, fixed))
         if not self._entries:
