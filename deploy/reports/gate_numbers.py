@@ -159,13 +159,22 @@ class _Margin(_Part):
             yield Gauged(name, value, self.unit or "", sign, doubt)
 
 
-_RESULT: TypeAdapter[_Run | _Comparison | _Sweep | _Margin] = TypeAdapter(
+class _Tuning(_Part):
+    kind: Literal["tune"]
+    completed: bool = True
+
+    def numbers(self) -> Iterator[Gauged]:
+        return iter(())  # its costs are for searches alone
+
+
+_RESULT: TypeAdapter[_Run | _Comparison | _Sweep | _Margin | _Tuning] = TypeAdapter(
     Annotated[
         Annotated[_Run, Tag("run")]
         | Annotated[_Comparison, Tag("comparison")]
         | Annotated[_Sweep, Tag("sweep")]
         | Annotated[_Margin, Tag("margin")]
-        | Annotated[_Margin, Tag("robustness")],
+        | Annotated[_Margin, Tag("robustness")]
+        | Annotated[_Tuning, Tag("tune")],
         Discriminator(lambda values: values.get("kind", "run")),
     ]
 )

@@ -9,7 +9,7 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_whole
 from deploy.reports import study_texts as texts
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, quotable, scaled, table_of
-from deploy.reports.tune_report import tune_tables
+from deploy.reports.tune_tables import tune_tables
 from deploy.study.study import shown_value
 
 _SHOWN_EFFECTS = 6

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
+from deploy.reports.tune_tables import tune_sentences
 
 Summary = dict[str, Any]
 
@@ -134,6 +135,8 @@ def probe_at(case: Summary, value: float | None) -> Summary | None:
 
 def sentences(summary: Summary) -> list[str]:
     """The results of a study of margins in words, the best first; none for a sweep."""
+    if summary["kind"] == "tune":
+        return tune_sentences(summary)
     if summary["kind"] == "margin":
         patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
         found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]

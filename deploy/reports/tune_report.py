@@ -2,109 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Fact, Page, Panel
-from deploy.reports.tables import Cell, Column, Status, Table, Value, number
+from deploy.reports.tune_tables import AS_SAID, BEYOND_ALL, tune_sentences
 from deploy.reports.verdict import ReportHead
 
-Summary = dict[str, Any]
-_AS_SAID = {"rms": "a small error with a smooth torque", "margin": "a large delay"}
-_BEYOND_ALL, _HEIGHT_PX = 100.0, 430
-"""Costs of runs that count for nothing, which no figure shows."""
-
-
-def tune_tables(summary: Summary) -> list[Table]:
-    """Return what the search of each law found, and how its gains were judged."""
-    return [_search_table(summary), *_judged_tables(summary)]
-
-
-def _search_table(summary: Summary) -> Table:
-    rows = [
-        [law, _cost(found["cost_start"]), _cost(found["cost_found"]), found["candidates"],
-         100.0 * found["spread"], Cell("yes" if found["converged"] else "no"), found.get("file")]
-        for law, found in summary["laws"].items()
-    ]  # fmt: skip
-    return Table(
-        f"{summary['name']} · gains for {_AS_SAID[summary['goal']]}",
-        [
-            Column("Law", is_text=True),
-            Column("Cost at the start", brief="Start"),
-            Column("Cost found", brief="Found"),
-            Column("Candidates"),
-            Column("Spread of the search", "%", "Spread"),
-            Column("Converged", is_text=True),
-            Column("Scenario", is_text=True),
-        ],
-        rows,
-        "The smaller the cost, the better: "
-        + (
-            "the mean logarithm of RMS error / final bound, plus 0.25 times that of the torque's"
-            " variation, plus 1 or more outside the bounds."
-            if summary["goal"] == "rms"
-            else "less 1 for each delay that is kept, and less up to 0.5 for one that is lost late."
-        )
-        + " Converged: the last quarter of the candidates gained less than 0.02, and the search's"
-        " spread is at most half of what it was.",
-    )
-
-
-def _cost(cost: float) -> Value:
-    return "torque at its limit" if _BEYOND_ALL <= cost < 10 * _BEYOND_ALL else cost
-
-
-def _judged_tables(summary: Summary) -> list[Table]:
-    """Return a table for the found gains and one for those of the start."""
-    titles = {"found": "Judged with the gains found", "start": "Judged with the gains of the start"}
-    places = {
-        each["place"]: None
-        for law in summary["laws"].values()
-        for judged in law["judged"].values()
-        for each in judged
-    }
-    if not places:
-        return []
-    unit = "mrad" if summary["goal"] == "rms" else "ms"
-    return [
-        Table(
-            title,
-            [Column("Law", is_text=True), *(Column(place.capitalize(), unit) for place in places)],
-            [
-                [law, *map(_judged_cell, found["judged"][which])]
-                for law, found in summary["laws"].items()
-                if which in found["judged"]
-            ],
-            "RMS error of the worst joint, and how many runs kept their bounds."
-            if summary["goal"] == "rms"
-            else "The largest of the round trips up to which every run kept its bounds.",
-        )
-        for which, title in titles.items()
-    ]
-
-
-def _judged_cell(said: Summary) -> Cell:
-    status: Status = "good" if said["kept"] == said["runs"] else "bad"
-    if "kept_up_to_ms" in said:
-        return Cell(number(said["kept_up_to_ms"]) if said["kept_up_to_ms"] else "none")
-    worst = None if said["rms_rad"] is None else 1e3 * max(said["rms_rad"])
-    return Cell(f"{number(worst)}, {said['kept']} of {said['runs']}", status)
-
-
-def tune_sentences(summary: Summary) -> list[str]:
-    """Return which searches have not converged, and where to find the gains."""
-    open_ = [law for law, found in summary["laws"].items() if not found["converged"]]
-    said = []
-    if open_ and summary["completed"]:
-        twice = 2 * summary["budget"]
-        said.append(
-            f"Not converged: {', '.join(open_)}. The same command with --budget {twice} continues."
-        )
-    files = [found["file"] for found in summary["laws"].values() if "file" in found]
-    return [*said, *([f"Scenarios with these gains: {', '.join(files)}"] if files else [])]
+_HEIGHT_PX = 430
 
 
 def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
@@ -121,7 +27,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ),
         facts=[
             Fact("Scenario", summary["scenario"]),
-            Fact("Tuned for", _AS_SAID[summary["goal"]]),
+            Fact("Tuned for", AS_SAID[summary["goal"]]),
             Fact("Candidates for each law", f"{summary['budget']}"),
         ],
         panels=[
@@ -130,8 +36,8 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
                 "tune-history",
                 "Best cost so far",
                 _history,
-                "Each line begins with the gains of the scenario, or those that the law derives from"
-                " the arm. A line that still falls at its end has not converged. Costs of runs"
+                "Each line begins with the gains of the scenario, or those that the law derives"
+                " from the arm. A line that still falls at its end has not converged. Costs of runs"
                 " whose torque reached its limit are not drawn.",
             )
         ],
@@ -142,7 +48,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
 def _history(study: DrawnStudy) -> go.Figure:
     figure = style.new_figure(_HEIGHT_PX, "candidate", "best cost so far")
     for index, (law, found) in enumerate(study.summary["laws"].items()):
-        costs = [None if cost >= _BEYOND_ALL else cost for cost in found["history"]]
+        costs = [None if cost >= BEYOND_ALL else cost for cost in found["history"]]
         figure.add_scatter(
             x=list(range(len(costs))), y=costs, name=law, mode="lines", line_shape="hv",
             line_color=style.palette(index),

@@ -12,7 +12,6 @@ from typing import Any
 import typer
 from rich.text import Text
 
-from bus_schema.configuration import ConfigurationError
 from deploy.cli.common import CommandGate, judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
@@ -112,8 +111,7 @@ def tune(options: TuneOptions) -> None:
     """
     for name in ("at_least", "baseline"):
         if getattr(options, name) is not None:
-            told = "must be left out: tune has no margin to gate"
-            raise ConfigurationError(f"--{name.replace('_', '-')}", getattr(options, name), told)
+            raise ScenarioError(f"--{name.replace('_', '-')}: tune has no margin to gate")
     _conduct(Tuning(options.definition(), Path("tune")), options)
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from bus_schema.configuration import ConfigurationError
-from bus_schema.errors import InputError
+from bus_schema.errors import InputError, did_you_mean
 from controller.laws import LAWS
-from controller.laws.custom import default_gains, is_custom
+from controller.laws.custom import EXTERNAL, default_gains
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row
 from deploy.scenario import study_keys
@@ -83,8 +83,9 @@ class Tuning(StudyOfRuns):
         with naming(source):
             study_keys.require_link_effect(given.fixed, self.bases)
             self.columns |= draw_columns(given, self.bases[:1])
-            _check_ranges(given.ranges)
+            _require_rising(given.ranges)
             self._laws = [self._begun(law, setup) for law, setup in setups.items()]
+            _require_known(given.ranges, self._laws)
         self.places = {"search": searched(given), "judge": judged(self.definition, self.bases[0])}
 
     @property
@@ -193,10 +194,12 @@ class Tuning(StudyOfRuns):
             "history": best.tolist(),
             "gained_in_last_quarter": gained,
             "spread": search.spread,
-            "converged": search.is_over
-            and best[-1] < SATURATED
-            and gained < _CONVERGED
-            and search.spread < _NARROW,
+            "converged": bool(
+                search.is_over
+                and best[-1] < SATURATED
+                and gained < _CONVERGED
+                and search.spread < _NARROW
+            ),
             "gains": {"start": law.gains(0), "found": law.gains(1)},
             "judged": {
                 name: self._verdict_of(law, which)
@@ -251,7 +254,7 @@ def _lasting(duration_s: float, setup: Setup) -> list[str]:
 
 def _start_of(law: str, setup: Setup) -> Gains:
     """Return the gains that a scenario gives, or that a law has by itself."""
-    if law not in LAWS and not is_custom(law):
+    if law == EXTERNAL:
         raise InputError("has no gains here: must be a law, not a program")
     given = plain(setup.gains)
     return given if law in LAWS else {**default_gains(law), **given}
@@ -276,7 +279,15 @@ def _kept_up_to(rows: Sequence[Row], delays_ms: Sequence[float]) -> float | None
     return found
 
 
-def _check_ranges(ranges: Mapping[str, tuple[float, float]]) -> None:
+def _require_rising(ranges: Mapping[str, tuple[float, float]]) -> None:
     for name, (low, high) in ranges.items():
         if not low < high:
             raise ConfigurationError(f"ranges.{name}", [low, high], "must rise")
+
+
+def _require_known(ranges: Iterable[str], laws: Iterable[_Law]) -> None:
+    known = {name for law in laws for name in law.search.candidates[0]}
+    for name in ranges:
+        if name not in known:
+            hint = did_you_mean(name, sorted(known))
+            raise ConfigurationError("ranges", name, f"no law has such a gain{hint}")

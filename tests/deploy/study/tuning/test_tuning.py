@@ -1,0 +1,150 @@
+"""`tune` as a study: it goes on, grows, judges elsewhere, and writes scenarios."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.judge.run_rows import read_rows
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.tuning.tuning import Tuning
+from tests.warm_process import here
+
+pytest.importorskip("cma", reason="the extra tuning is not installed")
+SHORT = ("--duration", "0.3", "--set", "duration_s=0.4", "--plants", "1", "--workers", "1")
+
+
+def tuned(out: Path, *words: object) -> tuple[int, str]:
+    return here("tune", "paper_arm", *SHORT, "--out", out, *words)
+
+
+@pytest.fixture(scope="module")
+def grown(tmp_path_factory):
+    """Two laws with a budget of 4, then of 8; the rows of both."""
+    out = tmp_path_factory.mktemp("tune") / "out"
+    found = []
+    for budget in (4, 8):
+        code, output = tuned(out, "--laws", "smc,pid_gravity", "--budget", budget)
+        assert code == 0, output
+        found.append({row["point"]: row for row in read_rows(out / "tune.parquet")})
+    return out, found, output
+
+
+def test_a_larger_budget_goes_on_with_the_candidates_of_before(grown):
+    _, (small, large), _ = grown
+    searched = [point for point, row in small.items() if row["stage"] == "search"]
+    assert len(searched) == 2 * 4
+    for point in searched:
+        assert large[point]["digest"] == small[point]["digest"]
+        assert large[point]["gains"] == small[point]["gains"]
+    assert sum(row["stage"] == "search" for row in large.values()) == 2 * 8
+
+
+def test_laws_are_judged_where_they_were_not_tuned(grown):
+    out, (_, large), output = grown
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["completed"]
+    for law in ("smc", "pid_gravity"):
+        found = summary["laws"][law]
+        assert found["candidates"] == 8
+        assert found["cost_found"] <= found["cost_start"]
+        assert found["history"][-1] == found["cost_found"]
+        assert [each["place"] for each in found["judged"]["found"]] == [
+            "another seed", "another start", "another reference", "other plants",
+        ]  # fmt: skip
+    seeds = {row["stage"]: row["seed"] for row in large.values()}
+    assert seeds == {"search": 1, "judge": 2}
+    assert "Not converged: " in output  # 8 candidates are not enough
+
+
+def test_its_scenarios_have_the_gains_that_were_found(grown):
+    out, (_, large), _ = grown
+    summary = json.loads((out / "summary.json").read_text())
+    gains = summary["laws"]["smc"]["gains"]["found"]
+    setup = load_setup(str(out / "smc.yaml"))
+    assert setup.scenario.controller.law == "smc"
+    assert setup.scenario.duration_s == 0.4
+    assert setup.gains.slope.tolist() == gains["slope"]
+    assert json.dumps(gains, sort_keys=True) in {row["gains"] for row in large.values()}
+
+
+def test_its_report_can_be_made_again(grown):
+    out, _, _ = grown
+    before = json.loads((out / "summary.json").read_text())
+    code, output = here("report", out)
+    assert code == 0, output
+    assert json.loads((out / "summary.json").read_text())["laws"] == before["laws"]
+
+
+def test_for_margin_every_candidate_runs_at_every_delay(tmp_path):
+    words = ("--for", "margin", "--laws", "smc", "--budget", "2", "--delays", "2,300")
+    code, output = tuned(tmp_path / "out", *words)
+    assert code == 0, output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    # Nothing survives 300 ms for long, and 2 ms are no trouble.
+    assert -1.5 <= summary["laws"]["smc"]["cost_found"] <= -1.0
+    judged = summary["laws"]["smc"]["judged"]["start"]
+    assert {each["kept_up_to_ms"] for each in judged} <= {2.0, 300.0}
+
+
+LAW = """
+import numpy as np
+from controller.control_law import Diagnostics
+
+class Spring:
+    def __init__(self, model, stiffness: float = 4000.0, damping: float = 400.0, name="x"):
+        self.gains = stiffness, damping
+        self.diagnostics = Diagnostics(model.joints)
+    def reset(self): pass
+    def torque(self, tracking):
+        return -self.gains[0] * tracking.error - self.gains[1] * tracking.error_rate
+"""
+
+
+def test_a_law_of_the_user_starts_at_its_defaults_or_within_ranges(tmp_path, monkeypatch):
+    (tmp_path / "spring_of_mine.py").write_text(LAW)
+    monkeypatch.chdir(tmp_path)
+    law = "spring_of_mine:Spring"
+    study = Tuning({"scenario": "paper_arm", "laws": [law], "ranges": {"damping": [10, 40]}},
+                   Path("tune"))  # fmt: skip
+    (first,) = study.first()
+    assert json.loads(first.columns["gains"]) == {"stiffness": 4000.0, "damping": 20.0}
+    gains = next(text for text in first.overrides if text.startswith("controller.gains."))
+    assert gains.startswith("controller.gains.custom=")
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"ranges": {"slope": [5, 1]}}, r"ranges.slope = \[5.0, 1.0\]: must rise"),
+        ({"ranges": {"slop": [1, 5]}}, "ranges = 'slop': no law has such a gain"),
+        (
+            {"laws": ["external"], "set": {"controller.external.command": [sys.executable]}},
+            "laws = 'external': has no gains here",
+        ),
+        ({"set": {"controller.law": "pid"}}, "must be given as laws"),
+    ],
+)
+def test_unusable_definitions_are_refused(changed, said):
+    with pytest.raises(ScenarioError, match=said):
+        Tuning({"scenario": "paper_arm", "laws": ["smc"], **changed}, Path("tune"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--at-least", "5%"], "tune has no margin to gate"),
+        (["--for", "fun"], "goal = 'fun'"),
+        (["--budget", "1"], "budget = 1"),
+        (["--laws", "smcc"], "did you mean smc?"),
+    ],
+)
+def test_unusable_options_end_the_command_with_2(words, said, tmp_path):
+    code, output = tuned(tmp_path / "out", "--laws", "smc", *words)
+    assert code == 2, output
+    assert said in output
+    assert not (tmp_path / "out").exists()
