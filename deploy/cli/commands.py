@@ -26,41 +26,61 @@ from deploy.run.stop_signals import stop_at_once
 from deploy.scenario.foreign_code import code_is_named
 from deploy.scenario.xacro_arguments import join_arguments
 
-COMMANDS = {
-    "run": "cli.run:run",
-    "simulate": "cli.run:simulate",
-    "view": "cli.view:view",
-    "controller": "cli.processes:controller",
-    "plant": "cli.processes:plant",
-    "record": "cli.processes:record",
-    "relay": "cli.processes:relay",
-    "link": "cli.network.link:link",
-    "trace": "cli.network.trace:app",
-    "latency": "cli.network.latency:latency",
-    "identify": "cli.identify:identify",
-    "keys": "cli.network.keys:app",
-    "compare": "cli.study.studies:compare",
-    "sweep": "cli.study.studies:sweep",
-    "margin": "cli.study.studies:margin",
-    "tune": "cli.study.studies:tune",
-    "report": "cli.study.recorded:report",
-    "diff": "cli.study.recorded:diff",
-    "replay": "cli.study.recorded:replay",
-    "reference": "cli.export:reference",
-    "bench": "bench.bench:bench",
-    "drives": "cli.drives:drives",
-    "robot": "cli.robot:robot",
-    "doctor": "cli.doctor:doctor",
-    "scenarios": "cli.runs:scenarios",
-    "export": "cli.export:export",
-    "runs": "cli.runs:app",
+PANELS = {
+    "Try": {
+        "robot": "cli.robot:robot",
+        "simulate": "cli.run:simulate",
+        "run": "cli.run:run",
+        "view": "cli.view:view",
+        "scenarios": "cli.runs:scenarios",
+        "doctor": "cli.doctor:doctor",
+    },
+    "Answer": {
+        "margin": "cli.study.studies:margin",
+        "sweep": "cli.study.studies:sweep",
+        "compare": "cli.study.studies:compare",
+        "tune": "cli.study.studies:tune",
+        "identify": "cli.identify:identify",
+    },
+    "Results": {
+        "report": "cli.study.recorded:report",
+        "diff": "cli.study.recorded:diff",
+        "export": "cli.export:export",
+        "replay": "cli.study.recorded:replay",
+        "runs": "cli.runs:app",
+    },
+    "Network": {
+        "link": "cli.network.link:link",
+        "trace": "cli.network.trace:app",
+        "latency": "cli.network.latency:latency",
+        "relay": "cli.processes:relay",
+    },
+    "Processes": {
+        "plant": "cli.processes:plant",
+        "controller": "cli.processes:controller",
+        "record": "cli.processes:record",
+        "drives": "cli.drives:drives",
+        "keys": "cli.network.keys:app",
+    },
+    "Other systems": {
+        "ros2": "cli.ros2:app",
+        "reference": "cli.export:reference",
+        "bench": "bench.bench:bench",
+    },
+}
+"""Where each command is below `deploy`, ``module:function`` or ``module:app`` for a group, by the
+panel of the help."""
+EARLIER = {
     "ros-package": "cli.ros2:ros_package",
     "ros2-control": "cli.ros2:ros2_control",
     "includes": "cli.doctor:includes",
 }
-"""Where each command is below `deploy`: ``module:function``, or ``module:app`` for a group."""
+"""Earlier names of commands, which go on working and are not in the help."""
+COMMANDS = {name: place for panel in PANELS.values() for name, place in panel.items()} | EARLIER
 
-LOOKING = {"view", "report", "diff", "reference", "robot", "export", "identify", "ros2-control"}
+LOOKING = {
+    "view", "report", "diff", "reference", "robot", "export", "identify", "ros2", "ros2-control",
+}  # fmt: skip
 """Commands that only read: they run no law, program or process that a scenario names."""
 
 _NEW_OBJECTS = 200_000
@@ -73,7 +93,11 @@ class LazyGroup(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = {name: LazyCommand(name) for name in COMMANDS}
+        panels = {name: panel for panel, names in PANELS.items() for name in names}
+        self.commands = {
+            name: LazyCommand(name, rich_help_panel=panels.get(name), hidden=name in EARLIER)
+            for name in COMMANDS
+        }
 
     def format_help(self, *args: Any) -> None:
         for name, command in self.commands.items():
@@ -143,7 +167,10 @@ def funnel_hil(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Hardware-in-the-loop test bench for prescribed-performance robot control."""
+    """How much delay can your robot arm take?
+
+    A test bench for robot control over networks and CAN: simulated arms, real processes.
+    """  # noqa: D400
 
 
 class LogLines(logging.Handler):

@@ -55,8 +55,18 @@ def doctor(
         ),
     ] = None,
     overrides: Overrides = None,
+    header: Annotated[
+        bool,
+        typer.Option(
+            "--includes",
+            help="Print the compiler option (-I…) for the C header of controller.law: external.",
+        ),
+    ] = False,
 ) -> None:
     """List what this machine offers to runs, and what each missing item costs. Changes nothing."""
+    if header:
+        includes()
+        return
     if fix:
         print(remedy())
         return

@@ -1,4 +1,4 @@
-"""The commands `ros-package` and `ros2-control`: files for ROS 2."""
+"""Write files for ROS 2: its package of messages, and an arm with its controllers."""
 
 from __future__ import annotations
 
@@ -141,3 +141,10 @@ def _write_all(texts: Mapping[Path, str]) -> None:
             write_whole(file, text)
         except OSError as error:
             raise InputError(f"{file.parent}: cannot be written: {error.strerror}") from error
+
+
+app = typer.Typer(
+    no_args_is_help=True, add_completion=False, help=__doc__, pretty_exceptions_enable=False
+)
+app.command("package")(ros_package)
+app.command("control")(ros2_control)

@@ -184,9 +184,10 @@ def _default(section: type, name: str) -> str:
 
 def commands() -> str:
     """Every command with its arguments and options, as the program itself describes them."""
-    from deploy.cli.commands import COMMANDS, LazyCommand
+    from deploy.cli.commands import COMMANDS, EARLIER, LazyCommand
 
-    return "\n".join(line for name in COMMANDS for line in _command(LazyCommand(name).load(), name))
+    names = [name for name in COMMANDS if name not in EARLIER]
+    return "\n".join(line for name in names for line in _command(LazyCommand(name).load(), name))
 
 
 def _command(command: Any, name: str) -> Iterator[str]:

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from deploy.cli.commands import COMMANDS, LazyCommand, summary_of
+from deploy.cli.commands import COMMANDS, EARLIER, PANELS, LazyCommand, summary_of
 from tests.warm_process import cold_python
 
 
@@ -49,7 +49,22 @@ def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil):
     code, said = funnel_hil("--help")
     assert code == 0
     for name in COMMANDS:
-        assert re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE), name
+        is_shown = re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE) is not None
+        assert is_shown is (name not in EARLIER), name
+    shown = re.findall(r"^╭─ ([A-Z][a-z ]+?) ─", said, re.MULTILINE)
+    assert shown == ["Options", *PANELS]
     code, said = funnel_hil("smulate")
     assert code == 2
     assert "Did you mean 'simulate'" in said
+
+
+def test_earlier_names_do_what_their_successors_do(funnel_hil, tmp_path):
+    assert funnel_hil("includes") == funnel_hil("doctor", "--includes")
+    written = []
+    for number, words in enumerate((["ros2-control"], ["ros2", "control"])):
+        code, said = funnel_hil(*words, "paper_arm", "--out", tmp_path / str(number))
+        assert code == 0, said
+        files = sorted((tmp_path / str(number)).iterdir())
+        written.append([(file.name, file.read_bytes()) for file in files])
+    assert written[0] == written[1]
+    assert [name for name, _ in written[0]] == ["controllers.yaml", "robot.urdf"]
