@@ -13,9 +13,9 @@ from deploy.reports.comparison_tables import law_table, verdict_table
 from deploy.reports.figures.joints import error_envelopes, error_in_funnel, torque_spectra
 from deploy.reports.figures.several_runs import joint_bars, settling, settling_from_afar
 from deploy.reports.figures.space import tip_path
-from deploy.reports.quantities import BY_LAW, RMS_ERROR
+from deploy.reports.run_numbers import BY_LAW, RMS_ERROR
 from deploy.reports.run_reports import write_comparison_report
-from deploy.reports.verdict import verdict_on_laws
+from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

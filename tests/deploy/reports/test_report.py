@@ -24,7 +24,7 @@ from deploy.reports.figures.timeline import deadline_misses, fault_spans_s, with
 from deploy.reports.page import Panel, packed_library
 from deploy.reports.run_reports import write_report
 from deploy.reports.run_tables import event_table, timing_table
-from deploy.reports.verdict import PARTIAL, verdict_on_run
+from deploy.reports.verdict_texts import PARTIAL, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
