@@ -19,14 +19,14 @@ from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.options import GateOptions, OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
-from deploy.cli.terminal.show_run import show_summary
 from deploy.cli.watched import Watched
-from deploy.judge.run_data import RunData
+from deploy.judge import gate as gating
 from deploy.judge.verdict import decide
-from deploy.reports import gate as gating
-from deploy.reports.gate_numbers import RUNS, gauged
-from deploy.reports.results import conditions_in, write_run_results
-from deploy.run.confirmation import confirmation_of
+from deploy.reports.gate_files import write_history, write_junit, write_markdown
+from deploy.reports.kinds import gauged, kind_named, read_baseline
+from deploy.reports.results import TABLE_FILE, Results, write_run
+from deploy.reports.terminal import print_page
+from deploy.run.confirmation import CONFIRMATION, confirmation_of
 from deploy.run.console import Console
 from deploy.run.execute import JudgedRun
 from deploy.run.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
@@ -103,15 +103,22 @@ class CommandGate:
         options: what it must reach.
         name: of what is gated.
         unit: of its numbers.
-        kind: what it is compared as.
+        kind: kind of the result.
+        quantity: quantity of its margins, if it has any.
+        patterns: whether they are for every pattern of delays.
 
     Raises:
         ScenarioError: the options cannot be used with this result.
     """
 
-    def __init__(self, options: GateOptions, name: str, unit: str, kind: str = RUNS) -> None:
-        self._gate = gating.build_gate(options.at_least, options.baseline, options.tolerance)
-        gating.require_fit(self._gate, unit, kind)
+    def __init__(
+        self, options: GateOptions, name: str, unit: str, kind: str = "run",
+        quantity: str | None = None, *, patterns: bool = False,
+    ) -> None:  # fmt: skip
+        baseline = None if options.baseline is None else read_baseline(options.baseline)
+        self._gate = gating.build_gate(options.at_least, options.tolerance, baseline)
+        compared = kind_named(kind).compared_with(quantity, patterns=patterns)
+        gating.require_fit(self._gate, unit, compared)
         self._options, self._name, self._unit = options, name, unit
         if options.history is not None:
             gating.read_history(options.history)
@@ -134,11 +141,11 @@ class CommandGate:
                     if each.name in failures
                 }
                 entries.append(gating.entry_of(found))
-                gating.write_history(options.history, self._name, entries, self._unit)
+                write_history(options.history, self._name, entries, self._unit)
         if options.junit is not None:
-            gating.write_junit(options.junit, found, failures, note)
+            write_junit(options.junit, found, failures, note)
         if options.markdown is not None:
-            gating.write_markdown(options.markdown, found, failures)
+            write_markdown(options.markdown, found, failures)
         for sentence in failures.values():
             console.print(f"gate: {sentence}", style="bold red", markup=False, soft_wrap=True)
         if note and self._gate.is_given:
@@ -163,13 +170,26 @@ def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> 
     raise typer.Exit(FINISHED if kept else BOUNDS_NOT_KEPT)
 
 
-def show_places(console: Console, folder: ResultFolder) -> None:
-    """Print where the results are."""
+def conclude(console: Console, folder: ResultFolder, judge: Callable[[], Results]) -> Results:
+    """Judge results, which writes their files, and show them.
+
+    Args:
+        console: where to show them.
+        folder: their folder.
+        judge: writes the results, and returns them.
+    """
+    with judging(console, folder):
+        results = judge()
+    if results.page is not None:
+        print_page(console, results.page)
+    if (table := folder.path / TABLE_FILE).exists():
+        console.print(f"table:   {table}", soft_wrap=True)
     console.print(f"results: {folder.path}", soft_wrap=True)
     if folder.report.exists():
         console.print(f"report:  {folder.report}", soft_wrap=True)
     else:
         console.print(f"funnel-hil report {folder.path} writes the report", soft_wrap=True)
+    return results
 
 
 @contextlib.contextmanager
@@ -214,14 +234,14 @@ def finish(
         confirms: whether to repeat the run on other physics.
         gate: thresholds that the run must reach, if any.
     """
-    with judging(console, folder):
-        data = _data_of(console, folder, run)
-        confirmation = confirmation_of(data, Watched()) if confirms else ()
-        summary = write_run_results(
-            folder, data, draws_report=not options.no_report, confirmation=confirmation
-        )
-    show_summary(console, data, summary, conditions_in(folder, data))
-    show_places(console, folder)
+
+    def judge() -> Results:
+        _require_data(console, folder, run)
+        if confirms:
+            run.summary[CONFIRMATION] = confirmation_of(run, Watched())
+        return write_run(folder, run, draws_report=not options.no_report)
+
+    summary = conclude(console, folder, judge).summary
     is_passed = gate is None or not summary["completed"] or gate.is_passed(summary, console)
     leave(
         interrupted=run.outcome.interrupted,
@@ -231,10 +251,10 @@ def finish(
     )
 
 
-def _data_of(console: Console, folder: RunFolder, run: JudgedRun) -> RunData:
-    """Return the data of a run. Ends the command if nothing was recorded."""
+def _require_data(console: Console, folder: RunFolder, run: JudgedRun) -> None:
+    """Read the data of a run. Ends the command if nothing was recorded."""
     try:
-        return run.data
+        _ = run.data
     except RunFolderError as error:
         outcome = run.outcome
         faults = [] if outcome.interrupted else [*outcome.failures, str(error)]

@@ -10,16 +10,19 @@ import typer
 from rich.table import Table
 
 from bus_schema.foreign_text import say
+from deploy.judge.verdict import Verdict
+from deploy.reports.run_index import IndexedResults, results_in, tag
 from deploy.reports.terminal import fitted, width_of
+from deploy.reports.verdict_texts import VERDICTS
 from deploy.run.console import Console
 from deploy.run.new_folder import remove_results
-from deploy.run.run_index import INCOMPLETE, INTERRUPTED, IndexedResults, results_in, tag
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import FAULTS, ScenarioError
 from deploy.study.study import SHIPPED as SHIPPED_STUDIES
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(help="Folder that contains the folders of results.")]
+_UNFINISHED = [VERDICTS[each].listed for each in (Verdict.NOTHING, Verdict.INTERRUPTED)]
 _MIB = 1 << 20
 _WIDEST = 100_000
 _HEADINGS = ["Folder", "Begun", "Kind", "What", "Result", "Tags", "MiB"]
@@ -91,7 +94,7 @@ def prune(
         each for each in results_in(folder)
         if not each.tags
         and (older_than is None or _is_older(each, older_than))
-        and (not incomplete or each.result in (INCOMPLETE, INTERRUPTED))
+        and (not incomplete or each.result in _UNFINISHED)
     ]  # fmt: skip
     _show(chosen, Console())
     if not yes:

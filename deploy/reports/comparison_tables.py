@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from bus_schema.configuration import shortened
 from deploy.judge.bounds import bound_usage
 from deploy.judge.conditions import conditions_of_runs
-from deploy.reports import quantities
-from deploy.reports.quantities import JointQuantity
+from deploy.reports import run_numbers
+from deploy.reports.run_numbers import JointQuantity
 from deploy.reports.run_tables import PERCENTILE_NAMES, WALL_TIME, Row, number_rows
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, short_names
 from deploy.run.execute import JudgedRun
@@ -28,7 +28,7 @@ _CLOCKS = {
 def verdict_table(comparison: ComparedRuns) -> Table:
     """A row per law with what decides; each number is that of the law's worst joint."""
     scenario = comparison.runs[0].data.setup.scenario
-    shown = quantities.OF_LAWS
+    shown = run_numbers.OF_LAWS
     rows = [
         [Cell(run.law), status_cell(run), *(Cell(of(run.summary)) for _, of, _ in shown)]
         for run in comparison.runs
@@ -42,7 +42,7 @@ def verdict_table(comparison: ComparedRuns) -> Table:
         rows,
         "The best value of all laws that kept their bounds is highlighted. RMS errors and steady"
         f" margins from {scenario.metrics.from_s:g} s on; everything else over the whole run."
-        f" {quantities.SETTLED}",
+        f" {run_numbers.SETTLED}",
     )
 
 
@@ -59,6 +59,7 @@ def law_table(comparison: ComparedRuns, quantity: JointQuantity) -> Table:
         f"{quantity.heading}{f' from {from_s:g} s on' if quantity.late else ''} ({quantity.unit})",
         [Column("Law", is_text=True), *columns],
         rows,
+        most_printed=None if quantity is run_numbers.RMS_ERROR else 0,
     )
 
 
@@ -113,7 +114,7 @@ def difference_table(compared: RecordedRuns) -> Table:
 
 def recorded_joint_tables(compared: RecordedRuns) -> list[Table]:
     """RMS error, worst share of the bound and travel of torque, a row for each joint."""
-    runs, rms, travel = compared.runs, quantities.RMS_ERROR, quantities.TOTAL_VARIATION
+    runs, rms, travel = compared.runs, run_numbers.RMS_ERROR, run_numbers.TOTAL_VARIATION
     usage = [_worst_usage(run) for run in runs]
     each_from = "Each run from its own scenario's metrics.from_s on."
     return [
@@ -135,7 +136,7 @@ def _joints(
 def recorded_timing_table(compared: RecordedRuns) -> Table:
     """Percentiles of every time that was not zero in all runs."""
     rows: list[Row] = []
-    for key, name in quantities.TIMES.items():
+    for key, name in run_numbers.TIMES.items():
         for percentile, title in PERCENTILE_NAMES.items():
             values = [run.summary["timing"][key][percentile] for run in compared.runs]
             if any(values):

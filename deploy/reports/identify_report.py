@@ -22,9 +22,10 @@ from deploy.identify.regression import (
     VISCOUS,
 )
 from deploy.reports.figures import style
-from deploy.reports.page import Cards, Fact, Page, Panel, write_page
+from deploy.reports.html import write_page
+from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.tables import Cell, Column, Table, Value, number
-from deploy.reports.verdict import ReportHead
+from deploy.reports.verdict_texts import ReportHead
 
 _MOST_POINTS = 800
 _LEAST_SHOWN = 0.02
@@ -61,7 +62,7 @@ def write_identify_report(found: Identified, summary: Mapping[str, Any], path: P
     ]
     notes = Table("Notes", [Column("Note", is_text=True)], [[each] for each in found.notes])
     page = Page(
-        "identification", found.robot.path.stem, head, facts, _PANELS, found,
+        "identification", found.robot.path.stem, head, facts, lambda: _PANELS, found,
         before=("Joints", [Cards([error_table(found), joint_table(found)], "stacked"),
                            Cards([notes] if found.notes else [], "stacked")]),
         after=("Base parameters", [Cards([_base_table(summary)], "stacked")]),

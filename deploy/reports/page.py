@@ -1,36 +1,24 @@
-"""The page of a report: one HTML file that holds everything it needs and opens offline.
+"""Pages of results: tables, verdict, conditions and figures, listed once.
 
-But for reports of studies, which share a file with the library that draws their figures.
+`terminal.print_page` and `html.write_page` render them. The figures are imported only for HTML.
 """
 
 from __future__ import annotations
 
 import base64
-import contextlib
-import json
-import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-import plotly.graph_objects as go
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
-from plotly.offline import get_plotlyjs
 
 from bus_schema.arrays import Vector
-from bus_schema.recording.atomic_files import write_whole
-from deploy.reports.figures.style import figure_json, typed_array
 from deploy.reports.tables import Table
-from deploy.reports.verdict import ReportHead
-from deploy.run.stop_signals import end_if_asked
+from deploy.reports.verdict_texts import ReportHead
 
-LIBRARY_FILE = "plotly.min.js"
-_FAST = 1  # three times as fast as the usual level, for a sixth more
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 T = TypeVar("T")
 """What a report is about: a run, or several."""
@@ -72,12 +60,14 @@ class Motion:
 
     def frames(self) -> dict[str, Any]:
         """Times and points for the page, ready for JSON."""
+        from deploy.reports.figures.style import typed_array  # heavy
+
         _, traces, points, _ = self.points.shape
         arrays = {"times": typed_array(self.times_s), "points": typed_array(self.points.ravel())}
         return {"traces": traces, "points_of_each": points, **arrays}
 
 
-Content: TypeAlias = go.Figure | Sequence[Picture] | Motion | Table
+Content: TypeAlias = "go.Figure | Sequence[Picture] | Motion | Table"
 
 
 @dataclass(frozen=True)
@@ -116,117 +106,50 @@ class Cards(NamedTuple):
 
 @dataclass(frozen=True)
 class Page(Generic[T]):
-    """What a report says.
+    """Results as a terminal and an HTML file show them.
 
     Attributes:
-        kind: what it is a report of.
-        name: of that, which begins the title.
-        verdict: its top.
-        facts: labelled values below that.
-        panels: its figures, in order.
-        subject: what they show.
-        conditions: under which that came about.
-        before: title of tables before the figures, and these.
-        after: title of tables behind the figures, and these.
+        kind: kind of the results.
+        name: of the results, which begins the title.
+        verdict: top of the page.
+        facts: labelled values below the verdict, in HTML only.
+        panels: returns the figures in order; it imports what draws them.
+        subject: argument of the panels' `draw`.
+        conditions: conditions of the results.
+        heading: first line in a terminal.
+        before: title and tables before the figures.
+        after: title and tables after the figures.
+        lines: sentences that only a terminal shows, below its tables and verdict.
         points: description, file and command of points of a study that can be run again.
-        points_title: what points these are.
+        points_title: title of these points.
         points_note: what a reader must know to run one.
-        end_s: end of the runs whose figures over time share an instant; None for no run.
+        end_s: end of the runs whose figures over time share an instant; None without a run.
         footer: what a reader may look for next.
-        footer_code: the name or number that ends it.
+        footer_code: the name or number that ends the footer.
+        shares_library: whether other reports use the library of the figures, too.
     """
 
     kind: str
     name: str
     verdict: ReportHead
     facts: Sequence[Fact]
-    panels: Iterable[Panel[T]]
+    panels: Callable[[], Iterable[Panel[T]]]
     subject: T
     conditions: Mapping[str, str] = field(default_factory=dict)
+    heading: str = ""
     before: tuple[str, Sequence[Cards]] = ("", ())
     after: tuple[str, Sequence[Cards]] = ("", ())
+    lines: Sequence[str] = ()
     points: Sequence[tuple[str, str, str]] = ()
     points_title: str = "Every point, with the command that repeats it"
     points_note: str = ""
     end_s: float | None = None
     footer: str = ""
     footer_code: str = ""
+    shares_library: bool = False
 
-
-def write_page(path: Path, page: Page[T], *, shares_library: bool = False) -> None:
-    """Write a report to an HTML file.
-
-    Args:
-        path: the file.
-        page: what it says.
-        shares_library: whether the library of the figures goes beside it, for other reports, too.
-    """
-    if shares_library:
-        share_library(path.parent)
-    address = library_address(path)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        packing = None if address else beside.submit(packed_library)  # a tenth of a second and more
-        sections = _drawn(list(page.panels), page.subject)
-        packed = "" if packing is None else packing.result()
-    html = _ENVIRONMENT.get_template("page.html").render(
-        page=page, sections=sections, library=address, packed_library=packed
-    )
-    write_whole(path, html)
-
-
-def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
-    """Panels with what they show, by section; without those that have nothing to show."""
-    contents: dict[str, Any] = {}
-    for panel in sorted(panels, key=lambda panel: not panel.is_drawn_beside):
-        end_if_asked()
-        contents[panel.id] = panel.draw(subject)
-    sections: dict[str, list[tuple[Panel[T], Any]]] = {}
-    for panel in panels:
-        content = contents[panel.id]
-        if callable(content):
-            content = content()
-        if content is not None:
-            sections.setdefault(panel.section, []).append((panel, content))
-    return sections
-
-
-@cache
-def packed_library() -> str:
-    """The library as base64 of what ``DecompressionStream("deflate")`` unpacks."""
-    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), _FAST)).decode()
-
-
-def share_library(folder: Path) -> None:
-    """Put the library beside the reports of a folder; where it cannot be, each has its own."""
-    if not _has_library(folder):
-        with contextlib.suppress(OSError):
-            write_whole(folder / LIBRARY_FILE, get_plotlyjs())
-
-
-def library_address(report: Path) -> str:
-    """Where a report finds a shared library: beside it or one folder up; "" where there is none."""
-    if _has_library(report.parent):
-        return LIBRARY_FILE
-    return f"../{LIBRARY_FILE}" if _has_library(report.parent.parent) else ""
-
-
-def _has_library(folder: Path) -> bool:
-    """Whether a folder has the library, and of this version."""
-    file = folder / LIBRARY_FILE
-    return file.is_file() and file.read_bytes() == get_plotlyjs().encode()
-
-
-_ENVIRONMENT = Environment(
-    loader=PackageLoader("deploy.reports"),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-)
-_ENVIRONMENT.policies["json.dumps_function"] = lambda content, **_: (
-    figure_json(content) if isinstance(content, go.Figure) else json.dumps(content)
-)
-_ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
-_ENVIRONMENT.tests["motion"] = lambda content: isinstance(content, Motion)
-_ENVIRONMENT.tests["table"] = lambda content: isinstance(content, Table)
+    @property
+    def tables(self) -> list[Table]:
+        """All tables in order."""
+        groups = (*self.before[1], *self.after[1])
+        return [table for cards in groups for table in cards.tables]

@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any, TypeAlias, TypeVar
 
 from deploy.judge.run_data import RunData
-from deploy.reports import quantities
+from deploy.reports import run_numbers
 from deploy.reports.figures import joints, learned, link, several_runs, space, timeline
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.page import Content, Panel
@@ -20,7 +20,7 @@ from deploy.study.comparison.comparison import ComparedRuns
 
 T = TypeVar("T")
 RunsPanel = Panel[ComparedRuns]
-Draw: TypeAlias = Callable[[ComparedRuns], Content | Callable[[], Content | None] | None]
+Draw: TypeAlias = "Callable[[ComparedRuns], Content | Callable[[], Content | None] | None]"
 
 
 def _of_run(draw: Callable[[RunData], T]) -> Callable[[ComparedRuns], T]:
@@ -28,7 +28,7 @@ def _of_run(draw: Callable[[RunData], T]) -> Callable[[ComparedRuns], T]:
     return lambda runs: draw(runs.runs[0].data)
 
 
-def _bars(quantity: quantities.JointQuantity) -> Draw:
+def _bars(quantity: run_numbers.JointQuantity) -> Draw:
     return partial(several_runs.joint_bars, quantity=quantity)
 
 
@@ -58,10 +58,10 @@ _ONE_RUN: dict[str, Draw] = {
 }
 _TIMES: dict[str, Draw] = {
     key.removesuffix("_us").replace("_", "-"): partial(timeline.time_of_runs, key=key)
-    for key in quantities.TIMES
+    for key in run_numbers.TIMES
 }
 _SEVERAL_RUNS: dict[str, Draw] = {
-    "rms": _bars(quantities.RMS_ERROR),
+    "rms": _bars(run_numbers.RMS_ERROR),
     "settling": several_runs.settling,
     "settling-from-afar": several_runs.settling_from_afar,
     "errors": joints.error_in_funnel,
@@ -71,8 +71,8 @@ _SEVERAL_RUNS: dict[str, Draw] = {
     "tip-paths": space.tip_path,
     "tip-errors": space.tip_error_envelopes,
     "torques": joints.torques_side_by_side,
-    "total-variation": _bars(quantities.TOTAL_VARIATION),
-    "chatter-share": _bars(quantities.SHARE_ABOVE_50_HZ),
+    "total-variation": _bars(run_numbers.TOTAL_VARIATION),
+    "chatter-share": _bars(run_numbers.SHARE_ABOVE_50_HZ),
     "torque-spectra": joints.torque_spectra,
     "network-output": learned.network_output,
     **_TIMES,

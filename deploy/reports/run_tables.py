@@ -10,7 +10,7 @@ from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
-from deploy.reports import quantities
+from deploy.reports import run_numbers
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, table_of
 from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
 
@@ -45,15 +45,16 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
     """Errors (from `from_s` on) and torques of a run, a row per joint."""
     shown = [
         (quantity.column, quantity.of_joints(summary))
-        for quantity in quantities.OF_ONE_RUN
-        if quantity is not quantities.SETTLING_BOUND or summary[quantity.section][quantity.key]
+        for quantity in run_numbers.OF_ONE_RUN
+        if quantity is not run_numbers.SETTLING_BOUND or summary[quantity.section][quantity.key]
     ]
     names = summary["tracking"]["joint_names"]
     return Table(
         f"Joints, errors from {from_s:g} s on",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],
         list(zip(names, *(values for _, values in shown), strict=True)),
-        quantities.SETTLED,
+        run_numbers.SETTLED,
+        None if summary["ticks"] else 0,
     )
 
 
@@ -70,7 +71,7 @@ def timing_table(summary: dict[str, Any]) -> Table:
     )
     times = {
         title: [summary["timing"][key][name] for name in PERCENTILE_NAMES]
-        for key, title in quantities.TIMES.items()
+        for key, title in run_numbers.TIMES.items()
     }
     always_0 = [title for title, values in times.items() if not any(v != 0 for v in values)]
     always = f" Always 0: {', '.join(always_0).lower()}." if always_0 else ""
@@ -82,6 +83,7 @@ def timing_table(summary: dict[str, Any]) -> Table:
         ],
         [[title, *values] for title, values in times.items() if title not in always_0] + stalls,
         WALL_TIME + always,
+        None if summary["ticks"] else 0,
     )
 
 
@@ -94,7 +96,7 @@ def health_table(summary: dict[str, Any]) -> Table:
     rows += number_rows([summary])
     lost = summary["recorder"]["lost_by_topic"] or {}
     rows += [[f"Lost of {topic}", count] for topic, count in lost.items()]
-    return Table("Health", [Column("Run", is_text=True), Column("")], rows)
+    return Table("Health", [Column("Run", is_text=True), Column("")], rows, most_printed=0)
 
 
 _PLAYOUT = {
@@ -124,7 +126,7 @@ def transport_table(summary: dict[str, Any]) -> Table:
     rows += [[title, None, _value(playout, key)] for key, title in _PLAYOUT.items() if playout]
     columns = (Column("Messages", is_text=True), Column("Uplink (states)"))
     note = _REJECTED if any(channel["rejected"] for channel in channels) else ""
-    return Table("Transport", [*columns, Column("Downlink (commands)")], rows, note)
+    return Table("Transport", [*columns, Column("Downlink (commands)")], rows, note, 0)
 
 
 def event_table(run: RunData) -> Table:
@@ -140,7 +142,8 @@ def event_table(run: RunData) -> Table:
     if not rows:
         rows.append([ABSENT, "", "", "no events were recorded"])
     headings = ("Time (s)", "Source", "Event", "Detail")
-    return Table("Events", [Column(heading, is_text=True) for heading in headings], rows)
+    columns = [Column(heading, is_text=True) for heading in headings]
+    return Table("Events", columns, rows, most_printed=0)
 
 
 def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
@@ -173,8 +176,8 @@ def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 def number_rows(summaries: Sequence[dict[str, Any]]) -> list[Row]:
-    """A row for each of `quantities.RUN_NUMBERS`, with a value for each run."""
-    return [[heading, *map(of, summaries)] for heading, of in quantities.RUN_NUMBERS.items()]
+    """A row for each of `run_numbers.RUN_NUMBERS`, with a value for each run."""
+    return [[heading, *map(of, summaries)] for heading, of in run_numbers.RUN_NUMBERS.items()]
 
 
 def _value(values: dict[str, Any], dotted_key: str) -> float | None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from bus_schema.recording.atomic_files import write_whole
 from deploy.reports import study_texts as texts
-from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, quotable, scaled, table_of
-from deploy.reports.tune_tables import tune_tables
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, scaled, table_of
 from deploy.study.study import shown_value
 
 _SHOWN_EFFECTS = 6
+_SHOWN_POINTS = 40
 Summary = dict[str, Any]
 TableColumn = tuple[Column, Callable[[Summary], Cell | Value]]
 """A column, and what a case or a point of a study has in it."""
@@ -162,6 +160,7 @@ def point_table(summary: Summary) -> Table:
         summary["points"],
         "Means over the seeds and plants of a point; the worst run is the one with the most ticks"
         " outside.",
+        _SHOWN_POINTS,
     )  # fmt: skip
 
 
@@ -228,6 +227,7 @@ def interval_table(summary: Summary) -> Table:
         [{**value, "case": case} for case in summary["cases"] for value in case["values"]],
         "The interval is for the share of all plants that could be drawn, of which these are a"
         " sample: Wilson's, or where a sequential test ended with them, its exact one.",
+        most_printed=0,
     )  # fmt: skip
 
 
@@ -260,21 +260,3 @@ def losses_table(summary: Summary) -> Table:
         " level in 5 % of shuffles though nothing matters: what lies below it says nothing, what"
         " lies above it is an association, no proof of a cause.",
     )
-
-
-def result_tables(summary: Summary) -> list[Table]:
-    """The tables of a study's report."""
-    if summary["kind"] == "sweep":
-        return [point_table(summary)]
-    if summary["kind"] == "tune":
-        return tune_tables(summary)
-    if summary["kind"] == "margin":
-        return [margin_table(summary), *disturbance_tables(summary)]
-    return [robustness_table(summary), interval_table(summary), losses_table(summary)]
-
-
-def write_study_table(summary: Summary, path: Path) -> None:
-    """Write margins, or how many plants were kept, as a Markdown table with its conditions."""
-    is_margin = summary["kind"] == "margin"
-    table = margins_by_law(summary) if is_margin else robustness_table(summary)
-    write_whole(path, quotable(table, summary.get("conditions", {})))

@@ -6,7 +6,6 @@ from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
-from deploy.reports.tune_tables import tune_sentences
 
 Summary = dict[str, Any]
 
@@ -133,16 +132,17 @@ def probe_at(case: Summary, value: float | None) -> Summary | None:
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
 
 
-def sentences(summary: Summary) -> list[str]:
-    """The results of a study of margins in words, the best first; none for a sweep."""
-    if summary["kind"] == "tune":
-        return tune_sentences(summary)
-    if summary["kind"] == "margin":
-        patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
-        found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
-        helps = filter(None, (_remedy_sentence(case, summary) for case in summary["cases"]))
-        return [*found, *_theory(summary), *helps, *_saved(summary)]
-    cases = sorted(summary.get("cases", ()), key=lambda case: case["kept_up_to"] or -1.0)
+def margin_sentences(summary: Summary) -> list[str]:
+    """Return margins in words, the best first."""
+    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
+    found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
+    helps = filter(None, (_remedy_sentence(case, summary) for case in summary["cases"]))
+    return [*found, *_theory(summary), *helps, *_saved(summary)]
+
+
+def robustness_sentences(summary: Summary) -> list[str]:
+    """Return how many plants were kept, in words, the best case first."""
+    cases = sorted(summary["cases"], key=lambda case: case["kept_up_to"] or -1.0)
     kept = [_kept_sentence(case, summary) for case in reversed(cases)]
     tests = map(_test, filter(None, [summary.get("test")]))
     return [*kept, *tests, *_saved(summary), *_doubts(summary)]

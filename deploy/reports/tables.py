@@ -133,12 +133,14 @@ class Table:
         columns: what stands in them.
         rows: a value or a cell for each column.
         note: what a reader must know of its numbers.
+        most_printed: number of rows that a terminal shows; None for all, 0 for no table there.
     """
 
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell | Value]]
     note: str = ""
+    most_printed: int | None = None
 
     @property
     def cells(self) -> list[list[Cell]]:
@@ -157,6 +159,7 @@ def table_of(
     columns: Sequence[tuple[Column, Callable[[Item], Cell | Value]]],
     items: Iterable[Item],
     note: str = "",
+    most_printed: int | None = None,
 ) -> Table:
     """A table with a row for each item.
 
@@ -165,9 +168,10 @@ def table_of(
         columns: each with what it has of an item.
         items: what the rows are of.
         note: what a reader must know of its numbers.
+        most_printed: as in `Table`.
     """
     rows = [[of(item) for _, of in columns] for item in items]
-    return Table(title, [column for column, _ in columns], rows, note)
+    return Table(title, [column for column, _ in columns], rows, note, most_printed)
 
 
 def quotable(table: Table, conditions: Mapping[str, str]) -> str:

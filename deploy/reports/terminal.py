@@ -1,8 +1,10 @@
-"""Tables in a terminal."""
+"""Pages and tables in a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 from rich import box
 from rich import table as rich_table
@@ -10,13 +12,50 @@ from rich.cells import cell_len, set_cell_size
 from rich.console import Console
 from rich.text import Text
 
-from deploy.judge.conditions import Conditions, conditions_line
+from deploy.judge.conditions import conditions_line
+from deploy.reports.page import Page
 from deploy.reports.tables import Column, Status, Table
+from deploy.reports.verdict_texts import Level, ReportHead
 
-STYLES: dict[Status, str] = {"": "", "good": "bold green", "bad": "bold red", "best": "bold"}
+STYLES: dict[Status | Level, str] = {
+    "": "", "best": "bold", "mixed": "bold",
+    "good": "bold green", "bad": "bold red", "broken": "bold red",
+}  # fmt: skip
+"""Styles of cells and verdicts."""
+_COMMAND = ": funnel-hil "
+"""Before a command at the end of a sentence, which stays on one line to be copied."""
 _WHOLE_LETTERS = 24
 _WIDEST = 10_000
 _LEAST = 8
+
+
+def print_page(console: Console, page: Page[Any]) -> None:
+    """Print tables, verdict and conditions of a page."""
+    if page.heading:
+        console.print(page.heading, markup=False, style="bold")
+    hidden = 0
+    for table in page.tables:
+        if table.most_printed != 0:
+            print_table(console, replace(table, rows=table.rows[: table.most_printed]))
+            hidden += len(table.rows[table.most_printed :]) if table.most_printed else 0
+    _print_head(console, page.verdict)
+    for line in page.lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    if hidden:
+        console.print(f"{hidden} more rows are in the report")
+    print_conditions(console, page.conditions)
+
+
+def _print_head(console: Console, head: ReportHead) -> None:
+    if head.faults:
+        first, *others = head.faults
+        console.print(Text.assemble(("fault", STYLES["broken"]), f"  {first}"), soft_wrap=True)
+        if others:
+            console.print(f"{len(others)} more that followed are in the report", style="dim")
+    headline = f"{head.headline[:1].lower()}{head.headline[1:]}"
+    console.print(headline, style=STYLES[head.level], markup=False, highlight=False)
+    for reason in head.reasons if head.printed is None else head.printed:
+        console.print(reason, markup=False, highlight=False, soft_wrap=_COMMAND in reason)
 
 
 def print_table(console: Console, table: Table) -> None:
@@ -68,7 +107,7 @@ def _width(console: Console, table: rich_table.Table) -> int:
     return console.measure(table, options=console.options.update(width=_WIDEST)).maximum
 
 
-def print_conditions(console: Console, conditions: Conditions) -> None:
+def print_conditions(console: Console, conditions: Mapping[str, str]) -> None:
     """Print what results are to be quoted with; through a pipe on one line."""
     console.print(
         conditions_line(conditions),

@@ -6,7 +6,7 @@ over a substep differ.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,7 +19,7 @@ from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.judge.run_rows import Row, held
 from deploy.judge.run_rows import row as run_row
-from deploy.run.execute import How, execute
+from deploy.run.execute import How, JudgedRun, execute
 from deploy.run.run_folder import RunFolderError, load_run
 from deploy.run.stop_signals import end_if_asked
 from deploy.scenario.setup import Setup
@@ -116,33 +116,30 @@ def other_physics(setup: Setup) -> dict[str, Setup]:
     return {name: other for name, other in found.items() if name != own}
 
 
-def confirmed_row(
-    setup: Setup, data: RunData, summary: Mapping[str, Any], how: How | None = None
-) -> Row:
+def confirmed_row(setup: Setup, run: JudgedRun, how: How | None = None) -> Row:
     """Return the row of a run, with the results of the same run on other physics.
 
     Args:
         setup: the scenario, which is simulated again.
-        data: the run.
-        summary: its summary by `summarise`.
+        run: the run.
         how: as for `execute`.
     """
-    values = run_row(dict(summary), setup.scenario.seed)
+    values = run_row(run.summary, setup.scenario.seed)
     values |= {name: [] for name in CONFIRMATION_COLUMNS}
     for name, other in other_physics(setup).items():
         end_if_asked()
-        run = execute(other, how)
-        found = run_row(run.summary, setup.scenario.seed)
+        again = execute(other, how)
+        found = run_row(again.summary, setup.scenario.seed)
         values["confirmed_on"].append(name)
         values["confirmed_kept"].append(held(found))
         values["confirmed_margin_min"].append(found["margin_min"])
-        values["confirmed_error_difference_rad"].append(_error_difference_rad(data, run.data))
+        values["confirmed_error_difference_rad"].append(_error_difference_rad(run.data, again.data))
     return values
 
 
-def confirmation_of(data: RunData, how: How | None = None) -> list[dict[str, Any]]:
-    """Return the `confirmations` of one run; the argument is that of `execute`."""
-    return confirmations([confirmed_row(data.setup, data, summarise(data), how)])
+def confirmation_of(run: JudgedRun, how: How | None = None) -> list[dict[str, Any]]:
+    """Return the `confirmations` of one run; `how` is as for `execute`."""
+    return confirmations([confirmed_row(run.data.setup, run, how)])
 
 
 def confirmations(rows: Iterable[Row]) -> list[dict[str, Any]]:

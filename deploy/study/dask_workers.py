@@ -31,6 +31,7 @@ from controller.laws.read_files import is_of_the_user
 from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.provenance import Provenance, current
+from deploy.study.runner import WorkersLostError
 from deploy.study.study import PlannedRun, failed, row_of
 
 _ANSWER_S = 3.0
@@ -42,10 +43,6 @@ _COMPILES = "funnel-hil compiles"
 """Topic of the events by which workers report that they compile."""
 Packed = Mapping[str, bytes]
 """Laws by name, in `cloudpickle`'s format."""
-
-
-class ClusterLostError(Exception):
-    """The scheduler was lost during a study."""
 
 
 class DaskWorkers:
@@ -115,7 +112,7 @@ class DaskWorkers:
         """Return a finished run, in any order; None if none was finished in time.
 
         Raises:
-            ClusterLostError: no run will ever finish.
+            WorkersLostError: no run will ever finish.
         """
         if not self._in_flight and self._suspects:
             self._alone = self._suspects.popleft()
@@ -124,11 +121,11 @@ class DaskWorkers:
             run, future = self._finished.get(timeout=timeout_s)
         except queue.Empty:
             if self._client.status not in ("running", "connecting"):
-                raise ClusterLostError("the connection to the Dask scheduler is lost") from None
+                raise WorkersLostError("the connection to the Dask scheduler is lost") from None
             return None
         self._in_flight -= 1
         if future.status == "cancelled":
-            raise ClusterLostError("the connection to the Dask scheduler is lost")
+            raise WorkersLostError("the connection to the Dask scheduler is lost")
         error = future.exception()
         if error is None:
             return run, future.result()

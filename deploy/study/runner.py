@@ -16,12 +16,17 @@ from typing import Protocol
 from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import override
 from deploy.study.folder import StudyFolder
+from deploy.study.provenance import Provenance
 from deploy.study.study import PlannedRun, StudyOfRuns
 from plant_emulator.physics.engines import engine_name
 
 _POLL_S = 0.2
 _LEAST_IN_FLIGHT = 64
 _IN_FLIGHT_PER_WORKER = 4
+
+
+class WorkersLostError(Exception):
+    """The workers are gone; the message says why."""
 
 
 class Workers(Protocol):
@@ -31,6 +36,9 @@ class Workers(Protocol):
     def count(self) -> int:
         """Number of runs that they execute at a time."""
 
+    def current(self, parts: Iterable[str]) -> list[Provenance]:
+        """Return the present values of parts of a provenance, of each host that may do a run."""
+
     def submit(self, run: PlannedRun) -> None:
         """Submit a run."""
 
@@ -39,8 +47,7 @@ class Workers(Protocol):
 
 
 Progress = Callable[[Row, int, bool], None]
-"""Called with each run's row, the expected number of runs, and whether the row existed before.
-earlier command did this one."""
+"""Called with each row, the expected number of runs, and whether the row existed before."""
 
 
 def carry_out(

@@ -167,7 +167,7 @@ def _judged(setup: Setup, run: PlannedRun) -> Row:
         if any(plant.ended_early for plant in plants):
             values = early_row(values)
         if run.confirm:
-            values = confirmed_row(setup, done.data, done.summary)
+            values = confirmed_row(setup, done)
             done.summary[CONFIRMATION] = confirmations([values])
         if folder is not None:
             done.keep(folder)

@@ -18,7 +18,9 @@ from bus_schema.recording.mcap_log import McapLog, read_log
 from deploy.bench.bench import show_section
 from deploy.bench.measure import Section, cost_us, interleave, ratio
 from deploy.judge.metrics import summarise
-from deploy.reports.run_reports import write_report
+from deploy.reports.html import write_page
+from deploy.reports.run_pages import run_page
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
@@ -94,7 +96,7 @@ def measure_finishing(scenario: str, seconds: float, repetitions: int) -> Sectio
     setup = load_setup(scenario, [f"duration_s={seconds}"])
     simulation = simulate(setup)
     data = simulation.data()
-    summary = summarise(data)
+    run = JudgedRun("", data, summarise(data))
     with TemporaryDirectory() as folder:
         recording, report = Path(folder) / "run.mcap", Path(folder) / "report.html"
         simulation.write_log(recording)
@@ -102,7 +104,7 @@ def measure_finishing(scenario: str, seconds: float, repetitions: int) -> Sectio
             {
                 READ: lambda: cost_us(lambda: read_log(recording), 1),
                 LIBRARY: lambda: cost_us(lambda: _read_by_library(recording), 1),
-                REPORT: lambda: cost_us(lambda: write_report(data, summary, report), 1),
+                REPORT: lambda: cost_us(lambda: write_page(report, run_page(run)), 1),
                 SIMULATED: lambda: cost_us(lambda: simulate(setup), 1),
             },
             repetitions,

@@ -11,8 +11,8 @@ import sys
 from typing import Any
 
 import funnel_hil
-from deploy.reports.gate import Gate
-from deploy.reports.gate_numbers import gauged
+from deploy.judge.gate import Gate
+from deploy.reports.kinds import gauged
 
 SCENARIO: dict[str, Any] = {
     "duration_s": 1.0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,11 +15,10 @@ from deploy.judge.run_data import RunData, Table
 from deploy.judge.run_rows import Row, row
 from deploy.judge.time_series import SERIES, TRACKING, Columns, series
 from deploy.judge.verdict import Verdict, verdict_of
-from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.figures.style import template
 from deploy.reports.page import Panel
+from deploy.reports.results import Results
 from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
-from deploy.reports.study_report import page_of
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns
 from deploy.study.comparison.recorded import RecordedRuns
@@ -92,11 +91,11 @@ class Run(_Drawn):
         path: its folder or MCAP file; None where it was not written.
     """
 
-    def __init__(self, data: RunData, summary: dict[str, Any], path: Path | None = None) -> None:
-        self.data = data
-        self.summary = summary
-        self.path = path
-        super().__init__(RUN_PANELS, ComparedRuns([JudgedRun(self.law, data, summary)]))
+    def __init__(self, run: JudgedRun) -> None:
+        self.data: RunData = run.data
+        self.summary: dict[str, Any] = run.summary
+        self.path: Path | None = run.path
+        super().__init__(RUN_PANELS, ComparedRuns([JudgedRun(self.law, run.data, run.summary)]))
 
     def __repr__(self) -> str:
         return f"<Run of {self.summary['scenario']}, {self.law}: {self.verdict}>"
@@ -180,7 +179,7 @@ class _SideBySide(_Table):
 
     def __init__(self, panels: Sequence[Panel[Any]], compared: ComparedRuns) -> None:
         super().__init__(panels, compared)
-        self.runs = {run.law: Run(run.data, run.summary, run.path) for run in compared.runs}
+        self.runs = {run.law: Run(run) for run in compared.runs}
         self.rows = [row(run.summary, run.seed) for run in compared.runs]
 
     def __getitem__(self, name: str) -> Run:
@@ -236,12 +235,10 @@ class Study(_Table):
         rows: one for each run.
     """
 
-    def __init__(
-        self, summary: dict[str, Any], rows: Sequence[Row], rerun: Callable[[str], str]
-    ) -> None:
-        drawn = DrawnStudy(summary, rerun)
-        super().__init__(list(page_of(drawn).panels), drawn)
-        self.summary, self.rows = summary, list(rows)
+    def __init__(self, results: Results, rows: Sequence[Row]) -> None:
+        page = results.page
+        super().__init__([] if page is None else list(page.panels()), page and page.subject)
+        self.summary, self.rows = results.summary, list(rows)
 
     def __repr__(self) -> str:
         return f"<Study {self.summary['name']}, {self.summary['kind']}: {len(self.rows)} runs>"

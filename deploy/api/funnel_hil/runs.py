@@ -8,10 +8,11 @@ from pathlib import Path
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import laws_given
 from deploy.reports.results import (
+    comparison_results,
+    diff_results,
     judge_rows,
-    write_comparison_results,
-    write_diff_results,
-    write_run_results,
+    write_results,
+    write_run,
 )
 from deploy.run.execute import InProcess, JudgedRun, execute
 from deploy.run.network.links import check_link
@@ -23,7 +24,7 @@ from deploy.study.comparison.comparison import Comparison as OfLaws
 from deploy.study.comparison.recorded import KIND, recorded_runs
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
-from funnel_hil.studies import carried_out
+from funnel_hil.studies import conducted
 
 
 def simulate(
@@ -52,10 +53,11 @@ def simulate(
     with given.laws():
         if out is None:
             run = execute(given.setup, InProcess())
-            return Run(run.data, run.summary)
+            return Run(run)
         with RunFolder.begin(given.setup, Path(out), overwrite=overwrite) as folder:
             run = execute(given.setup, InProcess(), folder)
-            return Run(run.data, write_run_results(folder, run.data), folder.path)
+            write_run(folder, run)
+            return Run(run)
 
 
 def compare(
@@ -88,11 +90,13 @@ def compare(
         return Comparison(ComparedRuns([_judged(each) for each in tried]))
     makers = {name: make for each in tried for name, make in each.makers.items()}
     values = {"laws": [each.law for each in tried]}
-    with laws_given(makers), carried_out(
+    with laws_given(makers), conducted(
         base, lambda file: OfLaws({"scenario": str(file), **values}, Path("compare")), Path(out),
         overwrite=overwrite,
     ) as (study, folder):  # fmt: skip
-        return Comparison(write_comparison_results(folder, judge_rows(study, folder)))
+        results, compared = comparison_results(folder, judge_rows(study, folder))
+        write_results(folder, results)
+        return Comparison(compared)
 
 
 def load_run(path: str | Path) -> Run:
@@ -103,8 +107,7 @@ def load_run(path: str | Path) -> Run:
     Raises:
         InputError: there is no recording of funnel-hil.
     """
-    run = judged_again(str(path), Path(path))
-    return Run(run.data, run.summary, Path(path))
+    return Run(judged_again(str(path), Path(path)))
 
 
 def diff(*runs: Run | str | Path, out: str | Path | None = None, overwrite: bool = False) -> Diff:
@@ -123,7 +126,7 @@ def diff(*runs: Run | str | Path, out: str | Path | None = None, overwrite: bool
     if out is not None:
         with ResultFolder(new_folder(KIND, Path(out), overwrite=overwrite)).lock() as folder:
             write_json(folder.manifest, provenance())
-            write_diff_results(compared, folder)
+            write_results(folder, diff_results(compared))
     return Diff(compared)
 
 

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
-from deploy.reports.results import write_study_results
+from deploy.reports.results import write_study
 from deploy.run.new_folder import new_folder
-from deploy.study.folder import (
-    StudyFolder,
-    find_folder,
-    here,
-    opened,
-    require_same_provenance,
-)
+from deploy.study.conduct import conduct
+from deploy.study.folder import StudyFolder, here
 from deploy.study.robustness import margin_study
-from deploy.study.runner import Workers, carry_out
+from deploy.study.runner import Workers
 from deploy.study.study import PlannedRun, StudyOfRuns, row_of
 from deploy.study.sweep import Sweep
 from funnel_hil.results import Study
@@ -127,6 +121,7 @@ class _Here:
     """Does runs in this process, one at a time."""
 
     count = 1
+    current = staticmethod(here)
 
     def __init__(self) -> None:
         self._waiting: deque[PlannedRun] = deque()
@@ -147,15 +142,15 @@ def _conducted(
     out: str | Path | None,
     told: Told | None,
 ) -> Study:
-    """Carry a study out, or on, and judge it."""
+    """Conduct a study, and judge it."""
     with ExitStack() as stack:
         place = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else out
-        with carried_out(given, build, Path(place), workers, scheduler, told) as (study, folder):
-            return Study(write_study_results(study, folder), folder.rows, folder.rerun_command)
+        with conducted(given, build, Path(place), workers, scheduler, told) as (study, folder):
+            return Study(write_study(study, folder), folder.rows)
 
 
 @contextmanager
-def carried_out(
+def conducted(
     given: Scenario,
     build: Callable[[Path], StudyOfRuns],
     out: Path,
@@ -165,7 +160,7 @@ def carried_out(
     *,
     overwrite: bool = False,
 ) -> Iterator[tuple[StudyOfRuns, StudyFolder]]:
-    """Carry a study out, or on; the study, and its folder, which is locked meanwhile.
+    """Conduct a study of a scenario; yield it and its folder, which is locked meanwhile.
 
     The scenario is written to a file, from which every run reads it.
     """
@@ -184,15 +179,17 @@ def carried_out(
         file.parent.mkdir(exist_ok=True)
         file.write_text(text, encoding="utf-8")
     study = build(file)
-    with ExitStack() as stack:
-        path, now = find_folder(study, place), here
-        team: Workers = _Here()
-        if workers != 0 or scheduler is not None:
-            from deploy.study.dask_workers import DaskWorkers  # heavy
 
-            team = dask = stack.enter_context(DaskWorkers(workers or None, scheduler, study.laws))
-            now = here if scheduler is None else dask.current
-        require_same_provenance(study, path, now)
-        folder = stack.enter_context(opened(study, path, place))
-        carry_out(study, team, folder, threading.Event(), progress)
-        yield study, folder
+    def team() -> AbstractContextManager[Workers]:
+        if workers == 0 and scheduler is None:
+            return nullcontext(_Here())
+        from deploy.study.dask_workers import DaskWorkers  # heavy
+
+        return DaskWorkers(workers or None, scheduler, study.laws)
+
+    with conduct(
+        study, team, place, nullcontext(progress), is_elsewhere=scheduler is not None
+    ) as ended:
+        if ended.lost is not None:
+            raise ended.lost
+        yield study, ended.folder

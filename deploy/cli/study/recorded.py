@@ -10,22 +10,22 @@ from rich.text import Text
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import is_custom
-from deploy.cli.common import judging, show_places
+from deploy.cli.common import conclude
 from deploy.cli.options import NoReport, Out, Overwrite
-from deploy.cli.study.studies import conclude_comparison, report_study
-from deploy.cli.terminal.show_run import show_summary
 from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.bounds import all_damage
 from deploy.judge.run_data import RunData
-from deploy.reports.comparison_tables import (
-    difference_table,
-    recorded_joint_tables,
-    recorded_table,
-    recorded_timing_table,
+from deploy.reports.kinds import kind_of
+from deploy.reports.results import (
+    Results,
+    comparison_results,
+    diff_results,
+    study_results,
+    write_results,
+    write_run,
+    write_study,
 )
-from deploy.reports.results import conditions_in, write_diff_results, write_run_results
-from deploy.reports.terminal import print_table
-from deploy.reports.verdict import PARTIAL, damaged, verdict_on_runs
+from deploy.reports.verdict_texts import PARTIAL, damaged
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.new_folder import new_folder
@@ -38,13 +38,15 @@ from deploy.run.run_folder import (
     provenance,
     read_manifest,
     read_summary,
-)  # fmt: skip
+)
 from deploy.run.stop_signals import WITHIN_S, stop_at_once
 from deploy.scenario.yaml_files import ScenarioError, naming
-from deploy.study.comparison.comparison import KIND
+from deploy.study.comparison.comparison import KIND as COMPARISON
+from deploy.study.comparison.comparison import judged_again
 from deploy.study.comparison.recorded import KIND as DIFF
-from deploy.study.comparison.recorded import RecordedRuns, read_again, recorded_runs
-from deploy.study.folder import STUDY_FILE
+from deploy.study.comparison.recorded import read_again, recorded_runs
+from deploy.study.folder import STUDY_FILE, StudyFolder, changes_since, read_study
+from deploy.study.runner import retrace
 
 
 def diff(
@@ -62,7 +64,10 @@ def diff(
     compared = recorded_runs(runs)
     with ResultFolder(new_folder(DIFF, out, overwrite=overwrite)).lock() as folder:
         write_json(folder.manifest, provenance())
-        _show_diff(compared, folder, Console(), draws_report=not no_report)
+        results = diff_results(compared)
+        conclude(
+            Console(), folder, lambda: write_results(folder, results, draws_report=not no_report)
+        )
 
 
 def report(
@@ -74,43 +79,54 @@ def report(
 
     A damaged recording is evaluated as far as it can be read, with exit code 1.
     """
-    console = Console()
-    if read_summary(run_dir).get("kind") == KIND:  # its recordings are all that it needs
-        with ResultFolder(run_dir.resolve()).lock() as of_laws:
-            compared = conclude_comparison(of_laws, read_summary(run_dir), console)
-        if any(run.summary["recording"]["damage"] for run in compared.runs):
-            raise typer.Exit(FAULT)
-    elif (run_dir / STUDY_FILE).is_file():
-        report_study(run_dir, console)
-    elif read_summary(run_dir).get("kind") == DIFF:
-        compared = read_again(run_dir)
-        with ResultFolder(run_dir.resolve()).lock() as of_runs:
-            _show_diff(compared, of_runs, console)
-    else:
-        data, _ = load_run(run_dir)
-        with RunFolder(run_dir if run_dir.is_dir() else run_dir.parent).lock() as folder:
-            with judging(console, folder):
-                summary = write_run_results(folder, data)
-            show_summary(console, data, summary, conditions_in(folder, data))
-            console.print(f"report: {folder.report}", soft_wrap=True)
-        raise typer.Exit(FAULT if summary["recording"]["damage"] else FINISHED)
+    again = _AGAIN.get(kind_of(read_summary(run_dir)).name)
+    if again is None:
+        again = _study_again if (run_dir / STUDY_FILE).is_file() else _run_again
+    raise typer.Exit(FAULT if again(run_dir, Console()).is_damaged else FINISHED)
 
 
-def _show_diff(
-    compared: RecordedRuns, folder: ResultFolder, console: Console, *, draws_report: bool = True
-) -> None:
-    """Write summary and report, and show the result."""
-    write_diff_results(compared, folder, draws_report=draws_report)
-    tables = [*recorded_joint_tables(compared), recorded_timing_table(compared)]
-    tables += [recorded_table(compared)]
-    tables += [difference_table(compared)] if compared.differing else []
-    for table in tables:
-        print_table(console, table)
-    verdict = verdict_on_runs(compared)
-    console.print(verdict.headline, style="bold", markup=False)
-    for reason in verdict.reasons:
-        console.print(reason, markup=False, highlight=False)
-    show_places(console, folder)
+def _run_again(path: Path, console: Console) -> Results:
+    run = judged_again(path.name, path)
+    with RunFolder(path if path.is_dir() else path.parent).lock() as folder:
+        return conclude(console, folder, lambda: write_run(folder, run))
+
+
+def _laws_again(path: Path, console: Console) -> Results:
+    """Judge the recordings of a comparison; its study may have changed, or be of an old version."""
+    with ResultFolder(path.resolve()).lock() as folder:
+
+        def judge() -> Results:
+            results, _ = comparison_results(folder, read_summary(folder.path))
+            return write_results(folder, results)
+
+        return conclude(console, folder, judge)
+
+
+def _diff_again(path: Path, console: Console) -> Results:
+    results = diff_results(read_again(path))
+    with ResultFolder(path.resolve()).lock() as folder:
+        return conclude(console, folder, lambda: write_results(folder, results))
+
+
+def _study_again(path: Path, console: Console) -> Results:
+    """Judge the rows of a study; show its earlier summary if its scenarios have changed."""
+    study = read_study(path)
+    with StudyFolder(path.resolve(), study).lock() as folder:
+        changed, summary = "; ".join(changes_since(study, folder.path)), read_summary(folder.path)
+        if not changed:
+            retrace(study, folder)
+            return conclude(console, folder, lambda: write_study(study, folder))
+        if "conditions" not in summary:
+            raise ScenarioError(
+                f"{folder.path}: {changed}: must be as it was, as no summary is there"
+            )
+        console.print(f"{changed}: this is the summary of before", markup=False, soft_wrap=True)
+        results = study_results(summary, folder)
+        return conclude(console, folder, lambda: write_results(folder, results))
+
+
+_AGAIN = {COMPARISON: _laws_again, DIFF: _diff_again}
+"""Results of several recordings, by kind."""
 
 
 def replay(

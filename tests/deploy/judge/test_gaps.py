@@ -11,7 +11,7 @@ from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, Topic
 from deploy.judge.chattering import chatter_shares
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData, build_run_data
-from deploy.reports.verdict import verdict_on_run
+from deploy.reports.verdict_texts import verdict_on_run
 from deploy.scenario.scenario import load_setup
 from tests.deploy.judge.made_up_messages import rows
 

@@ -26,7 +26,7 @@ from bus_schema.messages.topics import (
 from deploy.judge.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
 from deploy.judge.run_data import RunData, build_run_data, digest
-from deploy.reports.verdict import verdict_on_run
+from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

@@ -22,11 +22,11 @@ from deploy.judge.metrics import summarise
 from deploy.judge.run_rows import held, row
 from deploy.judge.verdict import verdict_of
 from deploy.reports.comparison_tables import status_cell
-from deploy.reports.verdict import verdict_on_laws, verdict_on_run
+from deploy.reports.run_index import results_in
+from deploy.reports.verdict_texts import verdict_on_laws, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, load_run
-from deploy.run.run_index import results_in
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.comparison import ComparedRuns

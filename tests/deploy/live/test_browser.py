@@ -11,7 +11,7 @@ from watched import playback, short_run
 from deploy.live.viewer import Viewer
 from deploy.reports.figures import study_figures, style
 from deploy.reports.page import Page, Panel, write_page
-from deploy.reports.verdict import ReportHead
+from deploy.reports.verdict_texts import ReportHead
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 

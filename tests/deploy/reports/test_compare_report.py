@@ -3,6 +3,7 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
+from deploy.reports.run_reports import write_comparison_report
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.metrics import summarise
@@ -13,9 +14,8 @@ from deploy.reports.comparison_tables import law_table, verdict_table
 from deploy.reports.figures.joints import error_envelopes, error_in_funnel, torque_spectra
 from deploy.reports.figures.several_runs import joint_bars, settling, settling_from_afar
 from deploy.reports.figures.space import tip_path
-from deploy.reports.quantities import BY_LAW, RMS_ERROR
-from deploy.reports.run_reports import write_comparison_report
-from deploy.reports.verdict import verdict_on_laws
+from deploy.reports.run_numbers import BY_LAW, RMS_ERROR
+from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from deploy.reports.run_reports import write_report
 from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
@@ -22,9 +23,8 @@ from deploy.reports.figures.learned import unknown_dynamics_nm
 from deploy.reports.figures.style import decimate
 from deploy.reports.figures.timeline import deadline_misses, fault_spans_s, with_faults
 from deploy.reports.page import Panel, packed_library
-from deploy.reports.run_reports import write_report
 from deploy.reports.run_tables import event_table, timing_table
-from deploy.reports.verdict import PARTIAL, verdict_on_run
+from deploy.reports.verdict_texts import PARTIAL, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -20,7 +20,7 @@ from deploy.reports.comparison_tables import (
     recorded_timing_table,
 )
 from deploy.reports.results import write_run_results
-from deploy.reports.verdict import verdict_on_runs
+from deploy.reports.verdict_texts import verdict_on_runs
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, read_summary
 from deploy.run.simulate import simulate

@@ -1,15 +1,16 @@
-"""Reports of margins: of one arm as it is, and over uncertain plants."""
+"""Pages of margins: of one arm as it is, and over uncertain plants."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from deploy.reports import study_tables as tables
 from deploy.reports import study_texts as texts
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
-from deploy.reports.page import Fact, Page, Panel
+from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.tables import ABSENT
-from deploy.reports.verdict import ReportHead
+from deploy.reports.verdict_texts import ReportHead
 
 _SHOWN_EFFECTS = 12
 _MOST_NAMED = 8
@@ -30,7 +31,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             "mixed",
             f"{texts.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
             " kept",
-            texts.sentences(summary),
+            texts.margin_sentences(summary),
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
@@ -42,10 +43,13 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
                  "The brakes hold the arm until the first command acts: no law can start with a"
                  " longer delay."),
         ],
-        panels=[
+        panels=lambda: [
             panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)
         ],
         subject=study,
+        after=("Results", [
+            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary)], "stacked"),
+        ]),
         points=[
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
@@ -59,7 +63,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins over uncertain plants."""
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
-    best, *others = texts.sentences(summary)
+    best, *others = texts.robustness_sentences(summary)
     explained = (
         f"At this {summary['title']}, and at all smaller ones that were tried, at least {share} of"
         " the plants kept their bounds."
@@ -74,7 +78,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             Fact("Values", ", ".join(texts.value_text(v, summary) for v in summary["values"])),
             _durations(summary),
         ],
-        panels=[
+        panels=lambda: [
             *(_curves_panel(
                 summary, arm, own, "kept", study_figures.PLANTS_KEPT,
                 "Shares of the tried plants, with 95 % intervals as shades. Click on a point"
@@ -84,6 +88,10 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
+        after=("Results", [
+            Cards([tables.robustness_table(summary), tables.interval_table(summary),
+                   tables.losses_table(summary)], "stacked"),
+        ]),
         points=[
             (_value_name(case, value, summary), point, study.rerun(point))
             for case in cases

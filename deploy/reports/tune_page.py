@@ -6,9 +6,9 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
-from deploy.reports.page import Fact, Page, Panel
-from deploy.reports.tune_tables import AS_SAID, BEYOND_ALL, tune_sentences
-from deploy.reports.verdict import ReportHead
+from deploy.reports.page import Cards, Fact, Page, Panel
+from deploy.reports.tune_tables import AS_SAID, BEYOND_ALL, tune_sentences, tune_tables
+from deploy.reports.verdict_texts import ReportHead
 
 _HEIGHT_PX = 430
 
@@ -30,7 +30,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
             Fact("Tuned for", AS_SAID[summary["goal"]]),
             Fact("Candidates for each law", f"{summary['budget']}"),
         ],
-        panels=[
+        panels=lambda: [
             Panel(
                 "Search",
                 "tune-history",
@@ -42,6 +42,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
             )
         ],
         subject=study,
+        after=("Results", [Cards(tune_tables(summary), "stacked")]),
     )
 
 

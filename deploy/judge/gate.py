@@ -1,8 +1,7 @@
-"""A gate: the numbers of a result that must not be small, or smaller than before.
+"""A gate: which numbers of a result are too small, or smaller than before.
 
-A study of margins is gated by each margin, a sweep, comparison or run by the smallest distance of
-an error to its bound, in percent of the bound. It leaves JUnit XML, a table in Markdown, and a
-history over commits.
+A study of margins is gated by each margin; a sweep, comparison or run by the smallest distance of
+an error to its bound, in percent of the bound. A history holds the numbers of earlier commits.
 """
 
 from __future__ import annotations
@@ -13,22 +12,20 @@ import os
 import re
 import subprocess
 import time
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from bus_schema.configuration import shown
-from bus_schema.foreign_text import markdown_cell, printable
-from bus_schema.recording.atomic_files import write_whole
 from bus_schema.user_files import read_text
-from deploy.reports.gate_numbers import Finite, Gauged, read_baseline
 from deploy.scenario.yaml_files import ScenarioError
 
-_ENTRIES = "history.jsonl"
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+ENTRIES = "history.jsonl"
+"""File of a history, a line for each entry."""
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
 
 
@@ -41,7 +38,36 @@ class Entry:
     values: dict[str, Finite | None]
 
 
-_ENTRY = TypeAdapter(Entry)
+ENTRY = TypeAdapter(Entry)
+
+
+@dataclass(frozen=True)
+class Gauged:
+    """One number of a result.
+
+    Attributes:
+        name: of what it is the number: an arm, a law, a point of a sweep.
+        value: None if even the easiest case was lost.
+        unit: of the value; empty if it has none.
+        sign: 1 if larger values are better, -1 if smaller ones are.
+        doubt: why the value was not tested, empty if it was.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    sign: int = 1
+    doubt: str = ""
+
+    @property
+    def text(self) -> str:
+        if self.value is None:
+            return "none"
+        return f"{self.value:.4g} {self.unit}".rstrip()
+
+    def is_below(self, limit: float) -> bool:
+        """Whether it does not reach a limit; NaN reaches none."""
+        return self.value is None or not self.sign * (self.value - limit) >= 0
 
 
 @dataclass(frozen=True)
@@ -95,11 +121,18 @@ class Gate:
         )
 
 
-def build_gate(at_least: str | None, baseline: Path | None, tolerance: str | None) -> Gate:
-    """The gate that options ask for.
+def build_gate(
+    at_least: str | None, tolerance: str | None, baseline: tuple[str, list[Gauged]] | None = None
+) -> Gate:
+    """Return the gate of a command's options.
+
+    Args:
+        at_least: the smallest allowed value, such as ``20ms``; None for any.
+        tolerance: how much worse than the baseline a number may be; None for 0.
+        baseline: kind and numbers of an earlier result.
 
     Raises:
-        ScenarioError: a number cannot be read, or the baseline holds no results.
+        ScenarioError: a number cannot be read.
     """
     if tolerance is not None and baseline is None:
         raise ScenarioError(f"--tolerance {tolerance}: needs --baseline")
@@ -109,7 +142,7 @@ def build_gate(at_least: str | None, baseline: Path | None, tolerance: str | Non
         raise ScenarioError(f"--tolerance {tolerance}: must have the unit of --at-least, {unit}")
     if allowed is not None and not allowed >= 0.0:
         raise ScenarioError(f"--tolerance {tolerance}: must be 0 or more")
-    kind, found = ("", []) if baseline is None else read_baseline(baseline)
+    kind, found = ("", []) if baseline is None else baseline
     named = {each.name: each for each in found}
     return Gate(limit, named, allowed or 0.0, unit or other, kind)
 
@@ -146,38 +179,6 @@ def _size(option: str, text: str | None) -> tuple[float | None, str]:
     return float(found[1]), found[2]
 
 
-def write_junit(
-    file: Path, found: Sequence[Gauged], failures: Mapping[str, str], note: str = ""
-) -> None:
-    """Write a test case for each number, as CI services read it, and a note about all."""
-    suite = ET.Element(
-        "testsuite", name="funnel-hil", tests=str(len({*failures, *(each.name for each in found)})),
-        failures=str(len(failures)),
-    )  # fmt: skip
-    for name, text in _texts(found, failures).items():
-        case = ET.SubElement(suite, "testcase", classname="funnel-hil", name=name)
-        if name in failures:
-            ET.SubElement(case, "failure", message=failures[name])
-        ET.SubElement(case, "system-out").text = text
-    if note:
-        ET.SubElement(suite, "system-out").text = note
-    text = ET.tostring(suite, encoding="unicode", xml_declaration=True)
-    write_whole(file, printable(text))
-
-
-def write_markdown(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
-    """Write a table of the numbers."""
-    lines = ["| | found | |", "|---|---|---|"]
-    for name, text in _texts(found, failures).items():
-        result = failures[name].removeprefix(f"{name}: ") if name in failures else "ok"
-        lines.append(f"| {markdown_cell(name)} | {text} | {markdown_cell(result)} |")
-    write_whole(file, "\n".join([*lines, ""]))
-
-
-def _texts(found: Sequence[Gauged], failures: Mapping[str, str]) -> dict[str, str]:
-    return dict.fromkeys(failures, "missing") | {each.name: each.text for each in found}
-
-
 def read_history(folder: Path) -> list[Entry]:
     """Return earlier results, the oldest first.
 
@@ -187,14 +188,14 @@ def read_history(folder: Path) -> list[Entry]:
     """
     if folder.exists() and not folder.is_dir():
         raise ScenarioError(f"--history {folder}: must be a folder")
-    file, entries = folder / _ENTRIES, []
+    file, entries = folder / ENTRIES, []
     try:
         lines = read_text(file).splitlines() if file.exists() else []
     except OSError as error:
         raise ScenarioError(f"{file}: {error.strerror or error}") from error
     for number, line in enumerate(lines, 1):
         try:
-            entries.append(_ENTRY.validate_json(line))
+            entries.append(ENTRY.validate_json(line))
         except ValidationError as error:
             raise ScenarioError(
                 f"{file}, line {number}: must be an entry of this history (commit, time, values)"
@@ -214,40 +215,6 @@ def locked_history(folder: Path) -> Iterator[list[Entry]]:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield read_history(folder)
-
-
-def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) -> None:
-    """Write all entries, and the page that draws them."""
-    from deploy.reports.page import Fact, Page, Panel, write_page  # heavy
-    from deploy.reports.verdict import ReportHead
-
-    lines = (f"{_ENTRY.dump_json(entry).decode()}\n" for entry in entries)
-    write_whole(folder / _ENTRIES, "".join(lines))
-    said = f"The last is of {entries[-1].commit}."
-    page = Page(
-        "history", name,
-        ReportHead("good", f"{len(entries)} results", [said]),
-        [Fact("Unit", unit or "none")],
-        [Panel("History", "history", f"{name} over commits", lambda all_: _figure(all_, unit),
-               "A gap is a result in which the bounds were never kept.")],
-        list(entries),
-    )  # fmt: skip
-    write_page(folder / "history.html", page)
-
-
-def _figure(entries: Sequence[Entry], unit: str) -> Any:
-    from deploy.reports.figures import style  # heavy
-
-    figure, places = style.new_figure(430, y_title=unit, legend=True), list(range(len(entries)))
-    names = dict.fromkeys(name for entry in entries for name in entry.values)
-    for index, name in enumerate(names):
-        figure.add_scatter(
-            x=places, y=[entry.values.get(name) for entry in entries], name=name,
-            mode="lines+markers", line={"color": style.palette(index)},
-        )  # fmt: skip
-    labels = [f"{entry.commit}<br>{entry.time[:10]}" for entry in entries]
-    figure.update_xaxes(tickvals=places, ticktext=labels)
-    return figure.update_yaxes(rangemode="tozero")
 
 
 def entry_of(found: Sequence[Gauged]) -> Entry:

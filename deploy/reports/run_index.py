@@ -10,22 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.judge.verdict import Verdict, verdict_of
+from deploy.reports.kinds import kind_of
 from deploy.run.new_folder import holds_results
 from deploy.run.run_folder import read_json, read_manifest, read_summary
 from deploy.scenario.yaml_files import ScenarioError
 
-INTERRUPTED, INCOMPLETE = "interrupted", "incomplete"
-"""Results that ended early without a fault, and results with nothing to judge."""
-_OLDER = "older version"
-_RESULTS = {
-    Verdict.KEPT: "bounds kept",
-    Verdict.LOST: "bounds not kept",
-    Verdict.UNKNOWN: "unknown",
-    Verdict.FAULTED: "faulted",
-    Verdict.INTERRUPTED: INTERRUPTED,
-    Verdict.NOTHING: INCOMPLETE,
-}
 _TAGS = "tags.json"
 _TAG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
@@ -98,36 +87,18 @@ def _result_folders(folder: Path) -> Iterator[Path]:
 
 def _looked_at(path: Path) -> IndexedResults:
     summary, manifest = read_summary(path), read_manifest(path)
-    kind = str(summary.get("kind", "run"))
+    kind = kind_of(summary)
     names = [summary.get("name") or summary.get("scenario") or _scenario_of(manifest)]
-    if kind == "run":
+    if kind.is_run:
         names.append(summary.get("law"))
     return IndexedResults(
         path,
-        kind,
+        kind.name,
         " ".join(str(name) for name in names if name),
         _time(manifest.get("started")),
-        _result(kind, summary),
+        kind.listed(summary),
         tags_of(path),
     )
-
-
-def _result(kind: str, summary: dict[str, Any]) -> str:
-    """Return the verdict on a run; of several runs, whether they were complete or had a fault."""
-    laws = summary.get("laws")
-    if kind == "comparison" and isinstance(laws, dict):
-        found = {_verdict(law) for law in laws.values() if isinstance(law, dict)}
-        worst = (_OLDER, INTERRUPTED, INCOMPLETE, "faulted")
-        return next((each for each in worst if each in found), "complete")
-    if kind == "run" or not summary.get("completed"):
-        return _verdict(summary)
-    return "complete"
-
-
-def _verdict(summary: dict[str, Any]) -> str:
-    """Return the verdict in a summary; older versions did not decide it there."""
-    is_older = "ticks" in summary and "verdict" not in summary
-    return _OLDER if is_older else _RESULTS[verdict_of(summary)]
 
 
 def _scenario_of(manifest: dict[str, Any]) -> Any:

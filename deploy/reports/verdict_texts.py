@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
@@ -13,14 +13,15 @@ from deploy.judge.conditions import granted_and_not
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
-from deploy.judge.verdict import Verdict, verdict_of
-from deploy.reports.quantities import margin_place, other_margins
+from deploy.judge.verdict import Verdict
+from deploy.reports.run_numbers import margin_place, other_margins
 from deploy.reports.tables import margin_text, number
 
 if TYPE_CHECKING:
     from deploy.run.execute import JudgedRun
     from deploy.study.comparison.comparison import ComparedRuns
     from deploy.study.comparison.recorded import Parting, RecordedRuns
+    from deploy.study.comparison.settling import SettlingTest
 
 Level = Literal["good", "bad", "mixed", "broken"]
 PARTIAL = "The recording is incomplete: the recorder did not finish it."
@@ -33,14 +34,24 @@ _MRAD = 1e3
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
 
-_HEADLINES: Mapping[Verdict, tuple[Level, str]] = {
-    Verdict.KEPT: ("good", "Bounds kept"),
-    Verdict.LOST: ("bad", "Bounds not kept"),
-    Verdict.UNKNOWN: ("broken", "Not known whether bounds were kept"),
-    Verdict.FAULTED: ("broken", "Run ended by a fault"),
-    Verdict.INTERRUPTED: ("broken", "Run interrupted"),
-    Verdict.NOTHING: ("broken", "Nothing was recorded"),
+
+class Words(NamedTuple):
+    """A verdict in a report and in a list of results."""
+
+    level: Level
+    headline: str
+    listed: str
+
+
+VERDICTS: Mapping[Verdict, Words] = {
+    Verdict.KEPT: Words("good", "Bounds kept", "bounds kept"),
+    Verdict.LOST: Words("bad", "Bounds not kept", "bounds not kept"),
+    Verdict.UNKNOWN: Words("broken", "Not known whether bounds were kept", "unknown"),
+    Verdict.FAULTED: Words("broken", "Run ended by a fault", "faulted"),
+    Verdict.INTERRUPTED: Words("broken", "Run interrupted", "interrupted"),
+    Verdict.NOTHING: Words("broken", "Nothing was recorded", "incomplete"),
 }
+"""Words of all verdicts."""
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
 """Who holds up a loop that lacks a setting."""
 
@@ -55,18 +66,21 @@ class ReportHead:
         headline: the verdict.
         reasons: what it rests on, a sentence each.
         faults: what went wrong, causes before what followed from them.
+        printed: the reasons that a terminal shows, where its tables hold the others; None for all.
     """
 
     level: Level
     headline: str
     reasons: Sequence[str]
     faults: Sequence[str] = ()
+    printed: Sequence[str] | None = None
 
 
 def verdict_on_run(
-    run: RunData, summary: dict[str, Any], conditions: Mapping[str, str] = MappingProxyType({})
+    judged: JudgedRun, conditions: Mapping[str, str] = MappingProxyType({})
 ) -> ReportHead:
-    """The verdict on a run, which came about under some conditions, where they are known."""
+    """Return the verdict on a run, with its conditions if they are known."""
+    run, summary = judged.data, judged.summary
     bounds, known = summary["bounds"], known_ticks(run)
     is_judged = bounds["violation_fraction"] is not None
     reasons = [
@@ -81,8 +95,8 @@ def verdict_on_run(
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
     ]
-    level, headline = _HEADLINES[verdict_of(summary)]
-    if is_judged and verdict_of(summary) is Verdict.NOTHING:
+    level, headline, _ = VERDICTS[judged.verdict]
+    if is_judged and judged.verdict is Verdict.NOTHING:
         headline = _NO_COMMAND.capitalize()
     if summary["recording"]["damage"]:
         headline = f"Recording damaged: {headline[0].lower()}{headline[1:]}"
@@ -201,7 +215,23 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
     headline = f"{kept} of {len(runs)} laws kept their bounds"
     if all(_is_sound(run) for run in runs) and kept in (0, len(runs)):
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
-    return _head(runs, headline, [*recording_sentences(runs), *_ranking(comparison)])
+    unread, settled = recording_sentences(runs), list(map(_settling_sentence, comparison.settling))
+    head = _head(runs, headline, [*unread, *_ranking(comparison), *settled])
+    faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.summary["faults"]]
+    return replace(head, printed=[*unread, *settled, *faulted])
+
+
+def _settling_sentence(test: SettlingTest) -> str:
+    """Say in one sentence how a law settled from near and far."""
+    times = [start.settling_time_s for start in test.starts]
+    known = [time for time in times if time is not None]
+    farthest = number(max((start.distance_rad for start in test.starts), default=None))
+    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
+    slowest = f", at most {number(max(known))} s" if known else ""
+    return (
+        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
+        f"{slowest}{bound}"
+    )
 
 
 def verdict_on_runs(compared: RecordedRuns) -> ReportHead:

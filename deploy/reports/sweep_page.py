@@ -1,21 +1,17 @@
-"""Reports of studies, made of their summaries alone; and what is particular to that of a sweep."""
+"""The page of a sweep, built from its summary alone."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 from typing import Any
 
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, Runs, StudyQuantity
-from deploy.reports.margin_reports import margin_page, robustness_page
-from deploy.reports.page import Cards, Fact, Page, Panel, write_page
-from deploy.reports.run_tables import confirmation_tables
-from deploy.reports.study_tables import result_tables
-from deploy.reports.tune_report import tune_page
-from deploy.reports.verdict import ReportHead, level_of
-from deploy.study.folder import StudyFolder
+from deploy.reports.page import Cards, Fact, Page, Panel
+from deploy.reports.study_tables import point_table
+from deploy.reports.verdict_texts import ReportHead, level_of
+from deploy.study.statistics import NO_EFFECT
 from deploy.study.study import shown_value
 
 Summary = dict[str, Any]
@@ -26,61 +22,13 @@ QUANTITIES = [study_figures.TICKS_OUTSIDE, study_figures.WORST_RMS]
 """What is drawn of every sweep; another one is another entry."""
 
 
-def page_of(study: DrawnStudy) -> Page[DrawnStudy]:
-    """The page of a study: what is particular to its kind, and what all studies have."""
-    summary = study.summary
-    page, seeds = _PAGES[summary["kind"]](study), summary["seeds"]
-    confirmations = confirmation_tables([summary])
-    runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
-    others = f"; add --set seed={seeds[1]} and so on for the others" if seeds[1:] else ""
-    return replace(
-        page,
-        verdict=_with_failures(page.verdict, summary),
-        facts=[
-            *page.facts,
-            Fact("Runs", runs),
-            Fact("Failed runs", str(summary["runs_failed"])),
-            Fact("Seeds", _shortened(seeds)),
-        ],
-        panels=page.panels if summary["runs"] else (),
-        conditions=summary.get("conditions", {}),
-        after=("Results", [Cards([*result_tables(summary), *confirmations], "stacked")]),
-        points_note=f"The scenarios have seed {seeds[0]}{others}.",
-        footer="All runs, one row each:",
-    )
-
-
-def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
-    """Write the report of a study to its folder, and the library of its figures."""
-    page = page_of(DrawnStudy(summary, folder.rerun_command))
-    page = replace(page, footer_code=folder.rows_file.name)
-    write_page(folder.report, page, shares_library=True)
-
-
-def _with_failures(verdict: ReportHead, summary: dict[str, Any]) -> ReportHead:
-    """The verdict with what kept runs from being judged."""
-    failed = summary["runs_failed"]
-    if not failed:
-        return verdict
-    said = replace(
-        verdict, faults=[f"{failed} runs, the most frequent error: {summary['commonest_error']}"]
-    )
-    if failed < summary["runs"]:
-        return said
-    return replace(said, level="broken", headline="Every run failed")
-
-
-def _shortened(seeds: Sequence[int]) -> str:
-    texts = [str(seed) for seed in seeds]
-    return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)}: {texts[0]} … {texts[-1]}"
-
-
 def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of a sweep."""
     summary = study.summary
     points = summary["points"]
     every = range(len(summary["axes"]))
     kept = sum(point["runs_kept"] == point["runs"] for point in points)
+    warnings = [f"warning: {keys}: {NO_EFFECT}" for keys in summary.get("without_effect", ())]
     return Page(
         "sweep",
         summary["name"],
@@ -90,15 +38,18 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
             [
                 f"{_title(axis)}: {', '.join(map(shown_value, axis['values']))}"
                 for axis in summary["axes"]
-            ],
+            ]
+            + warnings,
+            printed=warnings,
         ),
         facts=[
             Fact("Sweep", summary["name"]),
             Fact("Scenario", summary["scenario"]),
             *([Fact("Plants", f"{summary['plants']}")] if summary["plants"] else []),
         ],
-        panels=[*_curve_panels(summary), *_heat_map_panels(summary)],
+        panels=lambda: [*_curve_panels(summary), *_heat_map_panels(summary)],
         subject=study,
+        after=("Results", [Cards([point_table(summary)], "stacked")]),
         points=[
             (_given(summary, point, every) or "all", point["worst_point"], study.rerun_worst(point))
             for point in points
@@ -200,12 +151,3 @@ def _by_size(summary: Summary) -> list[int]:
 
 def _is_numeric(axis: Summary) -> bool:
     return all(isinstance(value, float) for value in axis["values"])
-
-
-_PAGES = {
-    "sweep": sweep_page,
-    "margin": margin_page,
-    "robustness": robustness_page,
-    "tune": tune_page,
-}
-"""What is particular to each kind of study."""

@@ -1,0 +1,208 @@
+"""The numbers in a summary that a gate reads, by kind of result."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from deploy.judge.gate import Finite, Gauged
+from deploy.judge.verdict import Verdict
+from deploy.reports.study_texts import case_title
+from deploy.study.study import OF_BOUND, shown_value
+
+_EVERY_PATTERN = ", every pattern of delays"
+_RUNS = "runs"
+
+
+class _Part(BaseModel):
+    """A part of a ``summary.json``; it may have more keys."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, extra="allow")
+
+
+class GaugedSummary(_Part, ABC):
+    """The part of a summary that a gate reads.
+
+    Attributes:
+        group: name of the results that can be compared with these.
+        completed: whether the results are complete.
+    """
+
+    group: ClassVar[str] = _RUNS
+    completed: bool = True
+
+    @abstractmethod
+    def numbers(self) -> Iterator[Gauged]:
+        """Return the numbers; raises `ValueError` if one is missing."""
+
+    @property
+    def compared_as(self) -> str:
+        """What can be compared with these results, as by `compared_with`."""
+        return self.group
+
+    @classmethod
+    def compared_with(cls, quantity: str | None, *, patterns: bool) -> str:
+        """Return what can be compared: results of one group, and margins of one quantity.
+
+        Args:
+            quantity: quantity of the margins, if there are any.
+            patterns: whether they are for every pattern of delays.
+        """
+        if quantity:
+            return f"{cls.group} of {quantity}{_EVERY_PATTERN if patterns else ''}"
+        return cls.group
+
+
+class _Bounds(_Part):
+    margin_min: Finite | None
+
+
+class GaugedRun(GaugedSummary):
+    """A run: its smallest margin."""
+
+    scenario: str
+    law: str
+    verdict: str
+    bounds: _Bounds
+
+    def numbers(self) -> Iterator[Gauged]:
+        margin = self.bounds.margin_min if self.verdict == Verdict.KEPT else None
+        yield _of_bound(f"{self.scenario}, {self.law}", margin)
+
+
+class GaugedComparison(GaugedSummary):
+    """A comparison: the smallest margin of each law."""
+
+    laws: Annotated[dict[str, GaugedRun], Field(min_length=1)]
+
+    def numbers(self) -> Iterator[Gauged]:
+        for run in self.laws.values():
+            yield from run.numbers()
+
+
+class _Axis(_Part):
+    keys: list[str]
+
+
+class _Lowest(_Part):
+    lowest: Finite | None
+
+
+class _Point(_Part):
+    values: list[Any]
+    runs: int
+    runs_kept: int
+    margin_min: _Lowest
+
+
+class GaugedSweep(GaugedSummary):
+    """A sweep: the smallest margin of each point."""
+
+    group = "sweep"
+    axes: list[_Axis]
+    points: Annotated[list[_Point], Field(min_length=1)]
+
+    def numbers(self) -> Iterator[Gauged]:
+        for point in self.points:
+            if len(point.values) != len(self.axes):
+                raise ValueError("points: values: must be one for each of axes")
+            values = zip(self.axes, point.values, strict=True)
+            name = ", ".join(f"{', '.join(axis.keys)} = {shown_value(v)}" for axis, v in values)
+            is_kept = point.runs_kept == point.runs
+            yield _of_bound(name, point.margin_min.lowest if is_kept else None)
+
+
+class _Worst(_Part):
+    margin: Finite
+
+
+class _Case(_Part):
+    arm: str
+    law: str
+    compensation: bool | None
+    drive_feedback: bool | None
+    running: bool
+    growth: Finite = 1
+    margin: Finite | None = None
+    kept_up_to: Finite | None = None
+    guaranteed: Finite | None = None
+    worst_pattern: _Worst | None = None
+    doubts: list[str] = []
+
+    @property
+    def covers_patterns(self) -> bool:
+        """Whether delays that vary were tried too."""
+        return "guaranteed" in self.model_fields_set
+
+    @property
+    def least_margin(self) -> float | None:
+        """The margin; with patterns the one for all of them: guaranteed, or where all held."""
+        found = self.margin if self.worst_pattern is None else self.worst_pattern.margin
+        return found if self.guaranteed is None else self.guaranteed
+
+
+class _GaugedCases(GaugedSummary):
+    """Cases with a number each.
+
+    Attributes:
+        key: key of the number in the cases of a summary.
+    """
+
+    key: ClassVar[str]
+    quantity: str = "delay"
+    unit: str | None
+    cases: Annotated[list[_Case], Field(min_length=1)]
+
+    def numbers(self) -> Iterator[Gauged]:
+        for case in self.cases:
+            if self.key not in case.model_fields_set:
+                raise ValueError(f"cases: {case.arm}: {self.key} is missing")
+            sign = 1 if case.growth > 0 else -1
+            name, doubt = case_title(case.model_dump()), "; ".join(case.doubts)
+            name += _EVERY_PATTERN if case.covers_patterns else ""
+            yield Gauged(name, self.value(case), self.unit or "", sign, doubt)
+
+    @abstractmethod
+    def value(self, case: _Case) -> float | None:
+        """Return the number of a case."""
+
+    @property
+    def compared_as(self) -> str:
+        has_patterns = any(case.covers_patterns for case in self.cases)
+        return self.compared_with(self.quantity, patterns=has_patterns)
+
+
+class GaugedMargins(_GaugedCases):
+    """Margins of one arm."""
+
+    group = "margin"
+    key = "margin"
+
+    def value(self, case: _Case) -> float | None:
+        return case.least_margin
+
+
+class GaugedRobustness(_GaugedCases):
+    """Margins over uncertain plants."""
+
+    group = "robustness"
+    key = "kept_up_to"
+
+    def value(self, case: _Case) -> float | None:
+        return case.kept_up_to
+
+
+class GaugedTuning(GaugedSummary):
+    """A tuning, whose costs are for its search alone: no numbers."""
+
+    group = "tune"
+
+    def numbers(self) -> Iterator[Gauged]:
+        return iter(())
+
+
+def _of_bound(name: str, margin: float | None) -> Gauged:
+    return Gauged(name, None if margin is None else 100.0 * margin, OF_BOUND)

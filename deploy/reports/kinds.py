@@ -1,0 +1,176 @@
+"""Kinds of results: what a gate reads in each, how it is drawn, listed and evaluated again.
+
+`kind_of` is the only place that looks up a summary's ``kind``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from bus_schema.user_files import read_text
+from deploy.judge.gate import Gauged
+from deploy.judge.verdict import Verdict, verdict_of
+from deploy.reports.gauges import (
+    GaugedComparison,
+    GaugedMargins,
+    GaugedRobustness,
+    GaugedRun,
+    GaugedSummary,
+    GaugedSweep,
+    GaugedTuning,
+)
+from deploy.reports.study_tables import margins_by_law, robustness_table
+from deploy.reports.tables import Table
+from deploy.reports.verdict_texts import VERDICTS
+from deploy.scenario.yaml_files import ScenarioError
+
+if TYPE_CHECKING:
+    from deploy.reports.figures.study_figures import DrawnStudy
+    from deploy.reports.page import Page
+
+Summary = Mapping[str, Any]
+
+_OLDER, _COMPLETE = "older version", "complete"
+_WORST = (
+    _OLDER,
+    *(VERDICTS[each].listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
+)
+_ALLOWED = "must be summary.json of a finished run or study, or its folder"
+
+
+def _verdict(summary: Summary) -> str:
+    """Return the verdict in a summary; older versions did not write it there."""
+    is_older = "ticks" in summary and "verdict" not in summary
+    return _OLDER if is_older else VERDICTS[verdict_of(summary)].listed
+
+
+def _completeness(summary: Summary) -> str:
+    return _COMPLETE if summary.get("completed") else _verdict(summary)
+
+
+def _worst_law(summary: Summary) -> str:
+    laws = summary.get("laws")
+    if not isinstance(laws, dict):
+        return _completeness(summary)
+    found = {_verdict(law) for law in laws.values() if isinstance(law, dict)}
+    return next((each for each in _WORST if each in found), _COMPLETE)
+
+
+def _margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    from deploy.reports.margin_pages import margin_page  # heavy
+
+    return margin_page(study)
+
+
+def _robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    from deploy.reports.margin_pages import robustness_page  # heavy
+
+    return robustness_page(study)
+
+
+def _sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    from deploy.reports.sweep_page import sweep_page  # heavy
+
+    return sweep_page(study)
+
+
+def _tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    from deploy.reports.tune_page import tune_page  # heavy
+
+    return tune_page(study)
+
+
+@dataclass(frozen=True)
+class ResultKind:
+    """What is particular to a kind of result.
+
+    Attributes:
+        name: ``kind`` in its summary.
+        gauged: the numbers that a gate reads; None if it has none.
+        page: returns the page of a study, from its summary; None if recordings are judged.
+        quoted: returns the table for documents; None if it has none.
+        listed: returns its result in a list: a verdict, or ``complete``.
+        is_run: whether it is a single run.
+    """
+
+    name: str
+    gauged: type[GaugedSummary] | None = None
+    page: Callable[[DrawnStudy], Page[DrawnStudy]] | None = None
+    quoted: Callable[[dict[str, Any]], Table] | None = None
+    listed: Callable[[Summary], str] = _completeness
+    is_run: bool = False
+
+    def compared_with(self, quantity: str | None, *, patterns: bool = False) -> str:
+        """Return what its results can be compared with, as `GaugedSummary.compared_with`."""
+        return "" if self.gauged is None else self.gauged.compared_with(quantity, patterns=patterns)
+
+
+_KINDS = {
+    kind.name: kind
+    for kind in (
+        ResultKind("run", GaugedRun, listed=_verdict, is_run=True),
+        ResultKind("comparison", GaugedComparison, listed=_worst_law),
+        ResultKind("sweep", GaugedSweep, _sweep_page),
+        ResultKind("margin", GaugedMargins, _margin_page, margins_by_law),
+        ResultKind("robustness", GaugedRobustness, _robustness_page, robustness_table),
+        ResultKind("tune", GaugedTuning, _tune_page),
+    )
+}
+
+
+def kind_of(summary: Summary) -> ResultKind:
+    """Return the kind of a ``summary.json``, that of a run if it names none."""
+    return kind_named(str(summary.get("kind", "run")))
+
+
+def kind_named(name: str) -> ResultKind:
+    """Return a kind by its name; unknown ones have no numbers and no page."""
+    return _KINDS.get(name) or ResultKind(name)
+
+
+def gauged(summary: Summary) -> list[Gauged]:
+    """Return the numbers of a ``summary.json``.
+
+    Raises:
+        ValueError: its kind has none, or one is missing.
+    """
+    return list(_read(summary).numbers())
+
+
+def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
+    """Return the kind that an earlier result can be compared with, and its numbers.
+
+    Args:
+        path: its ``summary.json``, or its folder.
+
+    Raises:
+        ScenarioError: it cannot be read, is of another kind, unfinished, or has no numbers.
+    """
+    file = path / "summary.json" if path.is_dir() else path
+    try:
+        found = _read(json.loads(read_text(file)))
+        numbers = list(found.numbers())
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        reason = f"{place}: {first['msg']}" if place else first["msg"]
+        raise ScenarioError(f"--baseline {file}: {reason}: {_ALLOWED}") from error
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ScenarioError(f"--baseline {file}: {reason}: {_ALLOWED}") from error
+    if not found.completed:
+        raise ScenarioError(f"--baseline {file}: is unfinished (completed = false): {_ALLOWED}")
+    return found.compared_as, numbers
+
+
+def _read(summary: Summary) -> GaugedSummary:
+    kind = kind_of(summary)
+    if kind.gauged is None:
+        raise ValueError(f"kind {kind.name[:40]!r}: has no numbers for a gate")
+    return kind.gauged.model_validate(summary)

@@ -1,0 +1,179 @@
+"""Pages of runs: of one, of several laws, of recorded runs side by side.
+
+Each function lists the tables, facts, sentences and figures of its page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from deploy.judge.conditions import Conditions
+from deploy.judge.link_delays import link_sentence, playout_sentence
+from deploy.reports import comparison_tables as of_runs
+from deploy.reports import run_numbers
+from deploy.reports import run_tables as of_run
+from deploy.reports.page import Cards, Fact, Page, Panel
+from deploy.reports.run_numbers import margin_place
+from deploy.reports.tables import margin_text, number, percent
+from deploy.reports.verdict_texts import verdict_on_laws, verdict_on_run, verdict_on_runs
+from deploy.run.execute import JudgedRun
+from deploy.study.comparison.comparison import ComparedRuns
+
+if TYPE_CHECKING:
+    from deploy.study.comparison.recorded import RecordedRuns
+
+
+def run_page(
+    run: JudgedRun, conditions: Mapping[str, str] = MappingProxyType({})
+) -> Page[ComparedRuns]:
+    """Return the page of a run.
+
+    Args:
+        run: the run.
+        conditions: its conditions, if they are known.
+    """
+    summary = run.summary
+    from_s, bounds = run.data.setup.scenario.metrics.from_s, summary["bounds"]
+    return Page(
+        "report of a run",
+        f"{summary['scenario']} · {summary['law']}",
+        verdict_on_run(run, conditions),
+        [
+            *(Fact(key.capitalize(), summary[key]) for key in ("scenario", "law", "clock", "link")),
+            Fact("Duration", f"{summary['duration_s']:g} s"),
+            Fact("Smallest margin", margin_text(bounds["margin_min"]) + margin_place(bounds),
+                 "1 − |e| / bound; negative outside the bounds"),
+            Fact("Steady margin", margin_text(bounds["margin_steady"]),
+                 f"the smallest from {from_s:g} s on, when the bounds have narrowed"),
+            Fact(run_numbers.DEADLINES_MET, percent(summary["timing"]["success_rate"]),
+                 "share of the ticks that met their deadline"),
+            Fact("Digest", summary["digest"][:12], summary["digest"]),
+        ],
+        _run_panels,
+        ComparedRuns([run]),
+        conditions,
+        heading=f"{summary['scenario']} · {summary['law']} · {summary['clock']}",
+        before=("Key numbers", [
+            Cards([of_run.joint_table(summary, from_s)]),
+            Cards([of_run.timing_table(summary), of_run.health_table(summary),
+                   of_run.transport_table(summary)], "three"),
+            Cards([of_run.event_table(run.data)]),
+            Cards(of_run.confirmation_tables([summary])),
+        ]),
+        lines=_run_lines(summary),
+        end_s=summary["duration_s"],
+        footer="Digest of the delivered joint states and commands (SHA-256):",
+        footer_code=summary["digest"],
+    )  # fmt: skip
+
+
+def _run_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return what tables and facts of a report say, for a terminal."""
+    factor, rate = summary["real_time_factor"], summary["timing"]["success_rate"]
+    counts = [
+        f"{summary['ticks']:,} ticks",
+        *([f"deadlines met {percent(rate)}"] if rate is not None else []),
+        *([f"real-time factor {factor:.2f}"] if factor is not None else []),
+        f"digest {summary['digest'][:16]}",
+    ]
+    lines = [*(_link_lines(summary) if summary["ticks"] else []), ", ".join(counts)]
+    if skipped := summary["recording"]["ticks_skipped"]:
+        sent = number(summary["transport"]["uplink"]["sent"])
+        lines.append(
+            f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped because the plant was"
+            f" late; states sent: {sent}"
+        )
+    return lines
+
+
+def _link_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return a sentence for each direction of a link that delayed or lost messages."""
+    lines = []
+    for way in ("downlink", "uplink"):
+        channel = summary["transport"][way]
+        measured, emulated = channel["measured_ms"], channel["delay_ms"]
+        delays_ms = emulated if measured["max"] is None else measured
+        if channel["sent"] and (channel["lost"] or delays_ms["max"]):
+            said = link_sentence(
+                channel["sent"], summary["duration_s"], channel["lost"],
+                (channel["loss_burst"] or {}).get("longest"), delays_ms, channel["reordered"],
+            )  # fmt: skip
+            lines.append(f"{way}: {said}")
+    playout = summary["transport"].get("playout")
+    if playout and playout["late"] is not None and playout["arrival_ms"]["max"] is not None:
+        lines.append(playout_sentence(playout))
+    return lines
+
+
+def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[ComparedRuns]:
+    """Return the page of a comparison with at least one run."""
+    scenario, summary = comparison.runs[0].data.setup.scenario, comparison.runs[0].summary
+    confirmed = of_run.confirmation_tables([run.summary for run in comparison.runs])
+    return Page(
+        "comparison of control laws",
+        summary["scenario"],
+        verdict_on_laws(comparison),
+        [
+            Fact("Scenario", scenario.name),
+            Fact("Laws", str(len(comparison.runs))),
+            Fact("Duration", f"{scenario.duration_s:g} s"),
+            Fact("Rate", number(scenario.rate_hz, 1.0, " Hz")),
+            Fact("Seed", str(scenario.seed), "the same for all laws, like all other conditions"),
+            Fact("Nominal model", f"× {scenario.controller.model_scale:g}",
+                 "factor on masses and inertias of the nominal model"),
+            Fact("Clock", summary["clock"]),
+        ],
+        _law_panels,
+        comparison,
+        conditions,
+        before=("Verdict", [Cards([of_runs.verdict_table(comparison)]), Cards(confirmed)]),
+        after=("Joint by joint", [
+            Cards([of_runs.law_table(comparison, each) for each in run_numbers.BY_LAW], "three"),
+        ]),
+        end_s=max(run.summary["duration_s"] for run in comparison.runs),
+        footer=("Each law has its own folder beside this report, with its recording. This command"
+               " writes the report of that run alone:"),
+        footer_code="funnel-hil report",
+        shares_library=True,
+    )  # fmt: skip
+
+
+def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRuns]:
+    """Return the page of recorded runs side by side."""
+    differences = [of_runs.difference_table(compared)] if compared.differing else []
+    return Page(
+        "recorded runs side by side",
+        " · ".join(compared.labels),
+        verdict_on_runs(compared),
+        [Fact(label, str(place))
+         for label, place in zip(compared.labels, compared.paths, strict=True)],
+        _recorded_panels,
+        compared,
+        conditions,
+        before=("Side by side", [
+            Cards([of_runs.recorded_table(compared), *differences], "stacked"),
+            Cards(of_runs.recorded_joint_tables(compared), "three"),
+            Cards([of_runs.recorded_timing_table(compared)], "stacked"),
+        ]),
+        footer="Each run was evaluated again from its recording, with its own scenario's funnel.",
+    )  # fmt: skip
+
+
+def _run_panels() -> list[Panel[ComparedRuns]]:
+    from deploy.reports.run_panels import RUN_PANELS  # heavy
+
+    return RUN_PANELS
+
+
+def _law_panels() -> list[Panel[ComparedRuns]]:
+    from deploy.reports.run_panels import LAW_PANELS  # heavy
+
+    return LAW_PANELS
+
+
+def _recorded_panels() -> list[Panel[ComparedRuns]]:
+    from deploy.reports.run_panels import RECORDED_PANELS  # heavy
+
+    return RECORDED_PANELS
