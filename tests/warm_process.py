@@ -33,7 +33,7 @@ HANG_S = 300.0
 
 IMPORTED = (
     "deploy.cli.processes", "deploy.cli.run_and_simulate", "deploy.cli.study.recorded",
-    "deploy.cli.study.studies", "deploy.reports.run_reports",
+    "deploy.cli.study.studies", "deploy.reports.html", "deploy.reports.run_panels",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
 FUNNEL_HIL = "deploy.cli:main"
@@ -165,7 +165,7 @@ def _call(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 @contextmanager
 def no_report() -> Iterator[None]:
     """Runs are judged and leave all files but the report: to draw it costs more than to judge."""
-    with mock.patch("deploy.reports.run_reports.write_report"):
+    with mock.patch("deploy.reports.html.write_page"):
         yield
 
 

@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from bus_schema.user_files import read_text
 from deploy.judge.gate import Gauged
@@ -41,6 +40,7 @@ _WORST = (
     _OLDER,
     *(VERDICTS[each].listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
 )
+_JSON = TypeAdapter(dict[str, Any])
 _ALLOWED = "must be summary.json of a finished run or study, or its folder"
 
 
@@ -154,14 +154,14 @@ def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
     """
     file = path / "summary.json" if path.is_dir() else path
     try:
-        found = _read(json.loads(read_text(file)))
+        found = _read(_JSON.validate_json(read_text(file)))
         numbers = list(found.numbers())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         reason = f"{place}: {first['msg']}" if place else first["msg"]
         raise ScenarioError(f"--baseline {file}: {reason}: {_ALLOWED}") from error
-    except (OSError, ValueError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ScenarioError(f"--baseline {file}: {reason}: {_ALLOWED}") from error
     if not found.completed:

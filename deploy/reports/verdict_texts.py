@@ -215,13 +215,13 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
     headline = f"{kept} of {len(runs)} laws kept their bounds"
     if all(_is_sound(run) for run in runs) and kept in (0, len(runs)):
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
-    unread, settled = recording_sentences(runs), list(map(_settling_sentence, comparison.settling))
+    unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
     head = _head(runs, headline, [*unread, *_ranking(comparison), *settled])
     faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.summary["faults"]]
     return replace(head, printed=[*unread, *settled, *faulted])
 
 
-def _settling_sentence(test: SettlingTest) -> str:
+def settling_sentence(test: SettlingTest) -> str:
     """Say in one sentence how a law settled from near and far."""
     times = [start.settling_time_s for start in test.starts]
     known = [time for time in times if time is not None]

@@ -27,6 +27,7 @@ from deploy.judge.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
 from deploy.judge.run_data import RunData, build_run_data, digest
 from deploy.reports.verdict_texts import verdict_on_run
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -125,7 +126,7 @@ def test_where_the_arm_stood_before_any_tick_is_not_judged(setup: Setup) -> None
         assert summary["ticks"] == 0
         assert summary["bounds"]["kept"] is False
         assert summary["bounds"]["violation_fraction"] is None
-        verdict = verdict_on_run(run, summary)
+        verdict = verdict_on_run(JudgedRun("", run, summary))
         assert verdict.headline == "Run ended by a fault"
         assert verdict.reasons[0] == "No tick was recorded, so there is no verdict on the bounds."
 

@@ -129,7 +129,7 @@ def test_a_whole_run_inside_its_bounds_is_kept(run):
     assert (counted["ticks"], counted["outside"]) == (TICKS + 1, 0)
     assert counted["margin_min"] == summary["bounds"]["margin_min"]
     assert held(row(summary, 1))
-    assert Run(run, summary).kept
+    assert Run(law_run).kept
 
 
 def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_path):
@@ -137,7 +137,7 @@ def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_pat
     summary = summarise(run)
     assert (summary["verdict"], summary["bounds"]["kept"]) == (expected, False)
     assert not (summary["completed"] and expected in ("faulted", "interrupted", "nothing"))
-    head = verdict_on_run(run, summary)
+    head = verdict_on_run(JudgedRun("", run, summary))
     assert head.level != "good"
     assert not head.headline.startswith("Bounds kept")
     law_run = JudgedRun("law", run)
@@ -146,8 +146,8 @@ def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_pat
     values = row(summary, 1)
     assert not held(values)
     assert spread_of_runs([{**values, "point": "p"}])["runs_kept"] == 0
-    assert not Run(run, summary).kept
-    assert expected in repr(Run(run, summary))
+    assert not Run(law_run).kept
+    assert expected in repr(Run(law_run))
     (tmp_path / "one").mkdir()
     write_json(tmp_path / "one" / "summary.json", summary)
     write_json(tmp_path / "one" / "manifest.json", {})
@@ -205,5 +205,5 @@ def test_run_in_which_no_command_acted_shows_nothing(delay_ms, verdict):
     assert (summary["verdict"], summary["completed"], summary["bounds"]["kept"]) == (
         verdict, True, verdict == "kept",
     )  # fmt: skip
-    head = verdict_on_run(run, summary)
+    head = verdict_on_run(JudgedRun("", run, summary))
     assert head.headline.startswith("No command ever acted") is (verdict == "nothing")

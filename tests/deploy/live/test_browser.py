@@ -10,7 +10,8 @@ from watched import playback, short_run
 
 from deploy.live.viewer import Viewer
 from deploy.reports.figures import study_figures, style
-from deploy.reports.page import Page, Panel, write_page
+from deploy.reports.html import write_page
+from deploy.reports.page import Page, Panel
 from deploy.reports.verdict_texts import ReportHead
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
@@ -116,7 +117,7 @@ def test_every_logarithmic_axis_has_ticks_enough_to_be_read_and_none_in_another(
               for name, (kind, span) in draws.items()]  # fmt: skip
     path = tmp_path / "report.html"
     verdict = ReportHead("good", "drawn", [])
-    write_page(path, Page("drawing", "ticks", verdict, [], panels, None, {}))
+    write_page(path, Page("drawing", "ticks", verdict, [], lambda: panels, None, {}))
     shown = {}
 
     async def look():

@@ -9,12 +9,17 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
 from deploy.judge.verdict import Verdict, with_verdict
-from deploy.reports import run_reports
+from deploy.reports import run_panels
 from deploy.reports.comparison_tables import law_table, verdict_table
 from deploy.reports.figures.joints import error_envelopes, error_in_funnel, torque_spectra
 from deploy.reports.figures.several_runs import joint_bars, settling, settling_from_afar
 from deploy.reports.figures.space import tip_path
+from deploy.reports.html import write_page
 from deploy.reports.run_numbers import BY_LAW, RMS_ERROR
+<<<<<<< HEAD
+=======
+from deploy.reports.run_pages import laws_page
+>>>>>>> kinds
 from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
@@ -56,7 +61,7 @@ def page_of(tmp_path_factory):
         for subject, page in pages:
             if subject is comparison:
                 return page
-        write_comparison_report(comparison, path, {"law": HOSTILE})
+        write_page(path, laws_page(comparison, {"law": HOSTILE}))
         pages.append((comparison, path.read_text(encoding="utf-8")))
         return pages[-1][1]
 
@@ -123,7 +128,7 @@ def test_the_headline_counts_who_kept_the_bounds(comparison, kept, level, headli
 
 
 def test_a_law_that_faulted_is_neither_kept_nor_best(comparison, page_of, monkeypatch):
-    monkeypatch.setattr(run_reports, "LAW_PANELS", run_reports.LAW_PANELS[:1])
+    monkeypatch.setattr(run_panels, "LAW_PANELS", run_panels.LAW_PANELS[:1])
     first, second = (with_bounds(run, kept=True) for run in comparison.runs)
     broken = ComparedRuns([faulted(first), second])
     verdict = verdict_on_laws(broken)

@@ -11,18 +11,17 @@ from multiprocessing import get_context
 import pytest
 
 import funnel_hil as interface
-from deploy.reports.gate import (
+from deploy.judge.gate import (
     Entry,
     Gate,
+    Gauged,
     build_gate,
     locked_history,
     read_history,
     since_when,
-    write_history,
-    write_junit,
-    write_markdown,
 )  # fmt: skip
-from deploy.reports.gate_numbers import Gauged, gauged
+from deploy.reports.gate_files import write_history, write_junit, write_markdown
+from deploy.reports.kinds import gauged
 from deploy.scenario.yaml_files import ScenarioError
 from tests.warm_process import ROOT
 
@@ -39,7 +38,7 @@ def delay(value, name="arm, law"):
     [(20.0, "20ms", False), (19.5, "20ms", True), (None, "0", True), (20.0, "20", False)],
 )
 def test_margin_must_reach_the_limit(found, at_least, fails):
-    assert bool(build_gate(at_least, None, None).failures([delay(found)])) == fails
+    assert bool(build_gate(at_least, None).failures([delay(found)])) == fails
 
 
 @pytest.mark.parametrize(
@@ -155,10 +154,9 @@ def test_example_repository_passes_until_its_law_gets_worse(change, code, tmp_pa
     assert done.returncode == code, done.stdout + done.stderr
 
 
-def test_number_without_unit_and_unit_of_tolerance_must_agree(tmp_path):
-    (tmp_path / "summary.json").write_text("{}")
+def test_number_without_unit_and_unit_of_tolerance_must_agree():
     with pytest.raises(ScenarioError, match="must have the unit of --at-least, ms"):
-        build_gate("20ms", tmp_path, "1%")
+        build_gate("20ms", "1%", ("runs", []))
 
 
 MARGIN = json.loads((EXAMPLE / "baseline.json").read_text())

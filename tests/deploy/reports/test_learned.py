@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from deploy.judge.metrics import summarise
 from deploy.reports.figures import learned
-from deploy.reports.run_reports import write_report
+from deploy.reports.html import write_page
+from deploy.reports.run_pages import run_page
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
@@ -61,13 +62,13 @@ def test_table_has_each_number_with_the_truth(run):
 
 def test_page_has_the_section_only_where_something_was_learned(run, tmp_path):
     path = tmp_path / "report.html"
-    write_report(run, summarise(run), path)
+    write_page(path, run_page(JudgedRun("", run)))
     page = path.read_text()
     assert "<h2>What was learned</h2>" in page
     assert all(f'id="learned-{name}"' in page for name in (*KEYS, "values"))
     assert "Coulomb friction (N m), elbow" in page
     without = run_of("duration_s=0.1")
-    write_report(without, summarise(without), path)
+    write_page(path, run_page(JudgedRun("", without)))
     assert "What was learned" not in path.read_text()
 
 

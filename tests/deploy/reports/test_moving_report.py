@@ -19,9 +19,9 @@ from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.figures.space import arm_motion, tip_path
 from deploy.reports.figures.style import figure_json
-from deploy.reports.page import LIBRARY_FILE, library_address, share_library
+from deploy.reports.html import LIBRARY_FILE, library_address, share_library, write_page
+from deploy.reports.run_pages import laws_page, run_page
 from deploy.reports.run_panels import RUN_PANELS
-from deploy.reports.run_reports import write_comparison_report, write_report
 from deploy.run.execute import JudgedRun
 from deploy.run.new_folder import new_folder
 from deploy.run.simulate import simulate
@@ -44,7 +44,7 @@ def run():
 @pytest.fixture(scope="module")
 def page(run, tmp_path_factory):
     path = tmp_path_factory.mktemp("alone") / "report.html"
-    write_report(run, summarise(run), path)
+    write_page(path, run_page(JudgedRun("", run)))
     return path.read_text(encoding="utf-8")
 
 
@@ -148,8 +148,8 @@ def test_a_comparison_shares_the_library_with_the_reports_of_its_laws(run, tmp_p
     folder = new_folder("x", tmp_path / "study")
     law = folder / "fixed_time_neural"
     law.mkdir()
-    write_comparison_report(comparison, folder / "report.html", {})
-    write_report(run, summarise(run), law / "report.html")
+    write_page(folder / "report.html", laws_page(comparison, {}))
+    write_page(law / "report.html", run_page(JudgedRun("", run)))
     assert (folder / LIBRARY_FILE).read_text(encoding="utf-8") == get_plotlyjs()
     for file, address in ((folder, "plotly.min.js"), (law, "../plotly.min.js")):
         text = (file / "report.html").read_text(encoding="utf-8")

@@ -8,21 +8,22 @@ from dataclasses import replace
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from deploy.reports.run_reports import write_report
 from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.robot_description import load_robot
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
-from deploy.reports import run_reports
+from deploy.reports import run_panels
 from deploy.reports.figures import style
 from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
 from deploy.reports.figures.joints import error_in_funnel, torques
 from deploy.reports.figures.learned import unknown_dynamics_nm
 from deploy.reports.figures.style import decimate
 from deploy.reports.figures.timeline import deadline_misses, fault_spans_s, with_faults
-from deploy.reports.page import Panel, packed_library
+from deploy.reports.html import packed_library, write_page
+from deploy.reports.page import Panel
+from deploy.reports.run_pages import run_page
 from deploy.reports.run_tables import event_table, timing_table
 from deploy.reports.verdict_texts import PARTIAL, verdict_on_run
 from deploy.run.execute import JudgedRun
@@ -64,7 +65,7 @@ def page_of(tmp_path_factory):
         for subject, page in pages:
             if subject is run and summary is None:
                 return page
-        write_report(run, summary or summarise(run), path)
+        write_page(path, run_page(JudgedRun("", run, summary)))
         page = path.read_text(encoding="utf-8")
         assert page.count(packed_library()) == 1
         page = page.replace(packed_library(), "")
@@ -80,8 +81,8 @@ def only(monkeypatch):
     """Leave all panels out but these: for what stands around them, or where some take long."""
 
     def leave(*names):
-        panels = [panel for panel in run_reports.RUN_PANELS if panel.id in names]
-        monkeypatch.setattr(run_reports, "RUN_PANELS", panels)
+        panels = [panel for panel in run_panels.RUN_PANELS if panel.id in names]
+        monkeypatch.setattr(run_panels, "RUN_PANELS", panels)
 
     return leave
 
@@ -121,7 +122,7 @@ def test_the_verdict_on_a_run_that_kept_its_bounds(run, page_of):
 def test_the_verdict_on_a_run_that_left_its_bounds(run):
     summary = summarise(run) | {"verdict": "lost"}
     summary["bounds"] |= {"kept": False, "violation_fraction": 0.25, "first_violation_s": 0.125}
-    verdict = verdict_on_run(run, summary)
+    verdict = verdict_on_run(JudgedRun("", run, summary))
     assert verdict.headline == "Bounds not kept"
     assert (
         "outside its bounds at 25 % of the ticks, for the first time at 0.125 s"
@@ -131,7 +132,7 @@ def test_the_verdict_on_a_run_that_left_its_bounds(run):
 
 def test_a_partial_recording_is_called_partial(run):
     partial = replace(run, complete=False)
-    verdict = verdict_on_run(partial, summarise(partial))
+    verdict = verdict_on_run(JudgedRun("", partial))
     assert verdict.headline == (
         "Not known whether bounds were kept, inside its bounds at all known ticks"
     )
@@ -256,7 +257,7 @@ def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monk
         return go.Figure(go.Scatter(y=truth["velocity"][:, 0]), {"height": 300})
 
     mine = Panel("Motion", "mine", "Speed of <the> first joint", speed, "It stops at the end.")
-    monkeypatch.setattr(run_reports, "RUN_PANELS", [*run_reports.RUN_PANELS, mine])
+    monkeypatch.setattr(run_panels, "RUN_PANELS", [*run_panels.RUN_PANELS, mine])
     page = page_of(run, summarise(run))  # written anew
     assert '<figure class="card" id="mine"><h3>Speed of &lt;the&gt; first joint</h3>' in page
     assert "<figcaption>It stops at the end.</figcaption>" in page

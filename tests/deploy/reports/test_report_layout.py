@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from deploy.judge.metrics import summarise
-from deploy.reports.run_reports import write_report
+from deploy.reports.html import write_page
+from deploy.reports.run_pages import run_page
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
@@ -68,7 +70,8 @@ def report(tmp_path_factory):
     ).data()  # fmt: skip
     summary = summarise(run)
     assert len(summary["bounds"]["margin_min_joint"]) > 50
-    write_report(run, summary, folder / "report.html", {"set": "x" * 300})
+    page = run_page(JudgedRun("", run, summary), {"set": "x" * 300})
+    write_page(folder / "report.html", page)
     return folder / "report.html"
 
 

@@ -9,11 +9,13 @@ import pytest
 from rich.console import Console
 
 from bus_schema.messages import topics
-from deploy.cli.terminal.show_run import show_summary
 from deploy.judge.conditions import conditions_of_recording
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
+from deploy.reports.run_pages import run_page
 from deploy.reports.run_tables import health_table
+from deploy.reports.terminal import print_page
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
@@ -39,7 +41,7 @@ def shown(run: RunData, *settings: dict[str, object]) -> str:
     """What the terminal shows of a run whose plant was granted or refused some settings."""
     manifest = {"realtime": {"plant": list(settings)} if settings else {}}
     console = Console(file=io.StringIO(), width=200)
-    show_summary(console, run, summarise(run), conditions_of_recording(run, manifest))
+    print_page(console, run_page(JudgedRun("", run), conditions_of_recording(run, manifest)))
     return console.file.getvalue()
 
 

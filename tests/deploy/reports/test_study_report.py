@@ -3,17 +3,22 @@ from __future__ import annotations
 import io
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
-from deploy.cli.study.studies import show_study
 from deploy.reports.figures.study_figures import DrawnStudy
-from deploy.reports.margin_reports import margin_page
-from deploy.reports.study_report import write_study_report
+from deploy.reports.html import write_page
+from deploy.reports.margin_pages import margin_page
+from deploy.reports.results import study_page
+from deploy.reports.terminal import print_page
 
 HOSTILE = "</script><script>alert(1)</script>"
+FOLDER = SimpleNamespace(
+    rows_file=Path("rows.parquet"), rerun_command=lambda point: f"funnel-hil simulate {point}.yaml"
+)
 
 
 def spread(mean):
@@ -70,19 +75,15 @@ def margin():
 @pytest.fixture
 def page_of(tmp_path):
     def write(summary):
-        folder = SimpleNamespace(
-            path=tmp_path, report=tmp_path / "report.html", rows_file=tmp_path / "rows.parquet",
-            rerun_command=lambda point: f"funnel-hil simulate {point}.yaml",
-        )  # fmt: skip
-        write_study_report(summary, folder)
-        return folder.report.read_text(encoding="utf-8")
+        write_page(tmp_path / "report.html", study_page(summary, FOLDER))
+        return (tmp_path / "report.html").read_text(encoding="utf-8")
 
     return write
 
 
 def shown(summary):
     console = Console(file=io.StringIO(), width=80)
-    show_study(console, summary)
+    print_page(console, study_page(summary, FOLDER))
     return console.file.getvalue()
 
 
@@ -129,7 +130,7 @@ def test_many_lines_share_a_legend_of_laws_and_settings(margin):
         {**first, "law": law, "compensation": has_it} for law in laws for has_it in (False, True)
     ]
     study = DrawnStudy(margin, str)
-    lines = next(panel for panel in margin_page(study).panels if panel.id == "rms-my_arm")
+    lines = next(panel for panel in margin_page(study).panels() if panel.id == "rms-my_arm")
     entries = [trace.name for trace in lines.draw(study).data if trace.showlegend is not False]
     assert entries == [*laws, "without compensation", "with compensation"]
 
@@ -154,7 +155,7 @@ def test_margins_without_a_word_on_compensation_have_no_column_of_it(
 
 def test_a_long_sweep_is_cut_in_the_terminal_only_which_warns(sweep, page_of):
     sweep["points"] = [{**sweep["points"][0], "point": f"{index:05d}"} for index in range(43)]
-    assert "3 more points are in the report" in shown(sweep)
+    assert "3 more rows are in the report" in shown(sweep)
     assert "warning" not in shown(sweep)
     assert "warning: a.key, b.key: none" in shown({**sweep, "without_effect": ["a.key, b.key"]})
     assert page_of(sweep).count('href="scenarios/') == 43

@@ -11,6 +11,7 @@ from deploy.run.confirmation import (
     other_physics,
     simulated_otherwise,
 )
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from plant_emulator.physics.engines import ENGINES
@@ -24,7 +25,7 @@ BOTH = pytest.mark.skipif(len(INSTALLED) < 2, reason="needs pybullet beside MuJo
 def test_shipped_arms_agree_to_a_tenth_of_a_microradian(scenario):
     """Without compensation Euler against Euler differ by rounding that the loop keeps small."""
     data = simulate(load_setup(scenario, ["duration_s=1", "metrics.from_s=0.5"])).data()
-    euler, runge_kutta = confirmation_of(data)
+    euler, runge_kutta = confirmation_of(JudgedRun("", data))
     assert (euler["physics"], euler["agree"]) == ("MuJoCo, semi_implicit_euler", 1)
     assert euler["error_difference_rad"] < 1e-7
     # a rule of another order moves the arm by what the first-order one gets wrong

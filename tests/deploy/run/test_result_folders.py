@@ -8,7 +8,7 @@ import signal
 
 import pytest
 
-from deploy.reports import run_reports
+from deploy.reports import html
 from deploy.run.new_folder import FolderLock, new_folder
 from deploy.study import dask_workers
 
@@ -120,7 +120,7 @@ def test_overwrite_removes_the_files_of_identify_only_where_it_wrote(tmp_path, k
 
 @pytest.mark.usefixtures("heeded_signals")
 def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path, monkeypatch):
-    draw = run_reports.write_report
+    draw = html.write_page
 
     def be_stopped_and_draw(*words):
         assert (tmp_path / "summary.json").exists()
@@ -128,7 +128,7 @@ def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path,
         draw(*words)
 
     with monkeypatch.context() as patch:
-        patch.setattr(run_reports, "write_report", be_stopped_and_draw)
+        patch.setattr(html, "write_page", be_stopped_and_draw)
         code, output = funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)
     assert code == 130
     assert f"funnel-hil report {tmp_path}" in output

@@ -11,7 +11,8 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, Role
 from bus_schema.runtime.modes import Mode, mode_in
 from deploy.judge.metrics import summarise
-from deploy.reports.results import write_run_results
+from deploy.reports.results import write_run
+from deploy.run.execute import JudgedRun
 from deploy.run.new_folder import new_folder
 from deploy.run.replay import replay
 from deploy.run.run_folder import RunFolder, load_run
@@ -55,7 +56,7 @@ def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(import_fo
     failing_run(import_folder, "np.full(3, np.nan)").write_log(folder.log)
     run, contents = load_run(folder.path)
     assert replay(run.setup, contents).is_identical
-    write_run_results(folder, run)
+    write_run(folder, JudgedRun("", run))
     record = json.loads(folder.fault.read_text())
     assert (record["source"], record["at_s"]) == ("controller", 0.2)
     assert "returned the torque [nan, nan, nan] at tick 200" in record["detail"]

@@ -10,7 +10,7 @@ import pytest
 
 from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.judge.metrics import summarise
-from deploy.reports.gate_numbers import gauged
+from deploy.reports.kinds import gauged
 from deploy.reports.results import judge_rows
 from deploy.reports.study_tables import disturbance_tables
 from deploy.reports.study_texts import sentences

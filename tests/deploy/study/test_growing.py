@@ -10,7 +10,7 @@ from pyarrow import parquet
 
 import funnel_hil as interface
 from deploy.judge.run_rows import read_rows
-from deploy.reports.results import write_study_results
+from deploy.reports.results import write_study
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.folder import StudyFolder, create_folder, find_folder, opened
@@ -25,7 +25,7 @@ def conclude(study, path, workers):
     """Carry a study out, on, or make it grow, as the commands do; its rows and summary."""
     with opened(study, find_folder(study, path), path) as folder:
         carry_out(study, workers, folder, workers.stop)
-        summary = write_study_results(study, folder)
+        summary = write_study(study, folder).summary
     summary.pop("conditions")
     return read_rows(folder.rows_file), summary
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from deploy.reports.study_report import write_study_report
+from deploy.reports.html import write_page
+from deploy.reports.results import study_page
 from deploy.reports.study_tables import robustness_table
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
@@ -234,7 +235,7 @@ def test_an_unfinished_study_of_plants_has_a_report(tmp_path):
     assert sum(value["total"] for value in case["values"]) == 7
     assert case["kept_up_to"] is None
     assert "not known yet" in as_markdown(robustness_table(summary))
-    write_study_report(summary, folder)
+    write_page(folder.report, study_page(summary, folder))
 
 
 def test_a_sweep_meets_every_point_with_every_plant(tmp_path):
@@ -255,7 +256,7 @@ def test_a_sweep_meets_every_point_with_every_plant(tmp_path):
         (20, 20),
         (kept, 20),
     ]
-    write_study_report(summary, folder)
+    write_page(folder.report, study_page(summary, folder))
     page = folder.report.read_text(encoding="utf-8")
     assert 'id="curve-kept_share"' in page
     assert f"scenarios/{summary['points'][1]['worst_point']}.yaml" in page

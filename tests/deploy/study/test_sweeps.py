@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from controller.laws import LAWS
-from deploy.reports.study_report import write_study_report
+from deploy.reports.html import write_page
+from deploy.reports.results import study_page
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.folder import create_folder, find_folder
@@ -145,7 +146,7 @@ def test_impossible_sweeps_are_refused_with_the_reason(funnel_hil, tmp_path, gri
 def test_every_sweep_has_a_report_that_names_reruns(tmp_path, grid):
     sweep = make_sweep(tmp_path, grid, seeds=2)
     _, folder = conduct(sweep, tmp_path / "out", Here(made_up))
-    write_study_report(sweep.summary(folder.rows), folder)
+    write_page(folder.report, study_page(sweep.summary(folder.rows), folder))
     page = folder.report.read_text(encoding="utf-8")
     assert 'href="scenarios/00000.yaml"' in page
     assert f"funnel-hil simulate {tmp_path / 'out' / 'scenarios' / '00000'}.yaml" in page
@@ -171,7 +172,7 @@ def test_an_unfinished_study_of_nothing_has_a_report(tmp_path):
     plants_study = margin_study({"laws": ["smc"], **plants}, tmp_path / "m.yaml")
     for study in (make_sweep(tmp_path, {TIED: [0, 1]}), margin_of(), plants_study):
         folder = folder_of(study, tmp_path / study.kind)
-        write_study_report(study.summary([]), folder)
+        write_page(folder.report, study_page(study.summary([]), folder))
         assert folder.report.is_file()
         assert not study.summary([])["completed"]
 

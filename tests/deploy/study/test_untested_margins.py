@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.gate import build_gate
-from deploy.reports.gate_numbers import gauged
+from deploy.judge.gate import build_gate
+from deploy.reports.kinds import gauged
 from deploy.reports.study_texts import sentences
 from deploy.study.robustness import margin_study
 from tests.deploy.study.studies import Here, conduct, made_up
@@ -27,7 +27,7 @@ def by_value(run):
 
 
 def gate_failures(summary):
-    return build_gate("0", None, None).failures(gauged(summary))
+    return build_gate("0", None).failures(gauged(summary))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What the project claims of its laws on `paper_arm` with the shipped gains, and what it does not."""
+"""What the project claims of its laws on `paper_arm` with the shipped gains."""
 
 from __future__ import annotations
 

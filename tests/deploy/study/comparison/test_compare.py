@@ -16,7 +16,7 @@ from controller.laws.sliding_mode import SlidingMode
 from deploy.cli.common import parse_laws
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_rows import row, write_rows
-from deploy.reports import run_reports
+from deploy.reports import run_panels
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -158,8 +158,8 @@ def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, tmp_path):
 
 
 def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_path, monkeypatch):
-    panels = [panel for panel in run_reports.LAW_PANELS if panel.id == "settling-from-afar"]
-    monkeypatch.setattr(run_reports, "LAW_PANELS", panels)
+    panels = [panel for panel in run_panels.LAW_PANELS if panel.id == "settling-from-afar"]
+    monkeypatch.setattr(run_panels, "LAW_PANELS", panels)
     short = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
     words = ["compare", "--laws", "pid", "--settling", *short, "--out", tmp_path]
     code, output = funnel_hil(*words)
@@ -173,7 +173,7 @@ def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_pat
 
 
 def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path, monkeypatch):
-    monkeypatch.setattr(run_reports, "LAW_PANELS", [])
+    monkeypatch.setattr(run_panels, "LAW_PANELS", [])
     narrow = ["--set", "funnel.rate_per_s=200", "--require-bounds"]
     code, _ = funnel_hil("compare", "--laws", "pid", *SHORT, *narrow, "--out", tmp_path)
     assert code == 3

@@ -19,8 +19,9 @@ from deploy.reports.comparison_tables import (
     recorded_table,
     recorded_timing_table,
 )
-from deploy.reports.results import write_run_results
+from deploy.reports.results import write_run
 from deploy.reports.verdict_texts import verdict_on_runs
+from deploy.run.execute import JudgedRun
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, read_summary
 from deploy.run.simulate import simulate
@@ -38,7 +39,8 @@ def record(folder: Path, *changes: str, name: str = "paper_arm", faults: tuple[s
     with RunFolder.begin(simulation.setup, folder) as place:
         simulation.write_log(place.log)
         record_failures(place.log, faults)
-        write_run_results(place, replace(simulation.data(), failures=faults), draws_report=False)
+        run = JudgedRun("", replace(simulation.data(), failures=faults))
+        write_run(place, run, draws_report=False)
     return folder
 
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from deploy.cli.study.studies import settling_sentence
+from deploy.reports.verdict_texts import settling_sentence
 from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.settling import (
     SETTLING,
