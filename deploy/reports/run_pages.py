@@ -6,6 +6,7 @@ Each function lists the tables, facts, sentences and figures of its page.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +52,7 @@ def run_page(
                  "share of the ticks that met their deadline"),
             Fact("Digest", summary["digest"][:12], summary["digest"]),
         ],
-        _run_panels,
+        partial(_panels, "RUN_PANELS"),
         ComparedRuns([run]),
         conditions,
         heading=f"{summary['scenario']} · {summary['law']} · {summary['clock']}",
@@ -125,7 +126,7 @@ def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[Compared
                  "factor on masses and inertias of the nominal model"),
             Fact("Clock", summary["clock"]),
         ],
-        _law_panels,
+        partial(_panels, "LAW_PANELS"),
         comparison,
         conditions,
         before=("Verdict", [Cards([of_runs.verdict_table(comparison)]), Cards(confirmed)]),
@@ -149,7 +150,7 @@ def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRu
         verdict_on_runs(compared),
         [Fact(label, str(place))
          for label, place in zip(compared.labels, compared.paths, strict=True)],
-        _recorded_panels,
+        partial(_panels, "RECORDED_PANELS"),
         compared,
         conditions,
         before=("Side by side", [
@@ -161,19 +162,8 @@ def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRu
     )  # fmt: skip
 
 
-def _run_panels() -> list[Panel[ComparedRuns]]:
-    from deploy.reports.run_panels import RUN_PANELS  # heavy
+def _panels(name: str) -> list[Panel[ComparedRuns]]:
+    from deploy.reports import run_panels  # heavy
 
-    return RUN_PANELS
-
-
-def _law_panels() -> list[Panel[ComparedRuns]]:
-    from deploy.reports.run_panels import LAW_PANELS  # heavy
-
-    return LAW_PANELS
-
-
-def _recorded_panels() -> list[Panel[ComparedRuns]]:
-    from deploy.reports.run_panels import RECORDED_PANELS  # heavy
-
-    return RECORDED_PANELS
+    panels: list[Panel[ComparedRuns]] = getattr(run_panels, name)
+    return panels

@@ -27,6 +27,7 @@ from deploy.reports.results import (
 )
 from deploy.reports.verdict_texts import PARTIAL, damaged
 from deploy.run.console import Console
+from deploy.run.execute import JudgedRun
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.new_folder import new_folder
 from deploy.run.replay import Replay
@@ -42,7 +43,6 @@ from deploy.run.run_folder import (
 from deploy.run.stop_signals import WITHIN_S, stop_at_once
 from deploy.scenario.yaml_files import ScenarioError, naming
 from deploy.study.comparison.comparison import KIND as COMPARISON
-from deploy.study.comparison.comparison import judged_again
 from deploy.study.comparison.recorded import KIND as DIFF
 from deploy.study.comparison.recorded import read_again, recorded_runs
 from deploy.study.folder import STUDY_FILE, StudyFolder, changes_since, read_study
@@ -86,7 +86,7 @@ def report(
 
 
 def _run_again(path: Path, console: Console) -> Results:
-    run = judged_again(path.name, path)
+    run = JudgedRun(path.name, load_run(path)[0], path=path)
     with RunFolder(path if path.is_dir() else path.parent).lock() as folder:
         return conclude(console, folder, lambda: write_run(folder, run))
 

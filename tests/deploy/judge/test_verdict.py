@@ -129,7 +129,7 @@ def test_a_whole_run_inside_its_bounds_is_kept(run):
     assert (counted["ticks"], counted["outside"]) == (TICKS + 1, 0)
     assert counted["margin_min"] == summary["bounds"]["margin_min"]
     assert held(row(summary, 1))
-    assert Run(law_run).kept
+    assert Run(JudgedRun("", run)).kept
 
 
 def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_path):
