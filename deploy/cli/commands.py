@@ -36,6 +36,7 @@ PANELS = {
         "doctor": "cli.doctor:doctor",
     },
     "Answer": {
+        "datasheet": "cli.study.datasheet:datasheet",
         "margin": "cli.study.studies:margin",
         "sweep": "cli.study.studies:sweep",
         "compare": "cli.study.studies:compare",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -193,6 +194,24 @@ class GaugedRobustness(_GaugedCases):
 
     def value(self, case: _Case) -> float | None:
         return case.kept_up_to
+
+
+class _Parts(_Part):
+    margin: GaugedMargins
+    plants: GaugedRobustness | None = None
+
+
+class GaugedDataSheet(GaugedSummary):
+    """A data sheet: its margins, and that of its uncertain plants."""
+
+    group = "datasheet"
+    parts: _Parts
+
+    def numbers(self) -> Iterator[Gauged]:
+        yield from self.parts.margin.numbers()
+        if self.parts.plants is not None:
+            for each in self.parts.plants.numbers():
+                yield replace(each, name=f"{each.name}, uncertain plants")
 
 
 class GaugedTuning(GaugedSummary):

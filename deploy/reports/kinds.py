@@ -17,6 +17,7 @@ from deploy.judge.gate import Gauged
 from deploy.judge.verdict import Verdict, verdict_of
 from deploy.reports.gauges import (
     GaugedComparison,
+    GaugedDataSheet,
     GaugedMargins,
     GaugedRobustness,
     GaugedRun,
@@ -120,6 +121,7 @@ _KINDS = {
         ResultKind("margin", GaugedMargins, _margin_page, margins_by_law),
         ResultKind("robustness", GaugedRobustness, _robustness_page, robustness_table),
         ResultKind("tune", GaugedTuning, _tune_page),
+        ResultKind("datasheet", GaugedDataSheet),
     )
 }
 

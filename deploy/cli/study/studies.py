@@ -32,7 +32,7 @@ from deploy.run.processes.program import require_program
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.comparison.comparison import Comparison
-from deploy.study.conduct import conduct
+from deploy.study.conduct import Conducted, conduct
 from deploy.study.robustness import margin_study
 from deploy.study.runner import Progress, Workers
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
@@ -129,11 +129,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
         options, study.definition.name, study.unit, study.kind, quantity,
         patterns=pattern is not None,
     )  # fmt: skip
-    stop = threading.Event()
-    with conduct(
-        study, _workers(study, options), options.out, _progress(console, study, options, stop),
-        overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
-    ) as done:  # fmt: skip
+    with carried_out(study, options, console) as done:
         results = conclude(console, done.folder, lambda: write_study(study, done.folder))
     if not results.summary["completed"]:
         console.print(_GOES_ON.format(done.lost or "stopped"), markup=False)
@@ -143,6 +139,19 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
     kept = not require_bounds or all(run.kept_bounds for run in runs)
     is_passed = not whole or gate.is_passed(results.summary, console, done.folder.note)
     leave(interrupted=False, whole=whole, kept=kept and is_passed)
+
+
+@contextlib.contextmanager
+def carried_out(
+    study: StudyOfRuns, options: WorkerOptions, console: Console
+) -> Iterator[Conducted]:
+    """Do the runs that the folder of a study lacks, with progress; it is locked meanwhile."""
+    stop = threading.Event()
+    with conduct(
+        study, _workers(study, options), options.out, _progress(console, study, options, stop),
+        overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
+    ) as done:  # fmt: skip
+        yield done
 
 
 def _workers(study: StudyOfRuns, options: WorkerOptions) -> StartWorkers:

@@ -3,7 +3,6 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
-from deploy.reports.run_reports import write_comparison_report
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.metrics import summarise
@@ -16,10 +15,7 @@ from deploy.reports.figures.several_runs import joint_bars, settling, settling_f
 from deploy.reports.figures.space import tip_path
 from deploy.reports.html import write_page
 from deploy.reports.run_numbers import BY_LAW, RMS_ERROR
-<<<<<<< HEAD
-=======
 from deploy.reports.run_pages import laws_page
->>>>>>> kinds
 from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate

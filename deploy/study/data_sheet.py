@@ -1,0 +1,97 @@
+"""The studies of a data sheet: how much delay an arm takes, on a network and as uncertain plants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deploy.judge.run_rows import Row
+from deploy.scenario.study_keys import LAW
+from deploy.study.cases import COMPENSATION
+from deploy.study.robustness import margin_study
+from deploy.study.statistics import badness
+from deploy.study.study import StudyOfRuns
+from deploy.study.sweep import Sweep
+
+_SOURCE = Path("datasheet")
+_TRACES = "link.uplink.trace.file, link.downlink.trace.file"
+_SHARES_OF_MARGIN = (0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True)
+class DataSheet:
+    """What a data sheet is about.
+
+    Attributes:
+        arm: a scenario, or the file of an arm.
+        law: its control law.
+        network: a file of delays, or the name of a shipped trace; None for none.
+        plants: number of uncertain plants; 0 for none.
+        fixed: values of the scenario, by dotted key.
+        is_quick: shorter and fewer runs.
+    """
+
+    arm: str
+    law: str
+    network: str | None = None
+    plants: int = 0
+    fixed: Mapping[str, Any] | None = None
+    is_quick: bool = False
+
+    @property
+    def duration_s(self) -> float:
+        """Length of each run."""
+        return 3.0 if self.is_quick else 6.0
+
+    def _set(self, **more: Any) -> dict[str, Any]:
+        return {**(self.fixed or {}), **more}
+
+    def margin(self) -> StudyOfRuns:
+        """Return the search for margins, without and with delay compensation, for any pattern."""
+        quick: dict[str, Any] = {"seeds": [1], "offsets": [1.0], "disturbances": None}
+        values = {
+            "name": "margin", "scenarios": [self.arm], "laws": [self.law], "running": [False],
+            "compensation": [False, True], "pattern": "any", "what_helps": True,
+            "duration_s": self.duration_s, "set": self._set(),
+        }  # fmt: skip
+        return margin_study(values | (quick if self.is_quick else {}), _SOURCE)
+
+    def windows(self) -> StudyOfRuns | None:
+        """Return runs on windows of the network, with compensation; None without a network."""
+        if self.network is None:
+            return None
+        file = Path(self.network)
+        name = str(file.resolve()) if file.is_file() else self.network
+        more = {LAW: self.law, COMPENSATION: True, "duration_s": self.duration_s}
+        values = {
+            "name": "network", "scenario": self.arm, "grid": {_TRACES: [name]},
+            "seeds": 5 if self.is_quick else 12, "set": self._set(**more),
+        }  # fmt: skip
+        return Sweep(values, _SOURCE)
+
+    def of_plants(self, margin_ms: float) -> StudyOfRuns | None:
+        """Return runs of uncertain plants at parts of a margin; None without plants or margin."""
+        values_ms = sorted({round(2.0 * part * margin_ms) / 2.0 for part in _SHARES_OF_MARGIN})
+        if not self.plants or not values_ms[-1]:
+            return None
+        values = {
+            "name": "plants", "scenarios": [self.arm], "laws": [self.law], "running": [False],
+            "compensation": [True], "plants": self.plants, "uncertainty": "half",
+            "values": [value for value in values_ms if value], "duration_s": self.duration_s,
+            "set": self._set(),
+        }  # fmt: skip
+        return margin_study(values, _SOURCE)
+
+
+def any_pattern_ms(case: Mapping[str, Any]) -> float | None:
+    """Return up to which delay a case of margins held for every pattern; None for none."""
+    worst, guaranteed = case.get("worst_pattern"), case.get("guaranteed")
+    found: float | None = case["margin"] if worst is None else worst["margin"]
+    return found if guaranteed is None else float(guaranteed)
+
+
+def worst_window(rows: list[Row]) -> Row:
+    """Return the worst run on a network."""
+    return max(rows, key=badness)

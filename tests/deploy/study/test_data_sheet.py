@@ -1,0 +1,80 @@
+"""`datasheet`: one command, one page, and the numbers of the studies that it is made of."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from tests.warm_process import here
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A data sheet on a network that is a constant delay of 2 ms each way."""
+    folder = tmp_path_factory.mktemp("sheet")
+    lines = ["time_s,delay_ms", *(f"{0.01 * row:.2f},2.0" for row in range(700))]
+    (folder / "calm.csv").write_text("\n".join([*lines, ""]))
+    words = ("datasheet", "paper_arm", "--law", "smc", "--quick", "--workers", "1",
+             "--network", folder / "calm.csv", "--plants", "2", "--out", folder / "out")  # fmt: skip
+    code, output = here(*words)
+    assert code == 0, output
+    return folder / "out", words, output
+
+
+def summary_of(folder):
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_its_headline_has_the_numbers_of_its_parts(made):
+    out, _, output = made
+    summary = summary_of(out)
+    margin = summary_of(out / "margin")
+    cases = {case["compensation"]: case for case in margin["cases"]}
+    assert summary["parts"]["margin"]["cases"] == margin["cases"]
+    guaranteed = cases[True]["guaranteed"]
+    assert f"for any delay up to {guaranteed:g} ms" in summary["headline"][0]
+    assert f"{cases[False]['margin']:g} ms without" in summary["headline"][0]
+    assert "kept them in 5 of 5 windows of 3 s" in summary["headline"][1]  # 4 ms are no trouble
+    values = [at["value"] for at in summary_of(out / "plants")["cases"][0]["values"]]
+    assert values[-1] == guaranteed
+    assert all(sentence in " ".join(output.split()) for sentence in summary["headline"])
+    assert (out / "worst_window" / "report.html").exists()
+    assert "The arm in the worst window" in (out / "report.html").read_text()
+
+
+def test_the_same_command_does_nothing_again(made):
+    out, words, _ = made
+    before = summary_of(out)
+    code, output = here(*words)
+    assert code == 0, output
+    assert summary_of(out)["parts"] == before["parts"]
+    assert "runs were there from before" in output
+
+
+def test_a_gate_takes_it(made, tmp_path):
+    out, words, _ = made
+    copy = tmp_path / "out"
+    shutil.copytree(out, copy)
+    words = (*words[:-1], copy)
+    assert here(*words, "--at-least", "0.5ms")[0] == 0
+    code, output = here(*words, "--at-least", "127ms")
+    assert code == 3
+    assert "gate: " in output
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--network", "nowhere"], "nowhere"),
+        (["--law", "smcc"], "did you mean smc?"),
+        (["--confirm"], "--confirm: must be left out"),
+        (["--plants", "-1"], "--plants"),
+    ],
+)
+def test_unusable_options_end_it_with_2(words, said, tmp_path):
+    code, output = here("datasheet", "paper_arm", "--quick", "--out", tmp_path / "out", *words)
+    assert code == 2, output
+    assert said in output
+    assert not (tmp_path / "out").exists()
