@@ -12,7 +12,7 @@ from deploy.reports import study_tables as tables
 from deploy.reports import study_texts as texts
 from deploy.reports.figures import joints, space, style
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.tables import number
+from deploy.reports.tables import Cell, Column, Table, number
 from deploy.reports.verdict_texts import ReportHead
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns
@@ -36,12 +36,12 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
     parts = summary["parts"]
     margin, plants = parts["margin"], parts.get("plants")
     head, *more = summary["headline"]
-    cards = [tables.margin_table(margin), *tables.disturbance_tables(margin)]
+    cards = [*_help_tables(margin), tables.margin_table(margin), *tables.disturbance_tables(margin)]
     cards += [] if plants is None else [tables.robustness_table(plants)]
     return Page(
         "data sheet",
         summary["name"],
-        verdict=ReportHead("mixed", head, [*more, *texts.margin_sentences(margin)]),
+        verdict=ReportHead("mixed", head, more),
         facts=[
             Fact("Arm", summary["arm"]),
             Fact("Law", summary["law"]),
@@ -52,9 +52,31 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
         subject=sheet,
         conditions=summary["conditions"],
         after=("Results", [Cards(cards, "stacked")]),
-        lines=[f"{name}: {folder}" for name, folder in summary["folders"].items()],
+        lines=texts.margin_sentences(margin),
         footer="Each part has a report of its own, in the folders beside this file.",
     )  # fmt: skip
+
+
+def _help_tables(margin: Summary) -> list[Table]:
+    """Return what was tried at the first failure of each case, with the command of the best."""
+    found = []
+    for case in margin["cases"]:
+        if (helps := case.get("what_helps")) is None:
+            continue
+        best = helps["best"] or {"change": None, "command": ""}
+        rows = [
+            [each["change"], Cell("yes" if each["held"] else "no"),
+             None if each["margin_min"] is None else 100.0 * each["margin_min"],
+             best["command"] if each["change"] == best["change"] else ""]
+            for each in helps["tried"]
+        ]  # fmt: skip
+        columns = [Column("Change", is_text=True), Column("Kept", is_text=True),
+                   Column("Bound left", "%"), Column("Command", brief=None, is_text=True)]  # fmt: skip
+        title = (
+            f"What helps at {texts.value_text(helps['value'], margin)}, {texts.case_title(case)}"
+        )
+        found.append(Table(title, columns, rows))
+    return found
 
 
 def headline(summary: Summary) -> list[str]:

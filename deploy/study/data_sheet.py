@@ -43,10 +43,12 @@ class DataSheet:
     @property
     def duration_s(self) -> float:
         """Length of each run."""
-        return 3.0 if self.is_quick else 6.0
+        usual_s = 3.0 if self.is_quick else 6.0
+        return float((self.fixed or {}).get("duration_s", usual_s))
 
     def _set(self, **more: Any) -> dict[str, Any]:
-        return {**(self.fixed or {}), **more}
+        given = {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
+        return {**given, **more}
 
     def margin(self) -> StudyOfRuns:
         """Return the search for margins, without and with delay compensation, for any pattern."""

@@ -16,8 +16,11 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sheet")
     lines = ["time_s,delay_ms", *(f"{0.01 * row:.2f},2.0" for row in range(700))]
     (folder / "calm.csv").write_text("\n".join([*lines, ""]))
-    words = ("datasheet", "paper_arm", "--law", "smc", "--quick", "--workers", "1",
-             "--network", folder / "calm.csv", "--plants", "2", "--out", folder / "out")  # fmt: skip
+    words = (
+        "datasheet", "paper_arm", "--law", "smc", "--quick", "--workers", "1", "--plants", "1",
+        "--set", "duration_s=0.4", "--set", "metrics.from_s=0.2",
+        "--network", folder / "calm.csv", "--out", folder / "out",
+    )  # fmt: skip
     code, output = here(*words)
     assert code == 0, output
     return folder / "out", words, output
@@ -36,7 +39,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     guaranteed = cases[True]["guaranteed"]
     assert f"for any delay up to {guaranteed:g} ms" in summary["headline"][0]
     assert f"{cases[False]['margin']:g} ms without" in summary["headline"][0]
-    assert "kept them in 5 of 5 windows of 3 s" in summary["headline"][1]  # 4 ms are no trouble
+    assert "kept them in 5 of 5 windows of 0.4 s" in summary["headline"][1]  # 4 ms are no trouble
     values = [at["value"] for at in summary_of(out / "plants")["cases"][0]["values"]]
     assert values[-1] == guaranteed
     assert all(sentence in " ".join(output.split()) for sentence in summary["headline"])
