@@ -8,7 +8,7 @@ import pytest
 
 from deploy.judge.gate import build_gate
 from deploy.reports.kinds import gauged
-from deploy.reports.study_texts import sentences
+from deploy.reports.study_texts import margin_sentences
 from deploy.study.robustness import margin_study
 from tests.deploy.study.studies import Here, conduct, made_up
 
@@ -42,7 +42,7 @@ def gate_failures(summary):
 )
 def test_runs_that_are_too_short_test_nothing(values, least_s, tmp_path):
     summary = summary_of(tmp_path, by_value, **{**DELAYED, **values})
-    said = sentences(summary)[0]
+    said = margin_sentences(summary)[0]
     assert ("Not tested: runs of" in said) is (least_s is not None)
     assert least_s is None or f"must last {least_s:g} s" in said
     assert bool(gate_failures(summary)) is (least_s is not None)
