@@ -21,7 +21,6 @@ from deploy.run.simulate import CLOCK as SIMULATED
 from deploy.scenario.effective import values_in_common
 from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.comparison.comparison import KIND as OF_LAWS
 from deploy.study.comparison.comparison import ComparedRuns
 
 Rows = NDArray[np.intp]
@@ -103,10 +102,6 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
             raise ScenarioError(f"{path}: is given twice; must be different runs")
-        if read_summary(path).get("kind") == OF_LAWS:
-            raise RunFolderError(
-                f"{path}: is a comparison; must be a run, such as one of the folders inside"
-            )
     read = [_read(label, path) for label, path in zip(_labels(places), paths, strict=True)]
     runs = [run for run, _ in read]
     _require_same_joints(paths, runs)

@@ -13,7 +13,7 @@ from deploy.judge.metrics import summarise
 from deploy.reports.kinds import gauged
 from deploy.reports.results import judge_rows
 from deploy.reports.study_tables import disturbance_tables
-from deploy.reports.study_texts import sentences
+from deploy.reports.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -61,7 +61,9 @@ def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_pat
     best = helps["best"]
     assert (best["change"], best["margin_min"]) == ("drive loop", 0.42)
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
-    (said,) = [each for each in sentences(study.summary(folder.rows)) if "what helps" in each]
+    (said,) = [
+        each for each in margin_sentences(study.summary(folder.rows)) if "what helps" in each
+    ]
     assert said.startswith(
         "paper_arm, pid, 8 ms: what helps: compensation (31 % of the bound left), drive loop (42 %"
         " of the bound left), not twice the rate and not half the gains. The best, drive loop:"
@@ -78,7 +80,7 @@ def test_where_nothing_helps_the_result_says_so(tmp_path):
     # What is in force already is not tried again.
     assert [each["change"] for each in helps["tried"]] == ["twice the rate", "half the gains"]
     said = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
-    assert said in " ".join(sentences(study.summary(folder.rows)))
+    assert said in " ".join(margin_sentences(study.summary(folder.rows)))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from deploy.judge.metrics import summarise
 from deploy.reports.results import judge_rows
 from deploy.reports.study_tables import margin_table, margins_by_law
-from deploy.reports.study_texts import sentences
+from deploy.reports.study_texts import margin_sentences
 from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -69,7 +69,7 @@ def test_without_playout_the_worst_pattern_is_found(tmp_path):
     # The whole catalogue at 8 and 4 ms, and ten neighbours of the worst one at 4.
     assert case["patterns"]["tried"] == 2 * len(catalogue(1.0)) + 10
     assert f"every pattern of delays: 4 ms, {case['patterns']['tried']} tried" in " ".join(
-        sentences(summary)
+        margin_sentences(summary)
     )
     assert "4 ms, " in str(margin_table(summary).rows)
     assert "8 ms; every pattern: 4 ms, " in as_markdown(margins_by_law(summary))
@@ -136,7 +136,7 @@ def test_with_a_playout_above_the_margin_four_patterns_confirm_the_guarantee(
     assert (case["worst_pattern"] is None) == is_levelled
     assert case["patterns"]["motions"] == (1 if is_levelled else None)
     said = "holds for every delay up to 8 ms that arrives in order and is not lost"
-    assert (said in " ".join(sentences(margin.summary(folder.rows)))) == is_levelled
+    assert (said in " ".join(margin_sentences(margin.summary(folder.rows)))) == is_levelled
 
 
 def test_patterns_with_another_motion_give_no_guarantee(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from deploy.judge.metrics import summarise
-from deploy.reports.study_texts import sentences
+from deploy.reports.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.follow_ups.theory import SampledLoop, theory_of
@@ -201,7 +201,7 @@ def test_margin_prints_theory_beside_what_it_found(tmp_path):
     assert pid["margin"] == 13.5
     assert pid["theory"] == {"constant_ms": 13.54, "any_pattern_ms": 8.94, "joint": "j0"}
     assert set(smc["theory"]) == {"reason"}
-    said = sentences(summary)
+    said = margin_sentences(summary)
     assert any("up to a constant 13.54 ms, and below 8.94 ms for every pattern" in s for s in said)
     assert any("No theoretical margin, because it has no slope at zero error" in s for s in said)
 
