@@ -69,13 +69,13 @@ def test_role_is_told_by_its_command_line_and_keeps_what_it_printed_when_killed(
 SCRIPT = """
 import os, signal, sys
 from pathlib import Path
-from multiprocessing import forkserver
+from deploy.run.processes import role_process
 from deploy.run.processes.role_process import prepare, start_role
 from tests.deploy.run.processes.example_roles import prints, waits
 
 
 def server():
-    return forkserver._forkserver._forkserver_pid
+    return role_process._server[0].pid
 
 def start(role=prints, options=0):
     folder = Path(sys.argv[1])
