@@ -21,7 +21,7 @@ from pathlib import Path
 
 from bus_schema.errors import silent_peer
 from bus_schema.messages.topics import Role
-from deploy.run.live.feed import clear_left_behind
+from deploy.run.network.live_feed import clear_left_behind
 from deploy.run.network.real_delay import RELAY, RealDelay
 from deploy.run.processes import roles
 from deploy.run.processes.child import (
