@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.interface import PlantLink
@@ -15,6 +14,7 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import Command, CommandGate
+from plant_emulator.measurement import Measurement
 from plant_emulator.supervisor import Supervisor
 from plant_emulator.telemetry import PlantTelemetry
 
@@ -47,7 +47,7 @@ class Watchdog:
         self.expires_ns = now_ns + self._timeout_ns
 
 
-class Commands:
+class ArmCommands:
     """Takes commands off the bus, and applies them to the joints when they are due.
 
     Args:
@@ -121,15 +121,9 @@ class Commands:
             self._second_source_is_told = True
             self._supervisor.fail(f"two senders use the commander's id: {source}")
 
-    def await_reply(self, stamp_ns: int, timeout_s: float, send_again: Callable[[], None]) -> None:
-        """Receive the reply to one state; without one, continue alone until the watchdog acts.
-
-        Args:
-            stamp_ns: its stamp.
-            timeout_s: longest wall time to wait.
-            send_again: sends the state once more.
-        """
-        self._gate.await_answer(stamp_ns)
+    def await_reply(self, state: Measurement, timeout_s: float) -> None:
+        """Receive the reply to one state; without one, continue alone until the watchdog acts."""
+        self._gate.await_answer(state.stamp_ns)
         self.collect()
         give_up_s = time.monotonic() + timeout_s
         while self._gate.is_waiting and not self._supervisor.stop_requested:
@@ -148,7 +142,7 @@ class Commands:
                 self._supervisor.fail(str(silence))
                 return
             elif self._may_have_missed_state():
-                send_again()
+                self._link.send_state(state.state, state.status)
 
     def put_into_force(self, now_ns: int) -> None:
         """Apply the newest command that has arrived at the joints."""

@@ -25,7 +25,7 @@ from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.commands import Commands, Watchdog
+from plant_emulator.commands import ArmCommands, Watchdog
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.faults.message_faults import channel_faults
 from plant_emulator.measurement import Instruments, Measurement
@@ -71,7 +71,7 @@ class PlantLoop:
         )  # fmt: skip
         self._supervisor = Supervisor(arm, self._telemetry, task.plant, task.grid, task.ticks)
         self._instruments = Instruments(names, arm)
-        self._commands = Commands(
+        self._commands = ArmCommands(
             self._link, gate, downlink, self._watchdog, arm, self._telemetry, self._supervisor,
             self._grid.period_ns,
         )  # fmt: skip

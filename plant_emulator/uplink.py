@@ -5,7 +5,7 @@ from __future__ import annotations
 from bus_schema.link.interface import PlantLink
 from bus_schema.runtime.clock import Clock
 from plant_emulator.channel.channel import Channel
-from plant_emulator.commands import Commands
+from plant_emulator.commands import ArmCommands
 from plant_emulator.measurement import Measurement
 from plant_emulator.telemetry import PlantTelemetry
 
@@ -33,7 +33,7 @@ class Uplink:
         clock: Clock,
         channel: Channel[Measurement],
         telemetry: PlantTelemetry,
-        commands: Commands,
+        commands: ArmCommands,
         reply_timeout_s: float | None,
         answered_ns: int,
     ) -> None:
@@ -70,7 +70,4 @@ class Uplink:
         self._telemetry.send(self._link)
         is_answered = stamp_ns % self._answered_ns == 0
         if self._reply_timeout_s is not None and is_answered and not commands.controller_is_lost:
-            commands.await_reply(
-                stamp_ns, self._reply_timeout_s,
-                lambda: self._link.send_state(measurement.state, measurement.status),
-            )  # fmt: skip
+            commands.await_reply(measurement, self._reply_timeout_s)

@@ -160,7 +160,8 @@ class LinkRelay:
             far.connect_ex(self._target)
             there_ns, back_ns = (way.channel.mean_delay_ns for way in self._directions)
             self._streams += [
-                RelayedStream(near, far, self._there, back_ns), RelayedStream(far, near, self._back, there_ns)
+                RelayedStream(near, far, self._there, back_ns),
+                RelayedStream(far, near, self._back, there_ns),
             ]  # fmt: skip
 
     def _forget_ended(self) -> None:
