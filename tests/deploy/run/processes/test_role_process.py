@@ -112,6 +112,16 @@ for _ in range(3):
     assert len(set(script(lines, tmp_path).stdout.split())) == 1
 
 
+def test_signals_of_a_terminal_do_not_reach_the_fork_server(tmp_path):
+    """It is in the command's process group, and is needed until all processes have ended."""
+    lines = """
+prepare()
+os.kill(server(), signal.SIGINT)
+start()
+"""
+    assert script(lines, tmp_path).stdout == "note\n"
+
+
 def ends(pid: int) -> bool:
     """Whether a process ends by itself."""
     give_up_s = time.monotonic() + 60.0
