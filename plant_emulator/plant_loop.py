@@ -25,13 +25,14 @@ from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.exchange import Exchange, Watchdog
+from plant_emulator.commands import ArmCommands, Watchdog
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.faults.message_faults import channel_faults
 from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
 from plant_emulator.supervisor import Supervisor
 from plant_emulator.telemetry import PlantTelemetry
+from plant_emulator.uplink import Uplink
 
 
 class PlantLoop:
@@ -46,7 +47,7 @@ class PlantLoop:
         names = task.robot.joint_names
         self._task, self._arm, self._clock, self._grid = task, arm, clock, task.grid
         self._stages = task.grid.stages()
-        self._uplink: Channel[Measurement] = open_uplink(
+        states: Channel[Measurement] = open_uplink(
             task.link, task.seed, channel_faults(task.faults, "uplink")
         )
         self._downlink = open_downlink(
@@ -60,7 +61,7 @@ class PlantLoop:
         )  # fmt: skip
         self._link = _with_faults(task, link, clock, gate)
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
-        mean_ns = self._uplink.mean_delay_ns + self._downlink.mean_delay_ns
+        mean_ns = states.mean_delay_ns + downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
         answered_ns = task.answer_every * self._grid.period_ns
@@ -68,14 +69,15 @@ class PlantLoop:
             names, arm, task.link.deadline_ns(answered_ns, round_trip_ns),
             None if task.link.deadline_ms is not None else answered_ns,
         )  # fmt: skip
-        self._supervisor = Supervisor(
-            arm, self._telemetry, task.plant, task.grid, task.ticks, lambda: self.tick
-        )
+        self._supervisor = Supervisor(arm, self._telemetry, task.plant, task.grid, task.ticks)
         self._instruments = Instruments(names, arm)
-        self._exchange = Exchange(
-            self._link, clock, self._uplink, self._downlink, gate, self._watchdog, arm,
-            self._telemetry, self._supervisor, self._grid.period_ns,
-            task.link.reply_timeout_s if task.lockstep else None, task.answer_every,
+        self._commands = ArmCommands(
+            self._link, gate, downlink, self._watchdog, arm, self._telemetry, self._supervisor,
+            self._grid.period_ns,
+        )  # fmt: skip
+        self._uplink = Uplink(
+            self._link, clock, states, self._telemetry, self._commands,
+            task.link.reply_timeout_s if task.lockstep else None, answered_ns,
         )  # fmt: skip
         self._watch = None if task.watch is None else task.watch(arm.motion[0])
         self.tick = 0
@@ -135,7 +137,7 @@ class PlantLoop:
         supervisor = self._supervisor
         while self.tick < supervisor.end_tick and not supervisor.stop_requested:
             self._cycle()
-        self._exchange.run_until(self._tick_ns)
+        self._run_until(self._tick_ns)
 
     def _cycle(self) -> None:
         lateness_ns = self._go_to_next_tick() if self._task.lockstep else self._keep_pace()
@@ -147,11 +149,11 @@ class PlantLoop:
         self._telemetry.end_cycle()
 
     def _send_state(self) -> None:
-        sequence, delay_ns = self._exchange.sequence, self._exchange.delay_ns
+        sequence, delay_ns = self._commands.sequence, self._commands.delay_ns
         measure = self._instruments.measure
         playout = self._playout
         arrival_ns = -1 if playout is None else playout.take_longest_arrival()
-        self._exchange.send(
+        self._uplink.send(
             measure(self._tick_ns, sequence, self._command_age_ns, delay_ns, arrival_ns)
         )
 
@@ -159,7 +161,7 @@ class PlantLoop:
         """Advance to the next tick in virtual time; return the lateness in ns."""
         # Nothing is ever late, so the physics can wait until all commands are known.
         tick_ns = self._grid.tick_ns(self.tick + 1)
-        lateness_ns = self._exchange.run_until(tick_ns)
+        lateness_ns = self._run_until(tick_ns)
         first = self.tick * self._grid.substeps
         self._advance(first, first + self._grid.substeps)
         self._instruments.read(tick_ns)
@@ -172,14 +174,26 @@ class PlantLoop:
         for stage in self._stages:
             # All commands of a substep are known when it begins: the physics need not wait longer.
             end = before + stage.stop
-            self._exchange.run_until(self._grid.substep_ns(end - 1))
+            self._run_until(self._grid.substep_ns(end - 1))
             self._skip_to(tick - 1)
             self._advance(before + stage.start, end)
         tick_ns = self._grid.tick_ns(tick)
         if self._clock.awake_ns:
-            self._exchange.run_until(tick_ns - self._clock.awake_ns)
+            self._run_until(tick_ns - self._clock.awake_ns)
         self._instruments.read(tick_ns)  # the physics has computed everything before the tick
-        return self._exchange.run_until(tick_ns)
+        return self._run_until(tick_ns)
+
+    def _run_until(self, until_ns: int) -> int:
+        """Deliver due states and receive arriving commands until this instant.
+
+        Returns:
+            The lateness in ns.
+        """
+        lateness_ns = self._uplink.deliver_until(until_ns)
+        self._commands.collect()
+        if self._arm.mode in COMMANDABLE and (reason := self._link.fault()) is not None:
+            self._supervisor.stop(reason)
+        return lateness_ns
 
     def _next_tick(self) -> int:
         """Return the next tick of the grid, or the current one if the clock is already later."""
@@ -207,7 +221,7 @@ class PlantLoop:
         while first < end:
             now_ns = grid.substep_ns(first)
             if downlink.next_due_ns <= now_ns:
-                self._exchange.put_into_force(now_ns)
+                self._commands.put_into_force(now_ns)
             if watchdog.expires_ns < now_ns and self._arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._supervisor.stop_safely(f"no valid command for {timeout_ms:g} ms")
@@ -219,24 +233,24 @@ class PlantLoop:
         self._telemetry.physics_ns += time.perf_counter_ns() - started_ns
 
     def _reach_next_tick(self) -> None:
-        self.tick += 1
+        self.tick = self._supervisor.tick = self.tick + 1
         self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
         if self._downlink.next_due_ns <= now_ns:
-            self._exchange.put_into_force(now_ns)
-        self._exchange.play_row(now_ns)
+            self._commands.put_into_force(now_ns)
+        self._commands.play_row(now_ns)
         self._react()
 
     def _react(self) -> None:
         """Stop if a limit requires it, and check the age of the command in force."""
         if self._arm.torques.limit_hits:
             self._supervisor.handle_limit_hits()
-        self._command_age_ns = self._exchange.age_ns(self._tick_ns)
+        self._command_age_ns = self._commands.age_ns(self._tick_ns)
 
     def _note_truth(self, *, was_skipped: bool) -> None:
         if self._watch is not None and self._watch.look(self._tick_ns):
             self._note_loss()
         self._telemetry.note_truth(
-            self._tick_ns, self.tick, self._exchange.sequence, self._command_age_ns,
+            self._tick_ns, self.tick, self._commands.sequence, self._command_age_ns,
             was_skipped=was_skipped,
         )  # fmt: skip
 
@@ -251,9 +265,9 @@ class PlantLoop:
 
     def _report_end(self, outcome: PlantOutcome) -> None:
         supervisor, downlink = self._supervisor, self._downlink
-        rejected = self._exchange.rejected + Counter(overflow=self._link.overflow())
+        rejected = self._commands.rejected + Counter(overflow=self._link.overflow())
         counts = {
-            "uplink": self._uplink.statistics().summary() | {"rejected": {}},
+            "uplink": self._uplink.channel.statistics().summary() | {"rejected": {}},
             "downlink": downlink.statistics().summary() | {"rejected": rejected},
             **({} if self._playout is None else {"playout": self._playout.report()}),
             "limits": supervisor.limits.summary(),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 
 from bus_schema.limits import LimitCounts, name_of
 from bus_schema.messages.run_event import EventKind
@@ -25,9 +24,9 @@ class Supervisor:
         plant: how the arm stops.
         grid: ticks of the run.
         ticks: length of the run.
-        tick: the tick that the run has reached; events are stamped with its instant.
 
     Attributes:
+        tick: the tick that the run has reached; events are stamped with its instant.
         end_tick: tick at which the run ends: after all its ticks, or when a stop is complete.
         stop_requested: the run must end at the next tick, on request.
         faults: the faults, one sentence each.
@@ -41,19 +40,18 @@ class Supervisor:
         plant: PlantConfiguration,
         grid: TickGrid,
         ticks: int,
-        tick: Callable[[], int],
     ) -> None:
-        self._arm, self._telemetry, self._grid, self._tick = arm, telemetry, grid, tick
+        self._arm, self._telemetry, self._grid = arm, telemetry, grid
         self._safe_stop = f"safe stop ({plant.safe_stop})"
         self._stop_ticks = round(plant.stop_duration_s * 1e9 / grid.period_ns)
-        self.end_tick = ticks
+        self.tick, self.end_tick = 0, ticks
         self.stop_requested = False
         self.faults: list[str] = []
         self.limits = LimitCounts()
 
     def announce(self, kind: EventKind, detail: str) -> None:
         """Report an event at this tick."""
-        self._telemetry.note_event(self._grid.tick_ns(self._tick()), kind, detail)
+        self._telemetry.note_event(self._grid.tick_ns(self.tick), kind, detail)
 
     def announce_mode(self, why: str) -> None:
         """Report the arm's current mode."""
@@ -70,7 +68,7 @@ class Supervisor:
         self._arm.stop()
         self.announce_mode(self._safe_stop)
         self.fail(reason)
-        self.end_tick = min(self.end_tick, self._tick() + 1 + self._stop_ticks)
+        self.end_tick = min(self.end_tick, self.tick + 1 + self._stop_ticks)
 
     def stop_safely(self, reason: str) -> None:
         """Stop the arm, and add to the reason that it is stopped safely."""

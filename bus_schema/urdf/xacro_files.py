@@ -239,8 +239,13 @@ def _safe_xacro(folders: _Folders) -> Any:
         command, _, rest = text[2:-1].strip().partition(" ")
         return _extension(xacro, folders, command, rest.strip())
 
+    def value(text: str, names: Any, _locals: Any = None) -> Any:
+        """Return the value of an expression; the root of its names are those of all files."""
+        _keep_allowed(getattr(names, "root", names))
+        return _evaluate(text, names)
+
     ours = {
-        "safe_eval": lambda text, names, _locals=None: _evaluate(text, names),
+        "safe_eval": value,
         "parse": lambda given, filename=None: parse(given, folders.allowed(filename)),
         "abs_filename_spec": lambda name: folders.allowed(abs_filename(name)),
         "eval_extension": extension,
@@ -248,17 +253,16 @@ def _safe_xacro(folders: _Folders) -> Any:
     for name, function in ours.items():
         getattr(xacro, name)  # a version without it would evaluate in another way
         setattr(xacro, name, function)
-    symbols = xacro.create_global_symbols()
-    for namespace, names in ((symbols, _NAMES), (symbols["python"], _PYTHON),
-                             (symbols["xacro"], _XACRO)):  # fmt: skip
-        _keep(namespace, names)
-    xacro._global_symbols = symbols
     return xacro
 
 
-def _keep(namespace: dict[str, Any], names: set[str]) -> None:
-    for name in set(namespace) - names:
-        dict.pop(namespace, name)
+def _keep_allowed(symbols: Any) -> Any:
+    """Return xacro's global symbols without those that may not be used."""
+    for namespace, names in ((symbols, _NAMES), (symbols["python"], _PYTHON),
+                             (symbols["xacro"], _XACRO)):  # fmt: skip
+        for name in set(namespace) - names:
+            dict.pop(namespace, name)
+    return symbols
 
 
 def _extension(xacro: Any, folders: _Folders, command: str, rest: str) -> str:
@@ -277,9 +281,13 @@ def _extension(xacro: Any, folders: _Folders, command: str, rest: str) -> str:
         case "optenv":
             return rest.partition(" ")[2]
         case "eval":
-            given = {name: xacro.Table._eval_literal(text) for name, text in arguments.items()}
+            table = xacro.Table()  # turns numbers and truth values into such
+            for name, text in arguments.items():
+                table[name] = text
+            given = dict(dict.items(table))  # as they are: the table would evaluate expressions
             functions = {"true": True, "false": False, "find": folders.package, "arg": given.get}
-            return str(_evaluate(rest, {**xacro._global_symbols, **functions, **given}))
+            symbols = _keep_allowed(xacro.create_global_symbols())
+            return str(_evaluate(rest, {**symbols, **functions, **given}))
     raise ValueError(
         f"$({command} {rest}) is not expanded: environment variables and other commands are no part"
         " of an arm"

@@ -7,49 +7,20 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from importlib.machinery import ModuleSpec, PathFinder
-from itertools import zip_longest
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import Any
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
 from controller.errors import is_of_the_law
-from controller.laws.read_files import OUR_FOLDER, OURS, files_read
-
-
-class _UserModulesFirst:
-    """Finds modules in a user's folder before modules in ours that belong to none of our packages.
-
-    Our folder may be a clone with unrelated files. It precedes the user's folder on Python's path
-    only for our own packages.
-    """
-
-    def __init__(self) -> None:
-        self.folders: set[str] = set()
-
-    def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """Return a module's specification; None leaves it to Python's own finders."""
-        if path is not None or name in OURS:
-            return None
-        each_with_next = zip_longest(sys.path, sys.path[1:], fillvalue="")
-        places = [
-            place for place, then in each_with_next
-            if not (place == OUR_FOLDER and then in self.folders)
-        ]  # fmt: skip
-        spec = PathFinder.find_spec(name, places, target)
-        return spec if spec is not None and spec.loader is not None else None  # no mere folder
-
-
-_finder = _UserModulesFirst()
+from controller.laws.read_files import OUR_FOLDER, files_read
 
 
 def find_in_current_folder() -> None:
@@ -57,9 +28,6 @@ def find_in_current_folder() -> None:
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
         sys.path += [OUR_FOLDER, here]  # in this order, as other processes inherit it
-    _finder.folders.add(here)
-    if _finder not in sys.meta_path:
-        sys.meta_path.insert(sys.meta_path.index(PathFinder), _finder)
 
 
 EXTERNAL = "external"
@@ -195,7 +163,7 @@ def find_law(name: str) -> Maker:
         ) from error
     make: Maker | None = getattr(module, class_name, None)
     if not callable(make):
-        ours = module_name.partition(".")[0] in OURS
+        ours = str(getattr(module, "__file__", "")).startswith(f"{OUR_FOLDER}{os.sep}")
         whose = ", because funnel-hil has a module of that name: rename yours" if ours else ""
         raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}{whose}")
     return make

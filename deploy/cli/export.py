@@ -17,9 +17,9 @@ from deploy.judge.bounds import all_damage
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.time_series import SERIES, series
+from deploy.measure.trace_output import write_table
 from deploy.reports.verdict_texts import PARTIAL, damaged, missing_ticks_sentence
 from deploy.run.exit_codes import FAULT, FINISHED
-from deploy.run.measure.trace_output import write_table
 from deploy.run.run_folder import load_run
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

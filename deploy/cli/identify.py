@@ -17,10 +17,10 @@ from deploy.identify.design import design, write_design
 from deploy.identify.identification import Identified, Wishes
 from deploy.identify.identification import identify as identify_arm
 from deploy.identify.results import RANGES, SCENARIO, check_is_free, write_results
+from deploy.measure.trace_import import UNITS_MS
 from deploy.reports.identify_report import error_table, joint_table, write_identify_report
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
-from deploy.run.measure.trace_import import UNITS_MS
 from deploy.run.new_folder import new_folder
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.xacro_arguments import split_arguments

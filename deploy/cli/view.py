@@ -17,7 +17,7 @@ from deploy.live.foxglove_layout import foxglove_layout
 from deploy.live.playback import Playback
 from deploy.live.viewer import Source, Viewer, stand_back
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
-from deploy.run.live.feed import FeedReceiver
+from deploy.run.network.live_feed import FeedReceiver
 from deploy.run.processes.scheduling import leave_loops_their_cpus
 from deploy.run.processes.status import StatusReporter
 from deploy.run.run_folder import RunFolder, load_run

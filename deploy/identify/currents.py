@@ -11,7 +11,7 @@ from bus_schema.errors import InputError
 from controller.manipulator_model import ManipulatorModel
 from deploy.identify.fit import Fit
 from deploy.identify.regression import LOAD, STRIBECK, Trial
-from deploy.run.measure.latency import long_run
+from deploy.measure.latency import long_run
 
 _UNSURE = 0.2
 """Half of an interval over its value, beyond which a constant is taken from the other joints."""

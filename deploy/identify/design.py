@@ -20,7 +20,7 @@ from bus_schema.recording.atomic_files import write_whole
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
 from deploy.identify.base_parameters import grouping
-from deploy.run.measure.trace_output import write_table
+from deploy.measure.trace_output import write_table
 from deploy.scenario.starter import torque_limits
 from deploy.scenario.yaml_files import to_yaml
 

@@ -32,7 +32,7 @@ from deploy.identify.regression import (
     Trial,
     columns_of,
 )
-from deploy.run.measure.latency import long_run
+from deploy.measure.latency import long_run
 from deploy.scenario.starter import Drives
 
 _BODY_SHARE, _LEAST_EXTENT_M = 0.3, 0.02

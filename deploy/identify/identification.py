@@ -29,7 +29,7 @@ from deploy.identify.regression import (
 )
 from deploy.identify.robot_log import RobotLog, read_robot_log
 from deploy.identify.signals import checked, cutoff_hz, moves, samples_of
-from deploy.run.measure.latency import find_latency
+from deploy.measure.latency import find_latency
 from deploy.scenario.starter import Drives, drives_of
 
 _LEAST_MOVING = 0.5

@@ -7,7 +7,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from deploy.identify.fit import Fit, bodies_of
 from deploy.identify.regression import COULOMB, Trial, columns_of
-from deploy.run.measure.latency import long_run
+from deploy.measure.latency import long_run
 
 _BINS, _MUCH, _SURELY = 12, 0.25, 4.0
 _LEAST_DRIFT = 0.05

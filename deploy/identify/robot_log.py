@@ -12,7 +12,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
-from deploy.run.measure.mcap_series import messages
+from deploy.measure.mcap_series import messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 _MOSTLY = 0.9

@@ -16,7 +16,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.view.arm_view import ArmView
 from deploy.live.page_server import HOST
-from deploy.run.live.snapshot import Snapshot
+from deploy.run.network.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 USUAL_PORT = 8765

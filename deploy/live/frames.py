@@ -18,7 +18,7 @@ from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.reports.figures.space import skeletons
-from deploy.run.live.snapshot import Snapshot
+from deploy.run.network.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 _KEPT = 1200

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from bus_schema.messages import topics
 from bus_schema.messages.types import stamp_of
-from deploy.run.live.snapshot import Message, Sampler, Snapshot
+from deploy.run.network.snapshot import Message, Sampler, Snapshot
 
 _LOOK_S = 0.02
 """Time between two snapshots, as for a recorder."""

@@ -13,7 +13,7 @@ from deploy.live.figures import WINDOW_S, live_figures
 from deploy.live.foxglove_layout import foxglove_layout
 from deploy.live.frames import Frames, RunState
 from deploy.live.page_server import PageServer
-from deploy.run.live.snapshot import Snapshot
+from deploy.run.network.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 _FRAME_S = 0.05

@@ -70,8 +70,12 @@ def _help_tables(margin: Summary) -> list[Table]:
              best["command"] if each["change"] == best["change"] else ""]
             for each in helps["tried"]
         ]  # fmt: skip
-        columns = [Column("Change", is_text=True), Column("Kept", is_text=True),
-                   Column("Bound left", "%"), Column("Command", brief=None, is_text=True)]  # fmt: skip
+        columns = [
+            Column("Change", is_text=True),
+            Column("Kept", is_text=True),
+            Column("Bound left", "%"),
+            Column("Command", brief=None, is_text=True),
+        ]
         title = (
             f"What helps at {texts.value_text(helps['value'], margin)}, {texts.case_title(case)}"
         )
@@ -103,8 +107,8 @@ def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summar
         return f"{summary['arm']} under {summary['law']} keeps its bounds at no delay."
     return (
         f"{summary['arm']} under {summary['law']} keeps its bounds for any delay up to"
-        f" {number(any_ms)} ms (round trip) with compensation; constant: {texts.margin_text(on, margin)}"
-        f" with it, {without} without."
+        f" {number(any_ms)} ms (round trip) with compensation; constant:"
+        f" {texts.margin_text(on, margin)} with it, {without} without."
     )
 
 
@@ -112,8 +116,8 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
     panels = [
         Panel(
             "Delay", "share-kept", "Share of runs or plants that keep their bounds", _share_kept,
-            "Lines: runs of the exact arm at a constant delay, and uncertain plants. Dotted: margins."
-            " The grey area is the share of round trips of the worst window below a delay.",
+            "Lines: runs of the exact arm at a constant delay, and uncertain plants. Dotted:"
+            " margins. The grey area is the share of round trips of the worst window below a delay.",
         )
     ]  # fmt: skip
     if (window := sheet.window) is None:

@@ -1,8 +1,4 @@
-"""The one way to run: execute a scenario in one process or in several, record and judge it.
-
-The program ``python -m deploy.run.execute FOLDER PARENT_PID`` starts the processes of a run for a
-worker of a study: they belong to this separate process, which ends with its parent.
-"""
+"""The one way to run: execute a scenario in one process or in several, record and judge it."""
 
 from __future__ import annotations
 
@@ -25,16 +21,13 @@ from deploy.judge.verdict import Verdict, verdict_of
 from deploy.run.fault_record import write_fault_record
 from deploy.run.network.links import free_ports
 from deploy.run.network.real_delay import RealDelay
+from deploy.run.processes import launcher
 from deploy.run.processes.child import RunOutcome
-from deploy.run.processes.launcher import Launcher
-from deploy.run.processes.role_process import end_with_parent
 from deploy.run.processes.status import StatusMessage, StatusReporter
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, RunFolderError, load_run
 from deploy.run.simulate import failed_simulation, simulate
-from deploy.run.stop_signals import on_stop
 from deploy.scenario.effective import write_scenario
-from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
@@ -104,7 +97,7 @@ class JudgedRun:
 class How(Protocol):
     """A way to run a scenario."""
 
-    def run(self, setup: Setup, folder: RunFolder | None) -> JudgedRun:
+    def run(self, setup: Setup, folder: RunFolder) -> JudgedRun:
         """Run, and record to a folder."""
 
 
@@ -154,14 +147,13 @@ class InProcesses:
     on_start: OnStart = lambda _request_stop: None
     on_message: Callable[[StatusMessage], None] = lambda _message: None
 
-    def run(self, setup: Setup, folder: RunFolder | None) -> JudgedRun:
-        assert folder is not None
-        launcher = Launcher(
+    def run(self, setup: Setup, folder: RunFolder) -> JudgedRun:
+        processes = launcher.Launcher(
             setup, folder,
             delay=self.delay, awaits_controller=self.awaits_controller, viewer=self.viewer,
         )  # fmt: skip
-        self.on_start(launcher.request_stop)
-        outcome = launcher.run(self.on_message)
+        self.on_start(processes.request_stop)
+        outcome = processes.run(self.on_message)
         if self.delay is not None:
             outcome.relay = {"round_trip_ms": self.delay.round_trip_ms, **outcome.relay}
         folder.write_manifest(setup, outcome.realtime, outcome.relay or None)
@@ -181,12 +173,11 @@ class Lockstep:
 
     on_start: OnStart = lambda _request_stop: None
 
-    def run(self, setup: Setup, folder: RunFolder | None) -> JudgedRun:
-        assert folder is not None
+    def run(self, setup: Setup, folder: RunFolder) -> JudgedRun:
         setup = lockstep_setup(setup)
         write_scenario(setup, folder.scenario)
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "deploy.run.execute", str(folder.path), str(os.getpid())],
+            [sys.executable, "-P", "-m", launcher.__name__, str(folder.path), str(os.getpid())],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             start_new_session=True,
         )  # fmt: skip
@@ -221,7 +212,9 @@ def execute(setup: Setup, how: How | None = None, folder: RunFolder | None = Non
     """
     if how is None:
         how = InProcess() if setup.scenario.controller.process is None else Lockstep()
-    if folder is not None or isinstance(how, InProcess):
+    if isinstance(how, InProcess):
+        return how.run(setup, folder)
+    if folder is not None:
         return how.run(setup, folder)
     with TemporaryDirectory(prefix="funnel-hil-") as place:
         folder = RunFolder(Path(place))
@@ -257,18 +250,3 @@ def lockstep_setup(setup: Setup) -> Setup:
 
 def _name(setup: Setup) -> str:
     return setup.scenario.controller.name
-
-
-def _main(path: Path, parent_pid: int) -> None:
-    """Start the processes of a run; write their failures to standard output."""
-    folder = RunFolder(path)
-    setup = load_setup(str(folder.scenario))
-    launcher = Launcher(setup, folder)
-    on_stop(launcher.request_stop)
-    end_with_parent(parent_pid)
-    outcome = launcher.run(lambda _message: None)
-    print(json.dumps(outcome.failures))
-
-
-if __name__ == "__main__":
-    _main(Path(sys.argv[1]), int(sys.argv[2]))

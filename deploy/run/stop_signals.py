@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from multiprocessing import util
 from types import FrameType
 from typing import NoReturn
 
@@ -83,7 +82,6 @@ def _end_now() -> NoReturn:
     with contextlib.suppress(Exception):
         print("stopped: the running operation did not end in time", file=sys.stderr, flush=True)
         sys.stdout.flush()
-        util._run_finalizers()  # type: ignore[attr-defined]  # temporary folders
     os._exit(INTERRUPTED)
 
 

@@ -169,10 +169,19 @@ class Setup:
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
     ) -> LinkRun:
         """Return the link's inputs for the run; the arguments are those of `LinkRun`."""
-        task = self.plant_task(lockstep=lockstep)
-        drive = self.drive if self.drive.is_active else None
         return LinkRun(
-            **vars(task), bus=bus, can_log=can_log, drive=drive, tuned_drive=self.tuned_drive
+            robot=self.robot,
+            plant=self.scenario.plant,
+            link=self.link,
+            grid=self.grid,
+            ticks=self.ticks,
+            lockstep=lockstep,
+            seed=self.scenario.seed,
+            takes_targets=self.drive.is_active,
+            bus=bus,
+            can_log=can_log,
+            drive=self.drive if self.drive.is_active else None,
+            tuned_drive=self.tuned_drive,
         )
 
     def arm(self) -> ArmPlant:

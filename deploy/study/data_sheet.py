@@ -1,4 +1,4 @@
-"""The studies of a data sheet: how much delay an arm takes, on a network and as uncertain plants."""
+"""The studies of a data sheet: how much delay an arm takes, on a network, as uncertain plants."""
 
 from __future__ import annotations
 

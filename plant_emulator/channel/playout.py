@@ -13,7 +13,7 @@ from plant_emulator.channel.channel import NEVER_NS, Channel, TransportStatistic
 from plant_emulator.command_gate import Command
 
 
-class Arrivals:
+class ArrivalTimes:
     """Counts of commands that arrived at a play-out buffer.
 
     Attributes:
@@ -70,7 +70,7 @@ class PlayoutBuffer:
     """
 
     def __init__(self, channel: Channel[Command], playout_ns: int) -> None:
-        self._arrivals = Arrivals()
+        self._arrivals = ArrivalTimes()
         self._channel, self._playout_ns = channel, playout_ns
         self._waiting: list[tuple[int, int, int, Command]] = []
         self._arrived = 0

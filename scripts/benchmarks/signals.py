@@ -114,8 +114,7 @@ def _hit(case: Case, mark: str) -> str:
 def _name(line: str) -> str:
     """What a process is, from its command line."""
     for word in (
-        "resource_tracker",
-        "forkserver",
+        "fork_server",
         " plant ",
         " controller ",
         " recorder ",

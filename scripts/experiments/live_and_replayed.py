@@ -27,9 +27,9 @@ from bus_schema.arrays import Vector
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.link_delays import Measured, measured_link
+from deploy.measure.trace_output import write_trace
 from deploy.run.execute import InProcess, JudgedRun, execute
 from deploy.run.exit_codes import BAD_INPUT
-from deploy.run.measure.trace_output import write_trace
 from deploy.run.run_folder import load_run, read_summary
 from deploy.scenario.scenario import load_setup
 from plant_emulator.channel.trace_file import read_trace

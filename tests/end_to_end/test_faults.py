@@ -210,7 +210,7 @@ def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path) -> Non
         def has_begun() -> bool:
             children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
             lines = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children]
-            return any("multiprocessing.forkserver" in line for line in lines)
+            return any("fork_server" in line for line in lines)
 
         await_true(has_begun, "the fork server has started")
         os.killpg(run.pid, signal.SIGINT)

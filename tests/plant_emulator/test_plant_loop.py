@@ -12,7 +12,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.clock import VirtualClock
 from deploy.scenario.scenario import load_setup
-from plant_emulator.exchange import Watchdog
+from plant_emulator.commands import Watchdog
 from plant_emulator.plant_loop import PlantLoop
 from tests.joint_states import joint_state
 

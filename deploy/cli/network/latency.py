@@ -16,9 +16,9 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.tables import column_names, read_columns
 from deploy.cli.network.trace import Unit
-from deploy.run.measure.latency import Latency, find_latency
-from deploy.run.measure.mcap_series import element_place, read_series
-from deploy.run.measure.trace_import import UNITS_MS
+from deploy.measure.latency import Latency, find_latency
+from deploy.measure.mcap_series import element_place, read_series
+from deploy.measure.trace_import import UNITS_MS
 
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TIMES = ("time_s", "t", "time", "timestamp")

@@ -15,11 +15,11 @@ from bus_schema.arrays import Vector, percentiles
 from bus_schema.errors import InputError
 from bus_schema.runtime.clock import utc_text
 from bus_schema.runtime.realtime import go_realtime
+from deploy.measure.link_probe import MeasuredLink, ProbeTimes, evaluate, probe
+from deploy.measure.probe_frames import LEAST_BYTES, MOST_BYTES, ProbeServer
+from deploy.measure.trace_output import scenario_lines, write_trace
+from deploy.measure.zenoh_socket import zenoh_client, zenoh_server
 from deploy.run.exit_codes import FAULT
-from deploy.run.measure.link_probe import MeasuredLink, ProbeTimes, evaluate, probe
-from deploy.run.measure.probe_frames import LEAST_BYTES, MOST_BYTES, ProbeServer
-from deploy.run.measure.trace_output import scenario_lines, write_trace
-from deploy.run.measure.zenoh_socket import zenoh_client, zenoh_server
 from deploy.run.stop_signals import StopRequest
 
 _BARS = " ▁▂▃▄▅▆▇█"

@@ -11,8 +11,8 @@ import typer
 
 from bus_schema.errors import InputError
 from deploy.judge.link_delays import Measured
-from deploy.run.measure import trace_import
-from deploy.run.measure.trace_output import scenario_lines, write_trace
+from deploy.measure import trace_import
+from deploy.measure.trace_output import scenario_lines, write_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 

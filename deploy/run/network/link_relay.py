@@ -18,7 +18,13 @@ import numpy as np
 
 from bus_schema.arrays import percentiles
 from bus_schema.link.configuration import LinkConfiguration
-from deploy.run.network.relayed_bytes import CHUNK_BYTES, Chunk, DatagramSink, Direction, Stream
+from deploy.run.network.relayed_bytes import (
+    CHUNK_BYTES,
+    Chunk,
+    DatagramSink,
+    Direction,
+    RelayedStream,
+)
 from plant_emulator.channel.impairment import DOWNLINK, UPLINK, open_channel
 
 Address = tuple[str, int]
@@ -59,7 +65,7 @@ class LinkRelay:
             for way, stream in ways
         )
         self._peers: dict[Address, tuple[socket.socket, DatagramSink]] = {}
-        self._streams: list[Stream] = []
+        self._streams: list[RelayedStream] = []
         self.begun_ns = time.monotonic_ns()
         listener.setblocking(False)
 
@@ -154,7 +160,8 @@ class LinkRelay:
             far.connect_ex(self._target)
             there_ns, back_ns = (way.channel.mean_delay_ns for way in self._directions)
             self._streams += [
-                Stream(near, far, self._there, back_ns), Stream(far, near, self._back, there_ns)
+                RelayedStream(near, far, self._there, back_ns),
+                RelayedStream(far, near, self._back, there_ns),
             ]  # fmt: skip
 
     def _forget_ended(self) -> None:

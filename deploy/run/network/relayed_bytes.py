@@ -80,7 +80,7 @@ class DatagramSink:
                 self._sink.sendto(chunk.data, self._address)
 
 
-class Stream:
+class RelayedStream:
     """One direction of a connection; both sockets do not block.
 
     Args:

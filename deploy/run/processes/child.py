@@ -11,14 +11,13 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from bus_schema.errors import silent_peer
 from bus_schema.runtime.child import how_it_ended, last_line
 from deploy.run.exit_codes import BAD_INPUT, INTERRUPTED
-from deploy.run.processes.role_process import Options, start_role
+from deploy.run.processes.role_process import Options, RoleProcess, start_role
 from deploy.run.processes.status import StatusMessage, StatusReporter
 
 SILENT = "it printed no message"
@@ -87,7 +86,7 @@ class ChildProcess(ABC):
         has_started: set once it is on the bus, as far as known.
     """
 
-    _process: BaseProcess
+    _process: RoleProcess
     """The process, once it is started."""
 
     def __init__(self, role: str, errors: Path) -> None:
@@ -121,7 +120,7 @@ class ChildProcess(ABC):
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal."""
-        if self._process.pid is not None and self.is_running():
+        if self.is_running():
             with contextlib.suppress(ProcessLookupError):  # it has just ended
                 os.kill(self._process.pid, number)
 

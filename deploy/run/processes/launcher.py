@@ -3,11 +3,16 @@
 Each child is a role, defined in `roles.py` beside this file. The controller may also be a user's
 program (`program.py`), or a remote one that is awaited. With a real delay there is a `relay`
 between plant and controller.
+
+The program ``python -m deploy.run.processes.launcher FOLDER PARENT_PID`` does so for a worker of a
+study: they belong to this separate process, which ends with its parent.
 """
 
 from __future__ import annotations
 
+import json
 import queue
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -16,7 +21,7 @@ from pathlib import Path
 
 from bus_schema.errors import silent_peer
 from bus_schema.messages.topics import Role
-from deploy.run.live.feed import clear_left_behind
+from deploy.run.network.live_feed import clear_left_behind
 from deploy.run.network.real_delay import RELAY, RealDelay
 from deploy.run.processes import roles
 from deploy.run.processes.child import (
@@ -30,11 +35,13 @@ from deploy.run.processes.child import (
 from deploy.run.processes.fault_injector import ProcessFaultInjector
 from deploy.run.processes.program import ControllerProcess
 from deploy.run.processes.relay import relay
-from deploy.run.processes.role_process import thaw
+from deploy.run.processes.role_process import end_with_parent, thaw
 from deploy.run.processes.roles import RoleOptions
 from deploy.run.processes.status import StatusMessage, StatusReporter
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder
+from deploy.run.stop_signals import on_stop
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 
 _POLL_S = 0.05
@@ -280,3 +287,18 @@ def _end(child: ChildProcess, *, was_frozen: bool, is_early: bool) -> Failure | 
 def _numbered(path: Path, number: int) -> Path:
     """Return the file of this number in a series from 1: run.mcap, run-2.mcap and so on."""
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def _main(path: Path, parent_pid: int) -> None:
+    """Start the processes of a run; write their failures to standard output."""
+    folder = RunFolder(path)
+    setup = load_setup(str(folder.scenario))
+    launcher = Launcher(setup, folder)
+    on_stop(launcher.request_stop)
+    end_with_parent(parent_pid)
+    outcome = launcher.run(lambda _message: None)
+    print(json.dumps(outcome.failures))
+
+
+if __name__ == "__main__":
+    _main(Path(sys.argv[1]), int(sys.argv[2]))

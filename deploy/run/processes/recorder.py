@@ -21,8 +21,8 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.zenoh.bundle_order import FORGED_NUMBER
 from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
-from deploy.run.live.feed import LiveFeed
-from deploy.run.live.snapshot import Message
+from deploy.run.network.live_feed import LiveFeed
+from deploy.run.network.snapshot import Message
 from deploy.run.recording import SECOND_PLANT, LoggedView, close_log, open_log
 from deploy.scenario.effective import agreement_of
 from deploy.scenario.setup import Setup

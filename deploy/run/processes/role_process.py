@@ -6,18 +6,15 @@ whole process image.
 
 from __future__ import annotations
 
-import atexit
 import logging
 import multiprocessing
 import os
 import signal
+import socket
 import sys
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from multiprocessing import forkserver, resource_tracker
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
@@ -25,24 +22,82 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 from setproctitle import setproctitle
 
 from bus_schema.runtime.child import PR_SET_PDEATHSIG, set_process_option
-from bus_schema.safe_path import safe_path
 from deploy.run.exit_codes import with_exit_codes
 from deploy.run.stop_signals import STOPS, stop_at_once
 
 if TYPE_CHECKING:  # the fork server starts before `run` loads the libraries, and loads them too
     from deploy.run.processes.status import StatusReporter
 
-_CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload(["deploy.run.processes.fork_server"])
 CANNOT_START = 127
 """Exit code of a program that could not be started, as in shells."""
-_LONG_PATH = 60
-"""Of the 107 characters allowed in a socket's path, Python uses 32."""
+_LOST = 255
+"""Exit code of a process whose fork server was killed."""
 _LEAVE_WITHIN_S = 30
 """Longer than any process needs to leave in order."""
 Options = TypeVar("Options")
-_sockets: list[int] = []
-"""At most one: the file descriptor of the connection to the fork server."""
+
+
+class _ForkServer(NamedTuple):
+    """The fork server of this process.
+
+    Attributes:
+        pid: its process id.
+        door: takes requests; the server ends when it is closed.
+    """
+
+    pid: int
+    door: socket.socket
+
+    def is_running(self) -> bool:
+        try:
+            return os.waitpid(self.pid, os.WNOHANG) == (0, 0)
+        except ChildProcessError:  # of the process that this one was forked from
+            return False
+
+
+_server: list[_ForkServer] = []
+"""At most one."""
+
+
+class RoleProcess:
+    """A process that the fork server has forked.
+
+    Attributes:
+        pid: its process id.
+        exitcode: its exit code, negative for a signal; None while it runs.
+    """
+
+    def __init__(self, pid: int, server: Connection) -> None:
+        self.pid, self._server = pid, server
+        self._code: int | None = None
+
+    @property
+    def sentinel(self) -> int:
+        """Handle by which `multiprocessing.connection.wait` waits for the end of the process."""
+        return self._server.fileno()
+
+    @property
+    def exitcode(self) -> int | None:
+        self.join(0.0)
+        return self._code
+
+    def is_alive(self) -> bool:
+        """Whether it runs."""
+        return self.exitcode is None
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait until it has ended."""
+        if self._code is None and wait([self._server], timeout_s):
+            try:
+                self._code = self._server.recv()
+            except (EOFError, OSError):
+                self._code = _LOST
+
+    def kill(self) -> None:
+        """Kill it."""
+        if self.is_alive():
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
 
 
 class _Surroundings(NamedTuple):
@@ -71,10 +126,19 @@ class _Surroundings(NamedTuple):
 def prepare() -> None:
     """Start the fork server, which loads the program in the background.
 
-    Call it in the main thread. The server ends with this process.
+    Call it in the main thread. The server ends with this process. It is in the process group that a
+    terminal, or `timeout`, stops, and survives the signals meant for this process.
     """
-    with _shielded_fork_server(), _socket_without_a_path():
-        forkserver.ensure_running()
+    if _server and _server[0].is_running():
+        return
+    ours, theirs = socket.socketpair()
+    with theirs:
+        theirs.set_inheritable(True)
+        command = [sys.executable, "-P", "-m", "deploy.run.processes.fork_server"]
+        pid = os.posix_spawn(
+            sys.executable, [*command, str(theirs.fileno())], os.environ, setsigmask=STOPS
+        )
+    _server[:] = [_ForkServer(pid, ours)]
 
 
 def start_role(
@@ -83,7 +147,7 @@ def start_role(
     options: Options,
     folder: Path,
     output: Path,
-) -> tuple[BaseProcess, Connection]:
+) -> tuple[RoleProcess, Connection]:
     """Start a role in this folder; from the main thread. It ends with this process.
 
     Args:
@@ -96,16 +160,16 @@ def start_role(
     Returns:
         the process, and the connection for its reports.
     """
-    ours, theirs = _CONTEXT.Pipe()
+    ours, theirs = multiprocessing.Pipe()
     with theirs:
-        arguments = (role, function, options, theirs, folder)
-        process = _fork(_run_role, os.environ, (output, output), *arguments)
+        arguments = (role, function, options, folder)
+        process = _fork(_run_role, os.environ, (output, output), *arguments, channel=theirs)
     return process, ours
 
 
 def start_program(
     command: Sequence[str], environment: Mapping[str, str], stdout: Path, stderr: Path
-) -> BaseProcess:
+) -> RoleProcess:
     """Start a program in this folder, in a separate process group; from the main thread.
 
     It is killed when this process ends, and no signal of the terminal reaches it.
@@ -122,15 +186,11 @@ def start_program(
 def thaw() -> None:
     """Resume the fork server if it is frozen (stopped by a signal).
 
-    While it is frozen, no child's end is noticed. Its resource tracker is resumed too.
+    While it is frozen, no child's end is noticed.
     """
-    for pid in (forkserver._forkserver._forkserver_pid, resource_tracker._resource_tracker._pid):  # type: ignore[attr-defined]
-        if pid is not None:
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT)
-
-
-atexit.register(thaw)
+    for server in _server:
+        with suppress(ProcessLookupError):
+            os.kill(server.pid, signal.SIGCONT)
 
 
 def end_with_parent(parent_pid: int) -> None:
@@ -159,74 +219,36 @@ def _fork(
     environment: Mapping[str, str],
     outputs: tuple[Path, Path],
     *arguments: Any,
-) -> BaseProcess:
+    channel: Connection | None = None,
+) -> RoleProcess:
     """Start a process; a stop request can end the wait for a frozen fork server.
 
     Raises:
         ChildProcessError: the fork server was ended meanwhile.
     """
     prepare()
-    server: int = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
-    surroundings = _Surroundings(dict(environment), outputs, server)
-    process = _CONTEXT.Process(target=target, args=(surroundings, *arguments), daemon=True)
+    server = _server[0]
+    surroundings = _Surroundings(dict(environment), outputs, server.pid)
+    ours, theirs = multiprocessing.Pipe()
+    handles = [each.fileno() for each in (theirs, channel) if each is not None]
     try:
-        process.start()
-    except EOFError as error:
+        with theirs:
+            socket.send_fds(server.door, [b"-"], handles)
+        ours.send((sys.path, os.getcwd()))  # noqa: PTH109
+        ours.send((target, (surroundings, *arguments)))
+        return RoleProcess(ours.recv(), ours)
+    except (EOFError, ConnectionError) as error:
         raise ChildProcessError(
             "the process from which this run forks its processes was killed"
         ) from error
-    return process
-
-
-@contextmanager
-def _shielded_fork_server() -> Iterator[None]:
-    """Let a fork server start that survives signals meant for this process.
-
-    It is in the process group that a terminal, or `timeout`, stops. Also, modules in the current
-    folder must not replace ours.
-    """
-    with safe_path():
-        resource_tracker.ensure_running()  # it would let the signals through
-        signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, signals)
-
-
-@contextmanager
-def _socket_without_a_path() -> Iterator[None]:
-    """Let a fork server start whose socket has no path: its file is removed at once.
-
-    A killed process could not remove it. Without Linux, it stays until the end. The path must be
-    short, unlike some values of TMPDIR.
-    """
-    if sys.platform != "linux":
-        yield
-        return
-    server: Any = forkserver._forkserver
-    settings: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
-    others, parent = settings.get("tempdir"), tempfile.gettempdir()
-    place = parent if len(parent) < _LONG_PATH else "/tmp"
-    with tempfile.TemporaryDirectory(prefix="pymp-", dir=place) as folder:
-        settings["tempdir"] = folder
-        try:
-            yield
-        finally:
-            settings["tempdir"] = others
-        if server._forkserver_address.startswith(folder):
-            while _sockets:  # of an ended fork server
-                os.close(_sockets.pop())
-            _sockets.append(os.open(server._forkserver_address, os.O_PATH))
-            server._forkserver_address = f"/proc/self/fd/{_sockets[0]}"
 
 
 def _run_role(
+    channel: Connection,
     surroundings: _Surroundings,
     role: str,
     function: Callable[[Any, StatusReporter], int],
     options: Any,
-    channel: Connection,
     folder: Path,
 ) -> None:
     """Call the function, and exit as a command does."""
@@ -235,9 +257,6 @@ def _run_role(
     title = f"{sys.executable} -m deploy.cli {role} {folder}"  # for `ps` and similar tools
     setproctitle(title.encode(errors="replace").decode())  # finds its place by the old environment
     surroundings.enter()
-    launcher = multiprocessing.parent_process()
-    if launcher is None or not launcher.is_alive():  # from here on its end is noticed
-        return
     stop_at_once()
     with with_exit_codes():
         end_with_parent(surroundings.fork_server)

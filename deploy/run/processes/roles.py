@@ -23,8 +23,8 @@ from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.errors import ControllerError
 from deploy.run.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
-from deploy.run.live.feed import LiveFeed
 from deploy.run.network.links import check_link, require_keys, require_own_controller
+from deploy.run.network.live_feed import LiveFeed
 from deploy.run.network.more_topics import with_clock, with_reference
 from deploy.run.processes.recorder import Recorder
 from deploy.run.processes.scheduling import (

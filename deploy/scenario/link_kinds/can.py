@@ -6,11 +6,10 @@ import secrets
 import socket
 from collections.abc import Callable
 from functools import partial
-from weakref import WeakKeyDictionary
 
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec, as_delivered
-from bus_schema.can.exchange import ExchangeNode, FrameExchange
+from bus_schema.can.exchange import ExchangeNode
 from bus_schema.can.frame import CanBus
 from bus_schema.can.frame_timing import check_cycle_fits
 from bus_schema.can.link import CanControllerLink, CanRun
@@ -22,7 +21,7 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.in_process import InProcessBus, InProcessNode
+from bus_schema.link.in_process import InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
 from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
@@ -34,9 +33,6 @@ from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission
 from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from plant_emulator.drives.fault_plan import parse_fault
-
-_EXCHANGES: WeakKeyDictionary[InProcessBus, FrameExchange] = WeakKeyDictionary()
-"""A bus of its own for each simulation: those in threads of one process must not meet."""
 
 _KIND = ["link.kind"]
 _PROTOCOL = [*_KIND, "link.can.protocol"]
@@ -162,7 +158,7 @@ def _open_bus(run: LinkRun) -> CanBus:
     can = run.link.can
     # Simulations on one machine must not meet, and need no socket.
     if run.bus is not None and (can.interface == "virtual" or _may_choose_place(can)):
-        return _EXCHANGES.setdefault(run.bus, FrameExchange()).join()
+        return run.frames.join()
     return open_can_bus(run.link.can)
 
 

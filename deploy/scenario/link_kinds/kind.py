@@ -4,37 +4,57 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from bus_schema.arrays import Vector
+from bus_schema.can.exchange import FrameExchange
 from bus_schema.configuration import ConfigurationError, Registry
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import ControllerLink, PlantLink
-from bus_schema.runtime.clock import Clock
+from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import Clock, TickGrid
 from plant_emulator.arm_plant import ArmPlant
-from plant_emulator.plant_task import PlantTask
+from plant_emulator.configuration import PlantConfiguration
 
 Arm = TypeVar("Arm", bound=ArmPlant)
 
 
 @dataclass(frozen=True)
-class LinkRun(PlantTask):
-    """Inputs of a link for one run: the plant's task, and the link's own resources.
+class LinkRun:
+    """Inputs of a link for one run: what it connects, and its own resources.
 
     Attributes:
+        robot: description of the arm.
+        plant: section ``plant`` of the scenario.
+        link: section ``link`` of the scenario.
+        grid: ticks of the run.
+        ticks: length of the run.
+        lockstep: the plant waits for the reply to every state that is delivered.
+        seed: seed of everything random on the link.
+        takes_targets: the drives close their own loop, around targets in the commands.
         bus: bus of both sides inside one process; None between processes.
+        frames: CAN bus of both sides inside one process; unused between processes.
         can_log: file for the frames of a CAN bus; None for no log.
         drive: gains of the drives' own loops; None if they follow torques alone.
         tuned_drive: gains to which drives are tuned, whatever they follow.
         agreement: values that the run's processes must agree on; None inside one process.
     """
 
+    robot: RobotDescription
+    plant: PlantConfiguration
+    link: LinkConfiguration
+    grid: TickGrid
+    ticks: int
+    lockstep: bool
+    seed: int
+    takes_targets: bool
     bus: InProcessBus | None = None
+    frames: FrameExchange = field(default_factory=FrameExchange)
     can_log: Path | None = None
     drive: DriveGains | None = None
     tuned_drive: DriveGains | None = None

@@ -28,7 +28,7 @@ _COB_ID, _TYPE, _INHIBIT, _EVENT = 1, 2, 3, 5
 _MS, _INHIBIT_UNIT = 1_000_000, 100_000
 
 
-class Entry(NamedTuple):
+class PdoEntry(NamedTuple):
     """An object mapped into a PDO."""
 
     object_index: int
@@ -98,7 +98,7 @@ class Pdo:
     def _parameter(self, subindex: int) -> int:
         return self._node.values[(self._communication << 8) + subindex]
 
-    def _map(self, entries: list[Entry]) -> None:
+    def _map(self, entries: list[PdoEntry]) -> None:
         self.entries, self.length = entries, sum(entry.bits for entry in entries) // 8
         self.data = None  # what there is has another mapping
         # Tables are made at the first use: only then is it certain who serves the objects.
@@ -133,12 +133,12 @@ class Pdo:
         elif value:  # 0 empties the slot
             self._entry(value)
 
-    def _mapped(self, count: int) -> list[Entry]:
+    def _mapped(self, count: int) -> list[PdoEntry]:
         return [self._entry(self._node.values[(self._mapping << 8) + i + 1]) for i in range(count)]
 
-    def _entry(self, value: int) -> Entry:
+    def _entry(self, value: int) -> PdoEntry:
         """Return the mapping of a parameter, if it can be mapped here."""
-        entry = Entry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
+        entry = PdoEntry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
         try:
             variable = self._node.find(entry.object_index, entry.subindex)
         except SdoAbortedError:
@@ -149,7 +149,7 @@ class Pdo:
         return entry
 
 
-def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
+def packer(node: DriveNode, entries: Sequence[PdoEntry]) -> Callable[[], bytes]:
     """Return a function that returns the present values."""
     pack = _layout(node, entries).pack
     stored = node.values.__getitem__
@@ -161,7 +161,7 @@ def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
     return lambda: pack(*map(call, reads))
 
 
-def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], None]:
+def unpacker(node: DriveNode, entries: Sequence[PdoEntry]) -> Callable[[bytes], None]:
     """Return a function that writes values of the right length.
 
     It raises `SdoAbortedError` if an object does not take its value; those before it were written.
@@ -178,7 +178,7 @@ def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], Non
     return unpack
 
 
-def _layout(node: DriveNode, entries: Sequence[Entry]) -> struct.Struct:
+def _layout(node: DriveNode, entries: Sequence[PdoEntry]) -> struct.Struct:
     """The values one after the other."""
     types = [node.find(index, subindex).data_type or 0 for index, subindex, _ in entries]
     codes = (ODVariable.STRUCT_TYPES[each].format.removeprefix("<") for each in types)

@@ -201,40 +201,21 @@ def test_bad_input_is_refused_with_key_and_value(ask, told):
         ask()
 
 
-LAW_IN_CONTROLLER = """
-from funnel_hil import Diagnostics
-from deploy.gains import STIFFNESS
-
-class Pull:
-    def __init__(self, model):
-        self.diagnostics = Diagnostics(model.joints)
-    def reset(self):
-        pass
-    def torque(self, tracking):
-        return -STIFFNESS * tracking.error
-"""
-SCRIPT = """
-import IMPORTS
-import deploy.gains
-
-if __name__ == "__main__":
-    more = {"laws": [controller.Pull], "limit": 4, "resolution": 4, "seeds": 1, "workers": 1}
-    study = funnel_hil.margin("paper_arm", {"duration_s": 0.01}, **more)
-    print(study, deploy.gains.STIFFNESS)
-"""
-
-
 @pytest.mark.parametrize("imports", ["controller, funnel_hil", "funnel_hil, controller"])
-def test_script_and_its_workers_use_its_own_modules_named_like_our_packages(tmp_path, imports):
-    (tmp_path / "deploy").mkdir()
-    (tmp_path / "deploy" / "__init__.py").touch()
-    (tmp_path / "deploy" / "gains.py").write_text("STIFFNESS = 900.0\n")
-    (tmp_path / "controller.py").write_text(LAW_IN_CONTROLLER)
-    (tmp_path / "script.py").write_text(SCRIPT.replace("IMPORTS", imports))
+def test_script_with_a_module_named_like_a_package_of_ours_is_told_to_rename_it(tmp_path, imports):
+    (tmp_path / "controller.py").touch()
     done = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.stdout == "<Study margin, margin: 4 runs> 900.0\n", done.stderr
+        [sys.executable, "-c", f"import {imports}"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert f"ImportError: {tmp_path}/controller.py has the name of a package" in done.stderr
+    assert done.stderr.endswith("rename it, for instance to my_controller.py\n")
+
+
+def test_folder_named_like_a_package_of_ours_is_no_module(tmp_path):
+    (tmp_path / "controller").mkdir()
+    words = [sys.executable, "-c", "import funnel_hil; funnel_hil.scenarios()"]
+    assert subprocess.run(words, cwd=tmp_path, check=False).returncode == 0
 
 
 def test_mypy_of_a_script_elsewhere_knows_the_types(tmp_path):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from deploy.run.live.feed import FeedReceiver, LiveFeed, clear_left_behind
-from deploy.run.live.snapshot import Message, Sampler, Snapshot
+from deploy.run.network.live_feed import FeedReceiver, LiveFeed, clear_left_behind
+from deploy.run.network.snapshot import Message, Sampler, Snapshot
 
 NAMES = ("base_yaw", "shoulder", "elbow")
 STATES, TRUTH, EVENTS = topics.JOINT_STATES, topics.PLANT_TRUTH, topics.RUN_EVENTS
@@ -27,7 +27,7 @@ def truth(stamp_ns, *, met):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr("deploy.run.live.feed._folder", lambda: tmp_path / "s")
+    monkeypatch.setattr("deploy.run.network.live_feed._folder", lambda: tmp_path / "s")
     return tmp_path / "s"
 
 

@@ -10,7 +10,7 @@ from functools import cache
 from urllib.parse import urlsplit
 
 from deploy.live.playback import Playback
-from deploy.run.live.snapshot import Snapshot
+from deploy.run.network.snapshot import Snapshot
 from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
 from tests.warm_process import HANG_S

@@ -69,13 +69,13 @@ def test_role_is_told_by_its_command_line_and_keeps_what_it_printed_when_killed(
 SCRIPT = """
 import os, signal, sys
 from pathlib import Path
-from multiprocessing import forkserver
+from deploy.run.processes import role_process
 from deploy.run.processes.role_process import prepare, start_role
 from tests.deploy.run.processes.example_roles import prints, waits
 
 
 def server():
-    return forkserver._forkserver._forkserver_pid
+    return role_process._server[0].pid
 
 def start(role=prints, options=0):
     folder = Path(sys.argv[1])
@@ -110,6 +110,16 @@ for _ in range(3):
     print(len(os.listdir("/proc/self/fd")))
 """
     assert len(set(script(lines, tmp_path).stdout.split())) == 1
+
+
+def test_signals_of_a_terminal_do_not_reach_the_fork_server(tmp_path):
+    """It is in the command's process group, and is needed until all processes have ended."""
+    lines = """
+prepare()
+os.kill(server(), signal.SIGINT)
+start()
+"""
+    assert script(lines, tmp_path).stdout == "note\n"
 
 
 def ends(pid: int) -> bool:

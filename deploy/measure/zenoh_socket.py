@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from bus_schema.zenoh.node import REALTIME_LEASE_S
 from bus_schema.zenoh.session import ZenohSession
-from deploy.run.measure.probe_frames import LEAST_BYTES, ProbeFrame
+from deploy.measure.probe_frames import LEAST_BYTES, ProbeFrame
 
 _QUESTIONS, _ANSWERS = "funnel_hil/link_probe/questions", "funnel_hil/link_probe/answers"
 _HELLO_S = 0.05

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from bus_schema.link.configuration import LinkConfiguration
-from deploy.run.measure.link_probe import ProbeTimes, clock_offset_ns, evaluate, probe
-from deploy.run.measure.probe_frames import LEAST_BYTES, FrameStream, ProbeFrame, ProbeServer
-from deploy.run.measure.zenoh_socket import zenoh_client, zenoh_server
+from deploy.measure.link_probe import ProbeTimes, clock_offset_ns, evaluate, probe
+from deploy.measure.probe_frames import LEAST_BYTES, FrameStream, ProbeFrame, ProbeServer
+from deploy.measure.zenoh_socket import zenoh_client, zenoh_server
 from deploy.run.network.link_relay import LinkRelay
 from deploy.run.network.links import free_ports
 from plant_emulator.channel.trace_file import read_trace

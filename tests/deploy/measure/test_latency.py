@@ -14,8 +14,8 @@ from mcap.writer import Writer
 from pyarrow import parquet
 
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
-from deploy.run.measure.latency import find_latency
-from deploy.run.measure.mcap_series import read_series
+from deploy.measure.latency import find_latency
+from deploy.measure.mcap_series import read_series
 
 MOST_ROWS = 4_000
 

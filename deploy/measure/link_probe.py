@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Vector
 from bus_schema.runtime.clock import own_kernel
 from deploy.judge.link_delays import Measured
-from deploy.run.measure.probe_frames import MOST_BYTES, REPEATED, FrameStream, ProbeFrame
+from deploy.measure.probe_frames import MOST_BYTES, REPEATED, FrameStream, ProbeFrame
 
 _LAST_ANSWERS_S = 1.0
 _WINDOW_S = 10.0

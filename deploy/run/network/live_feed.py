@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from deploy.run.live.snapshot import Message, Sampler, Snapshot
+from deploy.run.network.snapshot import Message, Sampler, Snapshot
 
 _HELLO = b"funnel-hil: "
 _BUFFER_BYTES = 1 << 20

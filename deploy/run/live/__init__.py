@@ -1,1 +1,0 @@
-"""A run's side of a live view: the recorder's snapshots, and their way to the viewer."""
