@@ -138,6 +138,8 @@ def identify(
         notes += changed
     if len({log.is_current for log in logs}) > 1:
         raise InputError("identify: all logs must have torques, or all currents")
+    if wishes.constants is not None and not logs[0].is_current:
+        raise logs[0].refusal("has torques: --current-constants is for logs of currents")
     cutoff = float(np.median([cutoff_hz(log) for log in logs]))
     trials = [trial_of(samples_of(log, cutoff), model) for log in logs]
     _require_motion(trials[: len(files)], robot, logs)
