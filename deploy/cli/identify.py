@@ -26,6 +26,7 @@ from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import ScenarioError
 
+_DESIGN_S = 30.0
 _POOR = 0.5
 """Error on held-out data, over the measured torque, from which a fit is doubtful."""
 
@@ -92,7 +93,7 @@ def identify(
     ] = None,
     duration_s: Annotated[
         float, typer.Option("--duration", metavar="S", help="Duration of that trajectory.")
-    ] = 30.0,
+    ] = _DESIGN_S,
 ) -> None:
     """Identify an arm from its own log: masses, friction, rotors, delay, with intervals.
 
@@ -109,6 +110,15 @@ def identify(
         return
     if not logs:
         raise InputError("identify: give one or more LOG files")
+    _require_effect(
+        ("--held-out", held_out != Wishes.held_out and bool(test), "must be given without --test"),
+        (
+            "--payload-kg",
+            payload_kg is not None and payload is None,
+            "must be given with --payload",
+        ),
+        ("--duration", duration_s != _DESIGN_S, "must be given with --design"),
+    )
     if not 0.05 <= held_out <= 0.9:
         raise InputError(f"--held-out {held_out:g}: must be between 0.05 and 0.9")
     columns = {
@@ -125,6 +135,13 @@ def identify(
     summary = write_results(found, folder)
     write_identify_report(found, summary, folder / "report.html")
     _show(found, folder)
+
+
+def _require_effect(*options: tuple[str, bool, str]) -> None:
+    """Refuse options that would change nothing: name, whether it is so, and what is allowed."""
+    for name, is_idle, allowed in options:
+        if is_idle:
+            raise InputError(f"identify: {name} has no effect here: {allowed}")
 
 
 def _arm(name: str) -> RobotDescription:

@@ -138,6 +138,8 @@ def identify(
         notes += changed
     if len({log.is_current for log in logs}) > 1:
         raise InputError("identify: all logs must have torques, or all currents")
+    if wishes.constants is not None and not logs[0].is_current:
+        raise logs[0].refusal("has torques: --current-constants is for logs of currents")
     cutoff = float(np.median([cutoff_hz(log) for log in logs]))
     trials = [trial_of(samples_of(log, cutoff), model) for log in logs]
     _require_motion(trials[: len(files)], robot, logs)
@@ -145,10 +147,12 @@ def identify(
     training, held_out = _parts(trials, len(files), len(tests), wishes.held_out)
     constants = _constants(logs, training, model, wishes.constants)
     factors = np.ones(robot.joints) if constants is None else constants.nm_per_a
-    prior = prior_of(model, drives)
+    beyond_gears = prior_of(model, _without_estimated_friction(drives))
+    prior = beyond_gears if wishes.link_side else prior_of(model, drives)
     rotors = np.full(robot.joints, not wishes.link_side)
     found = fit(training, prior, factors, rotors)
     if (without := _without_rotor(found)).any():
+        prior = beyond_gears if without.all() else prior
         found = fit(training, prior, factors, rotors & ~without)
         named = ", ".join(np.array(robot.joint_names)[without])
         notes.append(
@@ -174,6 +178,15 @@ def identify(
     )  # fmt: skip
     result.not_seen.extend(_not_seen(result))
     return result
+
+
+def _without_estimated_friction(drives: Drives) -> Drives:
+    """Return drives without friction that is estimated from torques: motors have it, links hardly.
+
+    Estimates are shares; a file, or a data sheet, has newton metres.
+    """
+    given = {key: each for key, each in drives.friction.items() if "_share" not in key}
+    return drives._replace(friction=given)
 
 
 def _in_radians(log: RobotLog) -> RobotLog:

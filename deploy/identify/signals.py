@@ -21,6 +21,8 @@ _POWER, _ABOVE, _CUTOFFS_HZ = 0.999, 10.0, (3.0, 8.0)
 _PER_CUTOFF, _LIGHT = 25.0, 2.0
 _SLOWER_HZ = 20.0
 _PATTERN, _JUMP = 41, 3.5
+_AROUND, _FAR_S = 9, 1.0
+"""Rows around a row, an odd number, from whose times its own is farther only if it is damaged."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +111,14 @@ def _undamaged(log: RobotLog) -> NDArray[np.bool_]:
     )
     if keep.sum() < 3:
         return keep
-    period_s = max(float(np.median(np.diff(log.times_s[keep]))), 0.0)
-    start_s = log.times_s - period_s * np.arange(keep.size)
-    far_s = 0.5 * period_s * keep.size + 1.0
-    near = np.abs(start_s - np.median(start_s[keep])) < far_s
+    # A median keeps the step of a pause, after which all times are far from those before.
+    padded = np.pad(log.times_s[keep], _AROUND // 2, mode="edge")
+    around_s = np.median(np.lib.stride_tricks.sliding_window_view(padded, _AROUND), axis=1)
+    near = keep.copy()
+    near[keep] = np.abs(log.times_s[keep] - around_s) < _FAR_S
     typical = np.median(log.position[keep], axis=0)
     spread = np.percentile(np.abs(log.position[keep] - typical), 95, axis=0) + 0.1
-    return np.asarray(keep & near & (np.abs(log.position - typical) < 20.0 * spread).all(axis=1))
+    return np.asarray(near & (np.abs(log.position - typical) < 20.0 * spread).all(axis=1))
 
 
 def _unrounded(times_s: Vector) -> Vector | None:
@@ -179,8 +182,10 @@ def _wrong_velocity(log: RobotLog) -> str:
     """Return why the velocities are not the derivatives of the positions; empty if they are."""
     assert log.velocity is not None
     steps_s = np.diff(log.times_s)[:, None]
+    steps_s = np.where(steps_s > _GAP_PERIODS * np.median(steps_s), 0.0, steps_s)  # not in a pause
     moved = np.cumsum(0.5 * (log.velocity[1:] + log.velocity[:-1]) * steps_s, axis=0)
-    moved, truly = moved - moved.mean(axis=0), log.position[1:] - log.position[1:].mean(axis=0)
+    truly = np.cumsum(np.where(steps_s > 0.0, np.diff(log.position, axis=0), 0.0), axis=0)
+    moved, truly = moved - moved.mean(axis=0), truly - truly.mean(axis=0)
     power = (truly**2).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (moved * truly).sum(axis=0) / power

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deploy.scenario.scenario import load_setup
+from tests.arms import shipped_arm
 from tests.warm_process import here
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
@@ -64,6 +66,31 @@ def test_shipped_panda_as_a_start_gives_the_same_errors(tmp_path):
     log = LOGS / "panda_exciting.csv.gz"
     words = (log, "--robot", "panda", "--held-out", 0.5, "--link-side")
     assert (errors(identified(tmp_path, *words)) <= [0.10] * 6 + [0.20]).all()
+
+
+def test_shipped_panda_without_its_hand_predicts_the_log_without_any_friction(tmp_path):
+    log = LOGS / "panda_exciting.csv.gz"
+    if not log.is_file():
+        pytest.skip(f"{log} is not here")
+    arm = tmp_path / "arm.urdf"
+    head, _, _ = shipped_arm("panda").path.read_text().partition('<joint name="panda_hand_joint"')
+    arm.write_text(head + "</robot>")
+    summary = identified(tmp_path, log, "--robot", arm, "--held-out", 0.5, "--link-side")
+    before = [joint["relative_error_before"] for joint in summary["joints"]]
+    # Joint 7's torque is friction. With the inertials of pybullet_data: 0.61, 0.19, …, 1.0, 0.86.
+    assert (np.array(before[:6]) <= [0.2, 0.03, 0.04, 0.05, 0.35, 0.25]).all()
+
+
+def test_shipped_ur10e_is_predicted_on_another_day(tmp_path):
+    fitted = [LOGS / UR10E.format(each) for each in ("10-30sec_12harm", "12-50sec_12harm")]
+    if not fitted[0].is_file():
+        pytest.skip(f"{LOGS} is not here")
+    words = (*fitted, "--test", LOGS / UR10E.format("19_15harm50sec"), "--robot", "ur10e")
+    summary = identified(tmp_path, *words)
+    assert (errors(summary) <= [0.10, 0.06, 0.06, 0.12, 0.22, 0.20]).all()
+    drives = load_setup("ur10e_motors").scenario.plant
+    viscous = [joint["viscous_nm_s"]["value"] for joint in summary["joints"]]
+    np.testing.assert_allclose(drives.friction.viscous_nm_s, viscous, rtol=0.02)
 
 
 def test_ur10_bag_is_predicted_on_its_second_half(tmp_path):

@@ -6,8 +6,10 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from deploy.identify.robot_log import _chosen
+from deploy.identify.robot_log import _chosen, read_robot_log
+from deploy.identify.signals import checked
 from deploy.scenario.referenced_files import ROBOTS
+from tests.arms import PAPER_ARM
 from tests.warm_process import here
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
@@ -105,6 +107,11 @@ def test_other_joints_are_named(tmp_path):
         (["log.csv", "--robot", "paper_arm", "--torque", "effort{}"], "may contain {n} or {joint}"),
         (["log.csv", "--robot", "paper_arm", "--torque", "a{n.x}"], "may contain {n} or {joint}"),
         (["log.csv", "--robot", "paper_arm", "--torque", "t,t,t"], "names a column twice"),
+        (["log.csv", "--robot", "paper_arm", "--payload-kg", "2"], "be given with --payload"),
+        (["log.csv", "--robot", "paper_arm", "--duration", "20"], "be given with --design"),
+        (["log.csv", "--robot", "paper_arm", "--test", "log.csv", "--held-out", "0.5"],
+         "given without --test"),
+        (["log.csv", "--robot", "paper_arm", "--current-constants", "1,2,3"], "has torques"),
     ],
 )  # fmt: skip
 def test_unusable_words_are_refused(words, message, tmp_path, monkeypatch):
@@ -164,3 +171,17 @@ def test_stuck_joint_is_listed_as_not_seen(tmp_path):
                         tmp_path / "found")  # fmt: skip
     assert code == 0, output
     assert "all of elbow: move it faster" in output
+
+
+def test_rows_after_a_pause_are_not_damaged_but_wild_stamps_are(tmp_path):
+    # Ten minutes between two halves of 7.5 s; four stamps in a row that are an hour off.
+    values = rows()
+    values[750:, 0] += 600.0
+    values[300:304, 0] += 3600.0
+    write(tmp_path / "log.csv", values)
+    log = read_robot_log(tmp_path / "log.csv", NAMES, {})
+    kept, notes = checked(log, PAPER_ARM)
+    assert kept.times_s.size == ROWS - 4
+    assert kept.velocity is not None  # which are the positions' derivatives on both sides
+    (note,) = notes
+    assert note.startswith("4 damaged rows are left out")

@@ -68,7 +68,8 @@ def test_user_files_are_found_by_path_from_any_folder(
 
 @needs_pybullet_data
 @pytest.mark.parametrize(
-    ("name", "original"), [("iiwa", "kuka_iiwa/model.urdf"), ("panda", "franka_panda/panda.urdf")]
+    ("name", "original"),
+    [("iiwa", "kuka_iiwa/model.urdf"), ("panda_pybullet", "franka_panda/panda.urdf")],
 )
 def test_shipped_arm_is_the_one_of_pybullet_data_with_its_meshes(name: str, original: str) -> None:
     shipped = load_robot(referenced_files.find_urdf(name, Path()))

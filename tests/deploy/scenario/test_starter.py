@@ -44,7 +44,8 @@ def test_a_starter_moves_within_every_limit(name, tmp_path):
     rotors = setup.scenario.plant.actuator.rotor_inertia(robot.joints)
     rated = setup.scenario.plant.actuator.saturation_nm
     usage = np.abs(reference_torques(setup, times_s)) / rated
-    assert usage.max() <= 0.74  # 70 % of the largest torques, as it says, and 3 % of friction
+    # 70 % of the largest torques; 5 % of dry friction; at 30 % of top speed 30 % of 20 % of viscous
+    assert usage.max() <= 0.82
     motion = np.empty((3, robot.joints))
     follow, speeds = setup.reference.onto(*motion), []
     for time_s in times_s:
@@ -52,6 +53,20 @@ def test_a_starter_moves_within_every_limit(name, tmp_path):
         speeds.append(np.abs(motion[1]).copy())
     assert (np.max(speeds, axis=0) <= 0.31 * robot.velocity_limits_rad_s).all()
     assert rotors.all()
+
+
+def test_estimated_friction_is_within_the_spread_of_two_real_arms(two_links):
+    friction = load_setup(str(two_links(60, 20))).scenario.plant.friction
+    assert 0.036 <= friction.coulomb_share[0] <= 0.061  # a UR10e's and a UR10's, by their torques
+    assert (friction.viscous_share_s >= 0.043).all()
+    assert (friction.viscous_share_s <= 0.066).all()
+
+
+def test_viscous_friction_of_a_fast_joint_leaves_most_of_its_torque(two_links):
+    file = two_links(60, 20)
+    file.write_text(file.read_text().replace('velocity="2"', 'velocity="10"'))
+    friction = load_setup(str(file)).scenario.plant.friction
+    assert friction.viscous_share_s.tolist() == [0.02, 0.02]  # 20 % at 10 rad/s
 
 
 def test_a_strangers_arm_keeps_its_bounds_over_a_delay_with_a_wrong_model(two_links):
@@ -82,17 +97,18 @@ def test_what_the_file_knows_of_its_motors_is_taken(two_links):
     plant = setup.scenario.plant
     assert plant.actuator.rotor_inertia_kg_m2.tolist() == [0.48, 0.2]
     assert plant.friction.coulomb_nm.tolist() == [0.7, 0.0]
-    assert plant.friction.coulomb_share.tolist() == [0.0, 0.03]
+    assert plant.friction.coulomb_share.tolist() == [0.0, 0.05]
+    assert plant.friction.viscous_share_s.tolist() == [0.0, 0.06]
     assert "from the arm's file and elsewhere ESTIMATED" in setup.scenario.robot.drive_data
     assert plant.friction.viscous_nm_s.tolist() == [4.0, 0.0]
     # A motor of 60 N m moves nothing against 13 N m, and a joint that is damped by 300 N m s/rad.
     file.write_text(file.read_text().replace("0.7", "13").replace('damping="4"', 'damping="300"'))
     friction = load_setup(str(file)).scenario.plant.friction
-    assert friction.coulomb_share.tolist() == [0.03]
+    assert friction.coulomb_share.tolist() == [0.05]
     assert not friction.viscous_nm_s.any()
 
 
-@pytest.mark.parametrize("name", ["iiwa_motors", "panda_motors", "ur5e_motors"])
+@pytest.mark.parametrize("name", ["iiwa_motors", "panda_motors", "ur10e_motors"])
 def test_a_shipped_arm_with_motors_keeps_its_bounds_over_a_delay(name):
     delay = ["controller.delay_compensation.enabled=true", "duration_s=6"]
     delay += ["link.uplink.delay_ms=24", "link.downlink.delay_ms=24"]

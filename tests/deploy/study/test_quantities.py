@@ -164,7 +164,7 @@ def held(name, offset_scale=1.0, *overrides):
 @pytest.mark.parametrize(
     ("name", "scale", "ceiling_ms"),
     [("paper_arm", 1.0, 123), ("paper_arm", 0.0, 175), ("iiwa", 1.0, 66), ("iiwa", 0.0, 41),
-     ("panda", 1.0, 228)],
+     ("panda_pybullet", 1.0, 228)],
 )  # fmt: skip
 def test_the_ceilings_of_the_shipped_arms(name, scale, ceiling_ms):
     # Found independently, with another simulation of the same scenarios.
