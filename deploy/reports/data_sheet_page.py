@@ -117,7 +117,7 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
         Panel(
             "Delay", "share-kept", "Share of runs or plants that keep their bounds", _share_kept,
             "Lines: runs of the exact arm at a constant delay, and uncertain plants. Dotted:"
-            " margins. The grey area is the share of round trips of the worst window below a delay.",
+            " margins. Grey: the share of round trips of the worst window below a delay.",
         )
     ]  # fmt: skip
     if (window := sheet.window) is None:

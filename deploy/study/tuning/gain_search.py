@@ -73,7 +73,9 @@ class GainSearch:
         limits = [[e.least for e in self._entries], [e.most for e in self._entries]]
         limits = [bound + [sign * _WIDEST] * (count - len(bound))
                   for bound, sign in zip(limits, (-1, 1), strict=True)]  # fmt: skip
-        options = {"seed": seed, "bounds": limits, "verbose": -9, "verb_log": 0}
+        random = np.random.RandomState(seed)  # its own: searches of several laws interleave
+        options = {"seed": np.nan, "randn": random.randn, "bounds": limits, "verbose": -9,
+                   "verb_log": 0}  # fmt: skip
         self._strategy = cma.CMAEvolutionStrategy(np.zeros(count), _SPREAD, options)
         self._start, self._budget = start, budget
         self._population: list[Vector] = []

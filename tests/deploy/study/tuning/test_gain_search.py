@@ -48,6 +48,18 @@ def test_it_repeats_itself_and_gains_have_four_digits():
         assert gains["damping"] == float(f"{gains['damping']:.4g}")
 
 
+def test_searches_that_interleave_find_what_they_find_alone():
+    alone = searched(distance, budget=40).candidates
+    first, second = (GainSearch(START, 40, seed, {}) for seed in (1, 2))
+    while not first.is_over:
+        for search in (second, first):
+            if not search.is_over:
+                new = search.candidates[len(search.costs) :]
+                search.tell([distance(each) for each in new])
+        np.random.uniform(size=3)  # noqa: NPY002 - others use the global generator, too
+    assert first.candidates == alone
+
+
 def test_ranges_limit_gains_and_move_a_start_beyond_them():
     search = searched(distance, ranges={"stiffness": (60.0, 200.0), "damping": (1.0, 5.0)})
     assert search.candidates[0]["stiffness"] == [100.0, pytest.approx(math.sqrt(60 * 200))]
