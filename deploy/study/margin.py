@@ -179,6 +179,10 @@ class Margin(StudyOfCases):
             changes = remedies.changes(setting.base)
             yield "what_helps", trials(case, steps, [failure], changes, 2 * block)
 
+    def keeps(self, row: Row) -> bool:
+        """Whether a row is of what helps, which a gate in the same folder does not ask for."""
+        return not self.definition.what_helps and row.get(COLUMN) is not None
+
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):
             if (worst := found.get("worst_pattern")) is not None:
