@@ -38,7 +38,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
                 _history,
                 "Each line begins with the gains of the scenario, or those that the law derives"
                 " from the arm. A line that still falls at its end has not converged. Costs of runs"
-                " whose torque reached its limit are not drawn.",
+                " that failed are not drawn.",
             )
         ],
         subject=study,

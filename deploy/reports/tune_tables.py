@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from deploy.reports.tables import Cell, Column, Status, Table, Value, number
+from deploy.reports.tables import Cell, Column, Status, Table, number
 
 Summary = dict[str, Any]
 AS_SAID = {"rms": "a small error with a smooth torque", "margin": "a large delay"}
@@ -19,7 +19,7 @@ def tune_tables(summary: Summary) -> list[Table]:
 
 def _search_table(summary: Summary) -> Table:
     rows = [
-        [law, _cost(found["cost_start"]), _cost(found["cost_found"]), 100.0 * found["spread"],
+        [law, found["cost_start"], found["cost_found"], 100.0 * found["spread"],
          "yes" if found["converged"] else "no", found.get("file")]
         for law, found in summary["laws"].items()
     ]  # fmt: skip
@@ -37,17 +37,13 @@ def _search_table(summary: Summary) -> Table:
         "The smaller the cost, the better: "
         + (
             "the mean logarithm of RMS error / final bound, plus 0.25 times that of the torque's"
-            " variation, plus 1 or more outside the bounds."
+            " variation, plus 1 or more outside the bounds, and for a torque at its limit."
             if summary["goal"] == "rms"
             else "less 1 for each delay that is kept, and less up to 0.5 for one that is lost late."
         )
         + " Converged: the last quarter of the candidates gained less than 0.02, and the search's"
         " spread is at most half of what it was.",
     )
-
-
-def _cost(cost: float) -> Value:
-    return "torque at its limit" if BEYOND_ALL <= cost < 10 * BEYOND_ALL else cost
 
 
 def _judged_tables(summary: Summary) -> list[Table]:

@@ -13,16 +13,16 @@ SMOOTHNESS_WEIGHT = 0.25
 """Weight of the torque's total variation against that of the error, both as logarithms."""
 EXCESS_WEIGHT = 10.0
 """Weight of variation beyond its limit against that of the error, both as logarithms."""
-UNFINISHED, SATURATED = 1000.0, 100.0
-"""Costs beyond any of a run that counts."""
+UNFINISHED = 1000.0
+"""Cost beyond any of a run that counts."""
 _LOST_WEIGHT = 0.5
 
 
 def error_cost(row: Row, setup: Setup, travel_limit_per_s: float | None) -> float:
     """Return what a run costs: its error first, the variation of its torque second.
 
-    Both count as logarithms, averaged over joints. To leave the funnel costs as much as an error
-    e times as large, and more with time; a torque that reaches its limit is a failure.
+    Both count as logarithms, averaged over joints. To leave the funnel, and to reach a limit of the
+    torque, cost as much as an error e times as large each, and more with time.
 
     Args:
         row: the run.
@@ -32,18 +32,16 @@ def error_cost(row: Row, setup: Setup, travel_limit_per_s: float | None) -> floa
     """
     if left_nothing(row) or not row["completed"] or not is_whole(row):
         return UNFINISHED
-    if row["saturated_fraction"] > 0.0:
-        return float(SATURATED * (1.0 + row["saturated_fraction"]))
     errors = np.array(row["rms_rad"]) / setup.funnel.final_rad
     travel = np.array(row["total_variation_nm_per_s"]) / setup.robot.effort_limits_nm
-    fraction = row["violation_fraction"]
-    outside = 1.0 + 10.0 * fraction if fraction > 0.0 else 0.0
+    shares = (row["violation_fraction"], row["saturated_fraction"])
+    failings = sum(1.0 + 10.0 * share for share in shares if share > 0.0)
     if travel_limit_per_s is None:
         roughness = SMOOTHNESS_WEIGHT * np.log(travel).mean()
     else:
         excess = np.maximum(np.log(travel / travel_limit_per_s), 0.0)
         roughness = excess.any() + EXCESS_WEIGHT * excess.mean()
-    return float(np.log(errors).mean() + roughness + outside)
+    return float(np.log(errors).mean() + roughness + failings)
 
 
 def delay_cost(rows: Sequence[Row], duration_s: float) -> float:

@@ -23,7 +23,7 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, plain, validated
 from deploy.study.plants import draw_columns, with_ranges
 from deploy.study.study import PlannedRun, StudyOfRuns, scenario_name
-from deploy.study.tuning.costs import SATURATED, delay_cost, error_cost
+from deploy.study.tuning.costs import UNFINISHED, delay_cost, error_cost
 from deploy.study.tuning.gain_search import FIXED, Gains, GainSearch
 from deploy.study.tuning.places import DELAYS, REAL_ARM, TuneDefinition, judged, searched
 
@@ -199,7 +199,7 @@ class Tuning(StudyOfRuns):
             "spread": search.spread,
             "converged": bool(
                 search.is_over
-                and best[-1] < SATURATED
+                and best[-1] < UNFINISHED
                 and gained < _CONVERGED
                 and search.spread < _NARROW
             ),

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deploy.study.tuning.costs import SATURATED, UNFINISHED, delay_cost, error_cost
+from deploy.study.tuning.costs import UNFINISHED, delay_cost, error_cost
 
 SETUP = SimpleNamespace(
     funnel=SimpleNamespace(final_rad=0.01),
@@ -41,7 +41,8 @@ def test_travel_costs_nothing_below_its_limit_and_much_above():
 def test_bounds_saturation_and_failure_cost_ever_more():
     outside = error_cost(run(violation_fraction=0.1), SETUP, None)
     assert outside - error_cost(run(), SETUP, None) == pytest.approx(2.0)
-    assert error_cost(run(saturated_fraction=0.2), SETUP, None) == pytest.approx(1.2 * SATURATED)
+    saturated = error_cost(run(saturated_fraction=0.2), SETUP, None)
+    assert saturated - error_cost(run(), SETUP, None) == pytest.approx(3.0)
     assert error_cost(run(completed=False), SETUP, None) == UNFINISHED
     failed = run(error="no", violation_fraction=None, completed=False)
     assert error_cost(failed, SETUP, None) == UNFINISHED
