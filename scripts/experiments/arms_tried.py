@@ -1,12 +1,13 @@
 """Every arm file of a folder, tried as a stranger would: does it open, and does it keep its bounds.
 
-    python -m scripts.experiments.arms_tried FOLDER FILE.jsonl [--page FILE.md] [--limit SECONDS]
+    python -m scripts.experiments.arms_tried FILE.jsonl FOLDER … [--page FILE.md] [--limit SECONDS]
 
 Each URDF, xacro and MJCF file is opened as ``funnel-hil robot`` opens it. A missing argument of a
-xacro file gets the first value that the error message names, and ``arm`` if it names none. Of a
-whole robot the chain with the longest reach is driven. Files without a joint (macros, materials)
-do not count, nor do those of `NO_ARMS`. Each arm is simulated from its starter scenario, with the
-default law and derived gains. What is in FILE.jsonl already is not tried again.
+xacro file gets the first value that the error message names, and ``arm`` if it names none; where
+the message advises ``--repair``, it is given. Of a whole robot the arm with the longest reach is
+driven. Files without a joint (macros, materials) do not count, nor do those of `NO_ARMS`. Each arm
+is simulated from its starter scenario, with the default law and derived gains. What is in
+FILE.jsonl already is not tried again.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import signal
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +41,19 @@ SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf")
 NO_ARMS = re.compile(
     r"package\.xml$|scene|keyframe|actuators|_hand\b|/hand|hand/|gripper\.|/robotiq|pump|/ee/|go1/"
     r"|pr2_no_arms|cia402|robot_controller|macro|srdf|gazebo\.|transmission|ros2_control|_mount|_cover"
+    r"|spot\.xml|fr3_duo_arm|_base\.urdf|base\.xml|laikago|go[12]_|allegro|anymal\.urdf|hyq|b1\.urdf"
+    r"|hextilt|borinot|/human|lower|bolt|iris|finger_edu|pendulum|a1_desc|quadr|solo|anymal_c"
 )
 """Tools, scenes around an arm, robots without arms, and parts that other files include."""
 RUNS = {"no delay": ROWS["no delay"], "48 ms": ROWS["48 ms running"]}
 DURATION_S = 4.0
-NO_JOINT = "has no revolute"
-_MISSING = re.compile(r"(\w+):=… gives it(?:; its files (?:know|compare it with) ([^\s,;]+))?")
+_VENDOR = re.compile(r"^\d+-|_description$|_data$")
+NO_JOINT = re.compile("has no revolute|neither URDF nor MJCF")
+_OF_ARMS = re.compile("arm|shoulder|elbow|wrist|[lr]_", re.IGNORECASE)
+_MISSING = re.compile(
+    r"(?:(\w+):=… gives it|the argument (\w+) is '[^']*')"
+    r"(?:; its files (?:know|compare it with) ([^\s,;]+))?"
+)
 _MOST_ARGUMENTS = 8
 _WHOLE_ROBOT = 3
 _REASON = 160
@@ -64,7 +73,7 @@ def tried(path: Path, folder: Path) -> dict[str, Any]:
         values = starter_scenario(arm)
         check_plant(build_setup(values, arm.path))
         row["opens"] = True
-    except InputError as error:
+    except (InputError, RobotDescriptionError) as error:
         return {**row, "opens": False, "reason": _short(error, folder)}
     for name, run in RUNS.items():
         row[name] = verdict(values, arm.path, run.overrides())
@@ -77,26 +86,32 @@ def opened(path: Path) -> tuple[RobotDescription, list[str]]:
     Raises:
         InputError: it does not open.
     """
-    arguments: dict[str, str] = {}
+    arguments, repair = dict[str, str](), False
+    read = partial(load_robot, path, arguments=arguments, hold_grippers=True)
     for _ in range(_MOST_ARGUMENTS):
         try:
-            arm = load_robot(path, arguments=arguments, hold_grippers=True)
+            arm = read(repair=repair)
             break
         except RobotDescriptionError as error:
-            if (missing := _MISSING.search(str(error))) is None or missing[1] in arguments:
+            missing = _MISSING.search(str(error))
+            name = missing and (missing[1] or missing[2])
+            if missing and name and name not in arguments:
+                arguments[name] = missing[3] or "arm"
+            elif "--repair" in str(error) and not repair:
+                repair = True
+            else:
                 raise
-            arguments[missing[1]] = missing[2] or "arm"
     else:
         raise InputError(f"more than {_MOST_ARGUMENTS} arguments are missing")
-    words = [f"{name}:={value}" for name, value in arguments.items()]
+    words = [f"{name}:={value}" for name, value in arguments.items()] + ["--repair"] * repair
     root = ET.fromstring(arm.text)
     chains = [c for c in chains_of(root, arm.joint_names) if len(c.joints) >= _WHOLE_ROBOT]
     if len(chains) < 2:
         return arm, words
-    tip = max(chains, key=lambda chain: chain.reach_m).tip
+    best = max(chains, key=lambda c: (any(map(_OF_ARMS.search, c.joints)), c.reach_m))
+    tip = best.tip
     joints = chosen_joints(root, arm.joint_names, tip)
-    arm = load_robot(path, joints, arguments=arguments, hold_grippers=True)
-    return arm, [*words, "--chain", tip]
+    return read(joints, repair=repair), [*words, "--chain", tip]
 
 
 def facts(arm: RobotDescription) -> dict[str, Any]:
@@ -126,7 +141,7 @@ def verdict(values: dict[str, Any], path: Path, overrides: Sequence[str]) -> str
     try:
         setup = build_setup(values, path, [*overrides, f"duration_s={DURATION_S}"])
         return str(execute(setup).summary["verdict"])
-    except InputError as error:
+    except (InputError, RobotDescriptionError) as error:
         return f"refused: {str(error)[:_REASON]}"
 
 
@@ -153,7 +168,8 @@ def files_of(folder: Path) -> list[Path]:
 
 def page(rows: Sequence[dict[str, Any]], conditions: str) -> str:
     """Return the page with the rates and a line for each file."""
-    arms = [row for row in rows if NO_JOINT not in row.get("reason", "")]
+    rows = [row for row in rows if not NO_ARMS.search(row["file"])]
+    arms = [row for row in rows if not NO_JOINT.search(row.get("reason", ""))]
     read = [row for row in arms if row["opens"]]
     held = [row for row in read if row["load"] <= 1.0]
     lines = [
@@ -195,7 +211,7 @@ def _rate(what: str, kept: int, of: int, goal: int | None) -> str:
 
 
 def _line(row: dict[str, Any]) -> str:
-    start = f"| {row['vendor'].lstrip('0123456789-')} | `{_cell(row['command'])}` |"
+    start = f"| {_VENDOR.sub('', row['vendor'])} | `{_cell(row['command'])}` |"
     if not row["opens"]:
         return f"{start} – | – | does not open: {_cell(row['reason'])} | – | – | – | – |"
     warned = f"{row['warnings']}: {_cell(row['first_warning'])}" if row["warnings"] else "–"
@@ -218,18 +234,18 @@ def _short(error: Exception, folder: Path) -> str:
 def main() -> None:
     """Try all files that are not in the table yet, and write its page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
     parser.add_argument("file", type=Path)
+    parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--page", type=Path)
     parser.add_argument("--conditions", default="")
     parser.add_argument("--limit", type=int, default=120, help="seconds for each file")
     given = parser.parse_args()
-    folder = given.folder.resolve()
+    folders = [folder.resolve() for folder in given.folders]
     given.file.touch()
     rows = [json.loads(line) for line in given.file.read_text(encoding="utf-8").splitlines()]
     done = {row["file"] for row in rows}
     with given.file.open("a", encoding="utf-8") as stream:
-        for path in files_of(folder):
+        for folder, path in ((each, path) for each in folders for path in files_of(each)):
             if (name := str(path.relative_to(folder))) in done:
                 continue
             try:
