@@ -52,7 +52,7 @@ NO_JOINT = re.compile("has no revolute|neither URDF nor MJCF")
 _OF_ARMS = re.compile("arm|shoulder|elbow|wrist|[lr]_", re.IGNORECASE)
 _MISSING = re.compile(
     r"(?:(\w+):=… gives it|the argument (\w+) is '[^']*')"
-    r"(?:; its files (?:know|compare it with) ([^\s,;]+))?"
+    r"(?:.*; its files (?:know|compare it with) ([^\s,;]+))?"
 )
 _MOST_ARGUMENTS = 8
 _WHOLE_ROBOT = 3

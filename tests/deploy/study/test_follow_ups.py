@@ -318,7 +318,9 @@ def test_estimated_rotors_have_a_margin_at_both_ends(tmp_path):
         for override in run.overrides if override.startswith(ROTORS)
     }  # fmt: skip
     assert tried == smaller["override"]
-    assert json.loads(tried.partition("=")[2]) == pytest.approx([0.1 * each for each in own], rel=5e-3)
+    assert json.loads(tried.partition("=")[2]) == pytest.approx(
+        [0.1 * each for each in own], rel=5e-3
+    )
     assert "8 ms; 4 ms if the rotors are a tenth." in " ".join(margin_sentences(summary))
     table = margin_table(summary)
     (column,) = [n for n, each in enumerate(table.columns) if "rotors" in each.title]

@@ -8,8 +8,7 @@ from deploy.scenario.referenced_files import ROBOTS
 from scripts.experiments.arms_tried import RUNS, files_of, opened, page, time_limit, tried
 
 XACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="a">
-<xacro:if value="$(eval '$(arg kind)' == 'long')"/>
-<xacro:if value="$(eval '$(arg kind)' == 'short')"/>
+<xacro:if value="${{'$(arg kind)' == 'long'}}"/>
 {0}</robot>"""
 JOINT = """<link name="world"/><link name="tip"><inertial><mass value="2"/>
 <origin xyz="0.5 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
