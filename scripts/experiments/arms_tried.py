@@ -49,7 +49,7 @@ RUNS = {"no delay": ROWS["no delay"], "48 ms": ROWS["48 ms running"]}
 DURATION_S = 4.0
 _VENDOR = re.compile(r"^\d+-|_description$|_data$")
 NO_JOINT = re.compile("has no revolute|neither URDF nor MJCF")
-_OF_ARMS = re.compile("arm|shoulder|elbow|wrist|[lr]_", re.IGNORECASE)
+_OF_LEGS = re.compile("hip|knee|ankle|leg|foot|sole|wheel|thumb", re.IGNORECASE)
 _MISSING = re.compile(
     r"(?:(\w+):=… gives it|the argument (\w+) is '[^']*')"
     r"(?:.*; its files (?:know|compare it with) ([^\s,;]+))?"
@@ -108,7 +108,7 @@ def opened(path: Path) -> tuple[RobotDescription, list[str]]:
     chains = [c for c in chains_of(root, arm.joint_names) if len(c.joints) >= _WHOLE_ROBOT]
     if len(chains) < 2:
         return arm, words
-    best = max(chains, key=lambda c: (any(map(_OF_ARMS.search, c.joints)), c.reach_m))
+    best = max(chains, key=lambda c: (not any(map(_OF_LEGS.search, (*c.joints, c.tip))), c.reach_m))
     tip = best.tip
     joints = chosen_joints(root, arm.joint_names, tip)
     return read(joints, repair=repair), [*words, "--chain", tip]
@@ -124,7 +124,7 @@ def facts(arm: RobotDescription) -> dict[str, Any]:
         for text in drives.data.split(", ")
         if ESTIMATED in text
     ]
-    if any(ESTIMATED in text and "inertia" in text for text in arm.warnings):
+    if arm.estimated:
         estimates.insert(0, "inertias")
     return {
         "joints": arm.joints,
