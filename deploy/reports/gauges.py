@@ -202,13 +202,15 @@ class _Parts(_Part):
 
 
 class GaugedDataSheet(GaugedSummary):
-    """A data sheet: its margins, and that of its uncertain plants."""
+    """A data sheet: its margin with compensation, and that of its uncertain plants."""
 
     group = "datasheet"
     parts: _Parts
 
     def numbers(self) -> Iterator[Gauged]:
-        yield from self.parts.margin.numbers()
+        margin = self.parts.margin
+        cases = [case for case in margin.cases if case.compensation]
+        yield from margin.model_copy(update={"cases": cases}).numbers()
         if self.parts.plants is not None:
             for each in self.parts.plants.numbers():
                 yield replace(each, name=f"{each.name}, uncertain plants")

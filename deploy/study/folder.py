@@ -201,7 +201,8 @@ class StudyFolder(run_folder.ResultFolder):
         """
         began_s = time.monotonic()
         write_json(self.path / _PROVENANCES_FILE, self._provenances)
-        left = [] if completed else [row for rows in self._earlier.values() for row in rows]
+        left = [row for rows in self._earlier.values() for row in rows]
+        left = [row for row in left if not completed or self._study.keeps(row)]
         write_rows([*self.rows, *left], self.rows_file, self._columns, conditions)
         took_s = time.monotonic() - began_s
         self._due_s = began_s + max(_WRITE_EVERY_S, took_s / _SHARE_OF_WRITING)

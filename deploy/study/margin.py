@@ -196,6 +196,10 @@ class Margin(StudyOfCases):
         is_wanted = self.definition.smaller_rotors and ROTORS not in given
         return tenth_of_rotors(setting.base) if is_wanted else None
 
+    def keeps(self, row: Row) -> bool:
+        """Whether a row is of what helps, which a gate in the same folder does not ask for."""
+        return not self.definition.what_helps and row.get(COLUMN) is not None
+
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):
             if (worst := found.get("worst_pattern")) is not None:

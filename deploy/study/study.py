@@ -279,6 +279,10 @@ class StudyOfRuns(ABC):
         """Return runs that may be requested later, for idle workers."""
         return ()
 
+    def keeps(self, row: Row) -> bool:  # noqa: ARG002 (few do)
+        """Whether its folder keeps an earlier row that a complete study has not requested."""
+        return False
+
     @abstractmethod
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         """Return the results, and whether the study is `completed`, ready for JSON."""

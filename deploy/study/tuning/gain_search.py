@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -61,7 +62,9 @@ class GainSearch:
         fixed: Collection[str] = FIXED,
     ) -> None:  # fmt: skip
         try:
-            import cma  # of the extra `tuning`, which nothing else needs
+            with warnings.catch_warnings():  # it warns that it cannot plot
+                warnings.simplefilter("ignore")
+                import cma  # of the extra `tuning`, which nothing else needs
         except ImportError as error:
             raise InputError("the search needs the package cma: pip install cma") from error
         start = _within(start, ranges)

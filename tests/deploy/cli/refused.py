@@ -48,7 +48,7 @@ FILES = {
 REFUSED = [
     # scenarios and files
     ("run paper_leg", "paper_leg: ", "paper_arm"),
-    ("simulate nowhere", "nowhere: ", "paper_arm_mit, ur5e_motors, faults/*"),
+    ("simulate nowhere", "nowhere: ", "paper_arm_mit, ur10e_motors, ur5e_motors, faults/*"),
     ("simulate faults/nothing_like_it", "faults/nothing_like_it: ",
      "faults/actuator_dead, faults/actuator_weak"),
     ("simulate /dev/null", "/dev/null: is not a regular file, nor one of the shipped"),

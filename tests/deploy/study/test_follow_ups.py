@@ -134,8 +134,12 @@ def test_a_gate_after_a_margin_does_no_run_again(tmp_path):
     plain = helped(what_helps=False)
     assert find_folder(plain, path) == path
     workers = Here(below_six)
-    assert conduct(plain, path, workers)[0]
+    done, folder = conduct(plain, path, workers)
+    folder.write(completed=True)  # as at the end of the command
+    assert done
     assert not workers.submitted
+    assert conduct(helped(), path, workers)[0]
+    assert not workers.submitted  # what helps is still there
 
 
 def test_compensation_helps_an_arm_and_the_command_shows_it(tmp_path):
