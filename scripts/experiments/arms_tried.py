@@ -223,7 +223,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def _cell(text: str) -> str:
-    text = re.sub(r"\S*/", "", text)  # no folders of this machine
+    text = re.sub(r"(?<!\w)/\S*/", "", text)  # no folders of this machine
     return text.replace("|", "\\|")[:_REASON]
 
 
