@@ -88,6 +88,7 @@ def headline(summary: Summary) -> list[str]:
     parts = summary["parts"]
     cases = {case["compensation"]: case for case in parts["margin"]["cases"]}
     said = [_margin_sentence(summary, parts["margin"], cases[True], cases[False])]
+    said += [f"Not tested: {each}" for case in cases.values() for each in case["doubts"]]
     if (network := parts.get("network")) is not None:
         point = network["points"][0]
         kept, runs = point["runs_kept"], point["runs"]
@@ -95,20 +96,24 @@ def headline(summary: Summary) -> list[str]:
             f"On {summary['network']}, with compensation, it kept them in {kept} of {runs} windows"
             f" of {summary['duration_s']:g} s."
         )
+    if summary["runs_failed"]:
+        said.append(f"{summary['runs_failed']} of {summary['runs']} runs failed: see the parts.")
     if (plants := parts.get("plants")) is not None:
         said += texts.robustness_sentences(plants)[:1]
     return said
 
 
 def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summary) -> str:
-    any_ms = any_pattern_ms(on)
-    without = texts.margin_text(off, margin)
+    who, any_ms = f"{summary['arm']} under {summary['law']}", any_pattern_ms(on)
     if any_ms is None:
-        return f"{summary['arm']} under {summary['law']} keeps its bounds at no delay."
+        without = "" if off["margin"] is None else f" (constant: {texts.margin_text(off, margin)})"
+        at_all = "only without compensation" + without if without else "at no delay"
+        return f"{who} keeps its bounds {at_all}."
+    at_least = "≥ " if on["first_failure"] is None else ""
     return (
-        f"{summary['arm']} under {summary['law']} keeps its bounds for any delay up to"
-        f" {number(any_ms)} ms (round trip) with compensation; constant:"
-        f" {texts.margin_text(on, margin)} with it, {without} without."
+        f"{who} keeps its bounds for any delay up to {at_least}{number(any_ms)} ms with"
+        " compensation (round trip; messages in order, none lost); constant:"
+        f" {texts.margin_text(on, margin)} with it, {texts.margin_text(off, margin)} without."
     )
 
 

@@ -2,31 +2,77 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bus_schema.recording.atomic_files import write_json
+from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.run_rows import Row
 from deploy.reports.data_sheet_page import DrawnSheet, data_sheet_page, headline
 from deploy.reports.results import Results, write_results, write_run
 from deploy.run.execute import JudgedRun, execute
-from deploy.run.run_folder import ResultFolder, RunFolder, provenance
+from deploy.run.new_folder import new_folder, resolved_out
+from deploy.run.run_folder import ResultFolder, RunFolder, load_run, provenance, read_summary
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
+from deploy.scenario.yaml_text import values_of
 from deploy.study.data_sheet import DataSheet, worst_window
-from deploy.study.study import StudyOfRuns
+from deploy.study.study import StudyOfRuns, digest_of
+
+FILE = "datasheet.yaml"
+_PARTS = ("margin", "network", "plants")
+_WINDOW = "worst_window"
 
 
-def written_window(study: StudyOfRuns | None, rows: list[Row], path: Path) -> JudgedRun | None:
+def sheet_folder(sheet: DataSheet, out: Path | None, *, overwrite: bool) -> Path:
+    """Return the folder of a data sheet, in which an earlier command may have begun it.
+
+    Args:
+        sheet: the data sheet.
+        out: the requested folder; by default one in ``runs`` for each data sheet.
+        overwrite: remove the data sheet, or other results, in it.
+
+    Raises:
+        ScenarioError: it has another data sheet or other results, or cannot be created.
+    """
+    told: dict[str, Any] = {key: value for key, value in asdict(sheet).items() if value}
+    digest = digest_of(to_yaml(told).encode())[:8]
+    path = resolved_out(out or Path("runs", f"datasheet-{Path(sheet.arm).stem}-{digest}"))
+    file = path / FILE
+    if file.is_file() and not overwrite:
+        if read_yaml(file) != values_of(to_yaml(told)):
+            raise ScenarioError(f"--out {path}: has another data sheet, see {file}: use another"
+                                " folder, or --overwrite")  # fmt: skip
+        return path
+    new_folder("datasheet", path, overwrite=overwrite)
+    for name in (*_PARTS, _WINDOW) if file.is_file() else ():
+        shutil.rmtree(path / name, ignore_errors=True)
+    write_whole(file, to_yaml(told))
+    return path
+
+
+def sheet_again(folder: ResultFolder) -> Results:
+    """Write a data sheet again from the summaries of its parts."""
+    sheet = DataSheet(**read_yaml(folder.path / FILE))
+    found = {name: read_summary(folder.path / name) for name in _PARTS}
+    window = folder.path / _WINDOW
+    run = JudgedRun(_WINDOW, load_run(window)[0], path=window) if window.is_dir() else None
+    parts = {name: summary for name, summary in found.items() if summary}
+    return write_data_sheet(folder, sheet, parts, run)
+
+
+def written_window(study: StudyOfRuns | None, rows: list[Row], folder: Path) -> JudgedRun | None:
     """Run the worst window of a network again, recorded, with a report; None without a network."""
     if study is None or not rows:
         return None
     worst = worst_window(rows)
     run = next(run for run in study.first() if run.key == (worst["point"], worst["seed"]))
     setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
-    with RunFolder.begin(setup, path, overwrite=True) as folder:
-        done = execute(setup, None, folder)
-        write_run(folder, done)
+    with RunFolder.begin(setup, folder / _WINDOW, overwrite=True) as own:
+        done = execute(setup, None, own)
+        write_run(own, done)
     return done
 
 

@@ -43,8 +43,8 @@ class DataSheet:
     @property
     def duration_s(self) -> float:
         """Length of each run."""
-        usual_s = 3.0 if self.is_quick else 6.0
-        return float((self.fixed or {}).get("duration_s", usual_s))
+        given: float | None = (self.fixed or {}).get("duration_s")
+        return (3.0 if self.is_quick else 6.0) if given is None else given
 
     def _set(self, **more: Any) -> dict[str, Any]:
         given = {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}

@@ -1,6 +1,6 @@
 /* Answers for the next ticks, with targets for the drives: for the three-joint arm `paper_arm`.
  *
- *   cc -O2 $(funnel-hil includes) -o chunk chunk.c
+ *   cc -O2 $(funnel-hil doctor --includes) -o chunk chunk.c
  *   funnel-hil simulate --set controller.law=external --set 'controller.external.command=[./chunk]' \
  *     --set controller.every=20 --set controller.external.rows=20 \
  *     --set controller.external.targets=true --set controller.drive_feedback.enabled=true

@@ -1,6 +1,6 @@
 /* Stiffness, damping and a slow integral per joint, for the three-joint arm `paper_arm`.
  *
- *   cc -O2 $(funnel-hil includes) -o stiff_pd stiff_pd.c
+ *   cc -O2 $(funnel-hil doctor --includes) -o stiff_pd stiff_pd.c
  *   funnel-hil simulate --set controller.law=external --set 'controller.external.command=[./stiff_pd]'
  */
 #include "funnel_hil_law.h"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,11 +14,10 @@ from deploy.cli.options import ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
 from deploy.judge.run_rows import Row
-from deploy.reports.data_sheet_results import write_data_sheet, written_window
+from deploy.reports.data_sheet_results import sheet_folder, write_data_sheet, written_window
 from deploy.reports.results import write_study
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
-from deploy.run.new_folder import resolved_out
 from deploy.run.run_folder import ResultFolder
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.data_sheet import DataSheet, any_pattern_ms
@@ -39,42 +39,58 @@ class DatasheetOptions(WorkerOptions):
 
 @taking(DatasheetOptions)
 def datasheet(options: DatasheetOptions) -> None:
-    """Answer how much delay an arm takes: constant, of any pattern, on a network, as many plants.
+    """Answer on one page how much delay an arm takes.
 
-    One folder and one page with the answer in one sentence, the worst window of the network, and
-    what helps. After an interruption or a kill, the same command continues.
+    The page has the margins for constant and for varying delays, the share of windows of a network
+    and of uncertain plants that keep their bounds, the worst window, and what helps. After an
+    interruption or a kill, the same command continues.
     """
     if options.confirm:
         raise ScenarioError("--confirm: must be left out: margin and sweep have it")
-    console = Console()
     sheet = DataSheet(
         options.scenario, options.law, options.network, options.plants, options.fixed(),
         options.quick,
     )  # fmt: skip
-    first = {"margin": sheet.margin(), "network": sheet.windows()}
+    margin, windows = sheet.margin(), sheet.windows()
     gate = CommandGate(options, "datasheet", "ms", "datasheet")
-    out = resolved_out(options.out or Path("runs", f"datasheet-{Path(options.scenario).stem}"))
-    out.mkdir(parents=True, exist_ok=True)
-    parts: dict[str, Any] = {}
-    rows: dict[str, list[Row]] = {}
-
-    def make(name: str, study: StudyOfRuns | None) -> None:
-        if study is None:
-            return
-        options.out = out / name
-        with carried_out(study, options, console) as done:
-            parts[name] = write_study(study, done.folder).summary
-            rows[name] = done.folder.rows
-        if not parts[name]["completed"]:
-            console.print(f"{done.lost or 'stopped'}: repeat the same command to continue.")
-            raise typer.Exit(INTERRUPTED if done.is_interrupted else FAULT)
-
-    for name, study in first.items():
-        make(name, study)
-    with_compensation = parts["margin"]["cases"][-1]
-    make("plants", sheet.of_plants(any_pattern_ms(with_compensation) or 0.0))
-    window = written_window(first["network"], rows.get("network", []), out / "worst_window")
+    console, stop = Console(), threading.Event()
+    out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
+    parts = {"margin": _made(margin, options, out / "margin", console, stop)}
+    rows: list[Row] = []
+    if windows is not None:
+        parts["network"] = _made(windows, options, out / "network", console, stop, rows)
+    plants = sheet.of_plants(any_pattern_ms(parts["margin"]["cases"][-1]) or 0.0)
+    if plants is not None:
+        parts["plants"] = _made(plants, options, out / "plants", console, stop)
+    window = written_window(windows, rows, out)
+    _leave_if_stopped(stop, console)
     with ResultFolder(out).lock() as folder:
         results = conclude(console, folder, lambda: write_data_sheet(folder, sheet, parts, window))
     kept = gate.is_passed(results.summary, console)
-    leave(interrupted=False, whole=True, kept=kept)
+    leave(interrupted=False, whole=not results.summary["runs_failed"], kept=kept)
+
+
+def _made(
+    study: StudyOfRuns, options: DatasheetOptions, out: Path, console: Console,
+    stop: threading.Event, rows: list[Row] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Do a part of the data sheet; return its summary, and its rows in `rows`."""
+    own = replace(options, out=out, overwrite=False)
+    with carried_out(study, own, console, stop) as done:
+        summary = write_study(study, done.folder).summary
+        if rows is not None:
+            rows += done.folder.rows
+    _leave_if_stopped(stop, console)
+    if summary["runs_failed"] == summary["runs"]:
+        console.print(f"every run failed: {summary['commonest_error']}", markup=False)
+        raise typer.Exit(FAULT)
+    if not summary["completed"]:
+        console.print(f"{done.lost or 'not complete'}: repeat the same command to continue.")
+        raise typer.Exit(FAULT)
+    return summary
+
+
+def _leave_if_stopped(stop: threading.Event, console: Console) -> None:
+    if stop.is_set():
+        console.print("stopped: repeat the same command to continue.", markup=False)
+        raise typer.Exit(INTERRUPTED)

@@ -133,6 +133,11 @@ class TuneOptions(StudyOptions):
             "delays_ms": _listed("delays", self.delays),
             "ranges": None if self.ranges is None else read_yaml(self.ranges),
         }  # fmt: skip
+        is_margin = self.goal == "margin"
+        if is_margin and self.travel_limit is not None:
+            raise ScenarioError("--travel-limit: must be left out with --for margin")
+        if not is_margin and self.delays is not None:
+            raise ScenarioError("--delays: must be left out unless --for margin is given")
         told = super().definition() | {"scenario": self.scenario, "set": self.fixed()}
         return told | {key: value for key, value in given.items() if value is not None}
 

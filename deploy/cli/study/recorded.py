@@ -15,6 +15,7 @@ from deploy.cli.options import NoReport, Out, Overwrite
 from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.bounds import all_damage
 from deploy.judge.run_data import RunData
+from deploy.reports.data_sheet_results import sheet_again
 from deploy.reports.kinds import kind_of
 from deploy.reports.results import (
     Results,
@@ -72,7 +73,7 @@ def diff(
 
 def report(
     run_dir: Annotated[
-        Path, typer.Argument(help="Folder of a run, a comparison, a sweep or a margin study.")
+        Path, typer.Argument(help="Folder of a run, a comparison, a study or a data sheet.")
     ],
 ) -> None:
     """Evaluate recorded results again, and write summary.json and report.html.
@@ -125,7 +126,12 @@ def _study_again(path: Path, console: Console) -> Results:
         return conclude(console, folder, lambda: write_results(folder, results))
 
 
-_AGAIN = {COMPARISON: _laws_again, DIFF: _diff_again}
+def _sheet_again(path: Path, console: Console) -> Results:
+    with ResultFolder(path.resolve()).lock() as folder:
+        return conclude(console, folder, lambda: sheet_again(folder))
+
+
+_AGAIN = {COMPARISON: _laws_again, DIFF: _diff_again, "datasheet": _sheet_again}
 """Results of several recordings, by kind."""
 
 

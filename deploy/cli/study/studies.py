@@ -84,7 +84,7 @@ def tune(options: TuneOptions) -> None:
     plants, and written to a scenario for each law. After an interruption or a kill, the same
     command continues; so does one with a larger --budget.
     """
-    for name in ("at_least", "baseline"):
+    for name in ("at_least", "baseline", "tolerance", "junit", "markdown", "history"):
         if getattr(options, name) is not None:
             raise ScenarioError(f"--{name.replace('_', '-')}: tune has no margin to gate")
     _conduct(Tuning(options.definition(), Path("tune")), options)
@@ -129,7 +129,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
         options, study.definition.name, study.unit, study.kind, quantity,
         patterns=pattern is not None,
     )  # fmt: skip
-    with carried_out(study, options, console) as done:
+    with carried_out(study, options, console, threading.Event()) as done:
         results = conclude(console, done.folder, lambda: write_study(study, done.folder))
     if not results.summary["completed"]:
         console.print(_GOES_ON.format(done.lost or "stopped"), markup=False)
@@ -143,10 +143,9 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
 
 @contextlib.contextmanager
 def carried_out(
-    study: StudyOfRuns, options: WorkerOptions, console: Console
+    study: StudyOfRuns, options: WorkerOptions, console: Console, stop: threading.Event
 ) -> Iterator[Conducted]:
     """Do the runs that the folder of a study lacks, with progress; it is locked meanwhile."""
-    stop = threading.Event()
     with conduct(
         study, _workers(study, options), options.out, _progress(console, study, options, stop),
         overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,

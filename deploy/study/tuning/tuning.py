@@ -17,14 +17,15 @@ from controller.laws.custom import EXTERNAL, default_gains
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row
 from deploy.scenario import study_keys
+from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import naming, override, plain, set_value, to_yaml, validated
+from deploy.scenario.yaml_files import naming, override, plain, validated
 from deploy.study.plants import draw_columns, with_ranges
 from deploy.study.study import PlannedRun, StudyOfRuns, scenario_name
 from deploy.study.tuning.costs import SATURATED, delay_cost, error_cost
 from deploy.study.tuning.gain_search import FIXED, Gains, GainSearch
-from deploy.study.tuning.places import TuneDefinition, judged, searched
+from deploy.study.tuning.places import DELAYS, REAL_ARM, TuneDefinition, judged, searched
 
 _QUARTER = 4
 _CONVERGED, _NARROW = 0.02, 0.15
@@ -71,6 +72,7 @@ class Tuning(StudyOfRuns):
         with naming(source):
             given = validated(with_ranges(values, source), TuneDefinition, source)
             own = {study_keys.LAW: "as laws (--laws)", study_keys.SEED: "under seeds"}
+            own |= dict.fromkeys(DELAYS, "as delays (--delays with --for margin)")
             study_keys.require_effect(given.fixed, own)
             scenario = scenario_name(given.scenario, source.parent)
         self.definition = given.model_copy(update={"scenario": scenario})
@@ -147,7 +149,8 @@ class Tuning(StudyOfRuns):
         }  # fmt: skip
         full_s = self._laws[index].setup.scenario.duration_s
         duration_s = min(wanted.duration_s, full_s) if stage == "search" else full_s
-        common = (*self._under(law), override(f"controller.gains.{_key(law)}", gains),
+        # First, so that values of the user and of drawn plants take precedence.
+        common = (*REAL_ARM, *self._under(law), override(f"controller.gains.{_key(law)}", gains),
                   *_lasting(duration_s, self._laws[index].setup))  # fmt: skip
         beyond = 0 if stage == "search" else max(wanted.seeds)
         for place_number, place in enumerate(self.places[stage]):
@@ -229,22 +232,29 @@ class Tuning(StudyOfRuns):
         for law in self._laws:
             if law.name not in summary["laws"]:
                 continue
-            values: dict[str, Any] = {
-                "extends": self.definition.scenario,
-                "name": f"{summary['scenario']}-{_file(law.name)}",
-            }
-            gains = {f"controller.gains.{_key(law.name)}": law.gains(1)}
-            for key, value in (self.definition.fixed | {study_keys.LAW: law.name} | gains).items():
-                set_value(values, key, value)
+            gains = override(f"controller.gains.{_key(law.name)}", law.gains(1))
+            name = override("name", f"{summary['scenario']}-{_file(law.name)}")
             path = folder / f"{_file(law.name)}.yaml"
-            path.write_text(to_yaml(values), encoding="utf-8")
+            overrides = [*self._under(law.name), gains, name]
+            write_scenario(load_setup(self.definition.scenario, overrides), path)
             summary["laws"][law.name]["file"] = path.name
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
         wanted = self.definition
-        what = f"gains, {wanted.budget} candidates for each law, search seed {wanted.search_seed}"
+        trips_ms = wanted.delays_ms if wanted.goal == "margin" else [1.0]
+        what = (
+            f"gains for {wanted.goal}, {wanted.budget} candidates for each law, search seed"
+            f" {wanted.search_seed}, runs of up to {wanted.duration_s:g} s"
+        )
+        judged_at = ", ".join(dict.fromkeys(place.name for place in self.places["judge"]))
         axes = [{"keys": ["gains"], "values": [what]}]
-        return super().conditions({**summary, "axes": axes}, manifest)
+        found = super().conditions({**summary, "axes": axes}, manifest)
+        return {
+            **found,
+            "arm": "encoders of 20 bits, unless given",
+            "round trip": f"{', '.join(f'{each:g}' for each in trips_ms)} ms",
+            "judged at": f"{judged_at}, over the whole scenario",
+        }
 
 
 def _lasting(duration_s: float, setup: Setup) -> list[str]:

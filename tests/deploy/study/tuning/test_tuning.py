@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -72,6 +73,27 @@ def test_its_scenarios_have_the_gains_that_were_found(grown):
     assert json.dumps(gains, sort_keys=True) in {row["gains"] for row in large.values()}
 
 
+def test_drawn_encoders_take_precedence_and_others_have_20_bits(grown):
+    study = Tuning({"scenario": "paper_arm", "laws": ["smc"], "plants": 1}, Path("tune"))
+    setups = {
+        run.columns["place"]: load_setup(run.scenario, run.overrides).scenario.plant.encoder
+        for run in study._verdict(0, 0)
+    }
+    usual = setups["another seed"].resolution_rad
+    assert usual == pytest.approx(2.0 * math.pi / 2**20)
+    assert setups["other plants"].resolution_rad != usual
+
+
+def test_gains_for_the_file_of_an_arm_are_a_scenario_too(tmp_path):
+    (tmp_path / "arm.urdf").write_text(load_setup("paper_arm").robot.text)
+    code, output = here("tune", tmp_path / "arm.urdf", "--laws", "smc", "--budget", "2", *SHORT,
+                        "--out", tmp_path / "out")  # fmt: skip
+    assert code == 0, output
+    setup = load_setup(str(tmp_path / "out" / "smc.yaml"))
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert setup.gains.slope.tolist() == summary["laws"]["smc"]["gains"]["found"]["slope"]
+
+
 def test_its_report_can_be_made_again(grown):
     out, _, _ = grown
     before = json.loads((out / "summary.json").read_text())
@@ -127,6 +149,7 @@ def test_a_law_of_the_user_starts_at_its_defaults_or_within_ranges(tmp_path, mon
             "laws = 'external': has no gains here",
         ),
         ({"set": {"controller.law": "pid"}}, "must be given as laws"),
+        ({"set": {"link.uplink.delay_ms": 30}}, "must be given as delays"),
     ],
 )
 def test_unusable_definitions_are_refused(changed, said):
@@ -138,6 +161,9 @@ def test_unusable_definitions_are_refused(changed, said):
     ("words", "said"),
     [
         (["--at-least", "5%"], "tune has no margin to gate"),
+        (["--history", "h.json"], "tune has no margin to gate"),
+        (["--delays", "5,9"], "--delays: must be left out unless --for margin"),
+        (["--for", "margin", "--travel-limit", "5"], "--travel-limit: must be left out"),
         (["--for", "fun"], "goal = 'fun'"),
         (["--budget", "1"], "budget = 1"),
         (["--laws", "smcc"], "did you mean smc?"),
