@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from deploy.cli.network.trace import Unit
+from deploy.cli.options import IncludeOption, JointsOption, MassOption
 from deploy.identify.design import design, write_design
 from deploy.identify.identification import Identified, Wishes
 from deploy.identify.identification import identify as identify_arm
@@ -39,6 +41,9 @@ def identify(
     robot: Annotated[
         str | None, typer.Option(help="The arm's file, or the name of a shipped robot.")
     ] = None,
+    joints: JointsOption = None,
+    include: IncludeOption = None,
+    mass: MassOption = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace results in that folder.")
@@ -102,7 +107,7 @@ def identify(
     """
     if robot is None:
         raise InputError("identify: --robot must name the arm's file, or a shipped robot")
-    arm = _arm(robot)
+    arm = _arm(robot, joints, include or (), mass)
     if design_file is not None:
         if logs:
             raise InputError(f"--design {design_file}: must be given without LOG files")
@@ -144,10 +149,18 @@ def _require_effect(*options: tuple[str, bool, str]) -> None:
             raise InputError(f"identify: {name} has no effect here: {allowed}")
 
 
-def _arm(name: str) -> RobotDescription:
+def _arm(
+    name: str, joints: str | None, include: Sequence[Path], mass_kg: float | None
+) -> RobotDescription:
     try:
         file, arguments = split_arguments(name)
-        return load_robot(find_urdf(file, Path.cwd()), arguments=arguments)
+        return load_robot(
+            find_urdf(file, Path.cwd()),
+            None if joints is None else [each.strip() for each in joints.split(",")],
+            arguments=arguments,
+            include=[folder.resolve() for folder in include],
+            mass_kg=mass_kg,
+        )
     except RobotDescriptionError as error:
         text = str(error)
         raise ScenarioError(text if text.startswith("/") else f"{name}: {text}") from error

@@ -50,6 +50,19 @@ def _newest(overrides: list[str] | None) -> list[str] | None:
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
 ]
+JointsOption = Annotated[
+    str | None, typer.Option(metavar="A,B,…", help="Drive these joints, and hold all others.")
+]
+IncludeOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FOLDER", help="Folder with packages that the file refers to; repeatable."
+    ),
+]
+MassOption = Annotated[
+    float | None,
+    typer.Option(metavar="KG", help="Mass of the whole arm, if its file gives no inertias."),
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(

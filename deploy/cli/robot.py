@@ -18,6 +18,7 @@ from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
 from bus_schema.urdf.implausible import tip_warnings
 from controller.manipulator_model import ManipulatorModel
+from deploy.cli.options import IncludeOption, JointsOption, MassOption
 from deploy.reports.figures.arm_pictures import arm_picture
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
@@ -48,9 +49,7 @@ def robot(
             help="A URDF, xacro or MJCF file, or other value of robot.urdf; xacro arguments.",
         ),
     ],
-    joints: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Drive these joints, and hold all others.")
-    ] = None,
+    joints: JointsOption = None,
     chain: Annotated[
         str | None,
         typer.Option(metavar="TIP", help="Drive the joints on the way to this link, hold others."),
@@ -58,16 +57,8 @@ def robot(
     repair: Annotated[
         bool, typer.Option("--repair", help="Replace inertias that no rigid body can have.")
     ] = False,
-    include: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FOLDER", help="Folder with packages that the file refers to; repeatable."
-        ),
-    ] = None,
-    mass: Annotated[
-        float | None,
-        typer.Option(metavar="KG", help="Mass of the whole arm, if its file gives no inertias."),
-    ] = None,
+    include: IncludeOption = None,
+    mass: MassOption = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the arm to this file.")
     ] = None,

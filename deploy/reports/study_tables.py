@@ -63,6 +63,10 @@ def margin_table(summary: Summary) -> Table:
         Column("Every pattern", brief="Every\npattern"),
         lambda case: texts.pattern_text(case, summary),
     )
+    smaller_rotors: TableColumn = (
+        Column("Margin with rotors × 0.1", brief="Rotors\n× 0.1"),
+        lambda case: texts.rotors_text(case, summary),
+    )
     ticks_outside: TableColumn = (
         Column("Ticks outside at first failure", "%", "Outside\nthere"),
         lambda case: at(case, "first_failure", "violation_fraction", 100.0),
@@ -78,6 +82,7 @@ def margin_table(summary: Summary) -> Table:
             *_case_columns(summary),
             (Column("Margin", brief="Held"), lambda case: texts.margin_text(case, summary)),
             *([every_pattern] if any(map(every_pattern[1], summary["cases"])) else []),
+            *([smaller_rotors] if any(map(smaller_rotors[1], summary["cases"])) else []),
             *map(on, elsewhere),
             (Column("First failure", brief="First\nfailure"), failure),
             ticks_outside if any(map(ticks_outside[1], summary["cases"])) else first_outside,

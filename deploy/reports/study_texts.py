@@ -93,6 +93,12 @@ def pattern_text(case: Summary, summary: Summary) -> str | None:
     return f"{value_text(worst['margin'], summary)}, {case['patterns']['tried']} tried"
 
 
+def rotors_text(case: Summary, summary: Summary) -> str | None:
+    """The margin with a tenth of the estimated rotors; None if it was not searched."""
+    found = case.get("smaller_rotors")
+    return None if found is None else margin_text(found, summary)
+
+
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     """What is known of a case under delays that vary, and the command that shows the worst."""
     if case.get("guaranteed"):
@@ -137,7 +143,13 @@ def margin_sentences(summary: Summary) -> list[str]:
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
     found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
     helps = filter(None, (_remedy_sentence(case, summary) for case in summary["cases"]))
-    return [*found, *_theory(summary), *helps, *_saved(summary)]
+    rotors = [
+        f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
+        f" {smaller} if the rotors are a tenth."
+        for case in summary["cases"]
+        if (smaller := rotors_text(case, summary))
+    ]
+    return [*found, *rotors, *_theory(summary), *helps, *_saved(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:

@@ -16,6 +16,7 @@ from deploy.scenario.starter import ESTIMATED
 from deploy.scenario.yaml_files import ScenarioError, override
 from plant_emulator.arm.drive_train import friction_table
 
+ROTORS = "plant.actuator.rotor_inertia_kg_m2"
 _TORQUE_SAMPLES = 400
 _WEAK_SHARE = 0.1
 """Share of the time in which a margin lets the arm fall: the funnel may be wider than that."""
@@ -54,11 +55,11 @@ def scenario_warnings(setup: Setup) -> list[str]:
             f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
             " one)"
         )
-    if re.search(rf"rotor inertia[^,;]*{ESTIMATED}", data) and actuator.has_rotors:
-        tenth = [float(f"{0.1 * each:.3g}") for each in actuator.rotor_inertia(robot.joints)]
-        tried = override("plant.actuator.rotor_inertia_kg_m2", tenth)
-        why = "rotors are estimated and decide margins: if they are a tenth, funnel-hil margin"
-        said.append(f"{why} … --set '{tried}' gives the other end")
+    if (tenth := tenth_of_rotors(setup)) is not None:
+        why = (
+            "rotors are estimated and decide margins: funnel-hil margin also searches with a tenth"
+        )
+        said.append(f"{why}; elsewhere --set '{tenth}'")
     said += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
     largest_nm = _largest_torques(setup)
@@ -67,6 +68,18 @@ def scenario_warnings(setup: Setup) -> list[str]:
     of_file = np.isclose(viscous, robot.drives.damping_nm_s, rtol=1e-3)
     said += damping_warnings(robot, np.where(of_file, viscous, 0.0), largest_nm)
     return said + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
+
+
+def tenth_of_rotors(setup: Setup) -> str | None:
+    """Return the override with a tenth of the estimated rotors; None if none are estimated."""
+    robot, actuator = setup.robot, setup.scenario.plant.actuator
+    is_estimated = re.search(rf"rotor inertia[^,;]*{ESTIMATED}", setup.drive_data)
+    if not is_estimated or not actuator.has_rotors:
+        return None
+    rotors = actuator.rotor_inertia(robot.joints)
+    of_file = np.isclose(rotors, robot.drives.rotor_inertia_kg_m2, rtol=1e-3) & (rotors > 0.0)
+    tenth = [float(f"{each:.3g}") for each in np.where(of_file, rotors, 0.1 * rotors)]
+    return override(ROTORS, tenth)
 
 
 def _torque_warning(setup: Setup) -> list[str]:

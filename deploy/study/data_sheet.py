@@ -53,9 +53,11 @@ class DataSheet:
     def margin(self) -> StudyOfRuns:
         """Return the search for margins, without and with delay compensation, for any pattern."""
         quick: dict[str, Any] = {"seeds": [1], "offsets": [1.0], "disturbances": None}
+        quick["smaller_rotors"] = False
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.law], "running": [False],
             "compensation": [False, True], "pattern": "any", "what_helps": True,
+            "smaller_rotors": True,
             "duration_s": self.duration_s, "set": self._set(),
         }  # fmt: skip
         return margin_study(values | (quick if self.is_quick else {}), _SOURCE)

@@ -15,6 +15,8 @@ _TYPES = {
     "string": "neither numbers nor true or false",
 }
 """Kind of a grid's values, by the Parquet type of their column."""
+_ADDS_FINDINGS = ("what_helps", "smaller_rotors")
+"""Keys that only ask for more runs, or for fewer."""
 _ADDS_RUNS = (("pattern", None), ("disturbances", None))
 """Keys and earlier values with which all earlier runs are still those of the study."""
 
@@ -71,7 +73,7 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
     elif isinstance(old, list) and (isinstance(new, list) or key == "laws"):  # tried in turn
         if not _has_all(COMPARED_LAWS if new is None else new, old):
             yield _lacks(key, old, new)
-    elif old != new and key != "what_helps" and (key, old) not in _ADDS_RUNS:
+    elif old != new and key not in _ADDS_FINDINGS and (key, old) not in _ADDS_RUNS:
         yield f"{key} = {shown(new)}: must be {shown(old)}"
 
 

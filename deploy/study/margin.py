@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from bus_schema.configuration import ConfigurationError, Number, Positive
 from deploy.judge.run_rows import Row, tolerated
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
-from deploy.scenario.warnings import require_hold
+from deploy.scenario.warnings import ROTORS, require_hold, tenth_of_rotors
 from deploy.scenario.yaml_files import override
 from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, StudyOfCases
 from deploy.study.doubts import doubts
@@ -22,7 +23,7 @@ from deploy.study.follow_ups.disturbances import DisturbanceSizes
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, levels, shaped
 from deploy.study.follow_ups.theory import theory_of
-from deploy.study.follow_ups.trials import COLUMN, Trials, trials
+from deploy.study.follow_ups.trials import COLUMN, Trials, changed, trials
 from deploy.study.plants import Variant
 from deploy.study.quantities import MarginSearch, Steps
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
@@ -31,6 +32,8 @@ from deploy.study.trials.sequential_test import SequentialTest
 
 _OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")
 """Keys of the findings about patterns of delays."""
+SMALLER_ROTORS = "smaller_rotors"
+"""Key of the findings about estimated rotors, and of what asks for them."""
 _MOST_VARIANTS = 200
 """Of a follow-up, for each start; their numbers do not depend on what is tried before them."""
 
@@ -50,6 +53,7 @@ class MarginDefinition(CasesDefinition):
             messages that are lost, late or overtaken; null for nothing.
         what_helps: at the first failure of each case, also try compensation, automatic play-out, a
             loop at the drives, half the gains and twice the rate.
+        smaller_rotors: where rotors are estimated, search again with a tenth of them.
     """
 
     seeds: Seeds = Field(default=[1, 2])
@@ -59,6 +63,7 @@ class MarginDefinition(CasesDefinition):
     pattern: Literal["any"] | None = None
     disturbances: DisturbanceSizes | None = Field(default_factory=DisturbanceSizes)
     what_helps: bool = False
+    smaller_rotors: bool = False
 
 
 class Margin(StudyOfCases):
@@ -156,7 +161,8 @@ class Margin(StudyOfCases):
             test = SequentialTest(1.0, len(new))  # the first loss decides
             earlier = [row for rows in search.rows.values() for row in rows]
             runs = self.runs_at(index, steps, search.steps.value(steps), new)
-            return self.begin(runs, test, earlier, is_exhaustive=not is_own)
+            is_exhaustive = isinstance(search, (PatternSearch, Trials))
+            return self.begin(runs, test, earlier, is_exhaustive=is_exhaustive)
         if not is_own:
             return []
         others = self.follow_ups[index] = dict(self._follow_ups(index, search))
@@ -178,6 +184,17 @@ class Margin(StudyOfCases):
         if wanted.what_helps and (failure := search.first_failure) is not None:
             changes = remedies.changes(setting.base)
             yield "what_helps", trials(case, steps, [failure], changes, 2 * block)
+        if (tenth := self._tenth_of_rotors(setting)) is not None:
+            yield (
+                SMALLER_ROTORS,
+                MarginSearch(steps, variants=changed(case, "rotors × 0.1", (tenth,), 3 * block)),
+            )
+
+    def _tenth_of_rotors(self, setting: Setting) -> str | None:
+        """Return the override with which a case is searched again; None if it is not."""
+        given = {*self.definition.fixed, *setting.quantity.keys}
+        is_wanted = self.definition.smaller_rotors and ROTORS not in given
+        return tenth_of_rotors(setting.base) if is_wanted else None
 
     def keeps(self, row: Row) -> bool:
         """Whether a row is of what helps, which a gate in the same folder does not ask for."""
@@ -215,8 +232,12 @@ class Margin(StudyOfCases):
 
     def _follow_up_findings(self, index: int) -> dict[str, Any]:
         """Return the findings about patterns, disturbances and remedies that were asked for."""
-        has_patterns, helps = self.definition.pattern is not None, self.definition.what_helps
-        found = dict[str, Any].fromkeys([*_OF_PATTERNS * has_patterns, *["what_helps"] * helps])
+        wanted, names = self.definition, ("what_helps", SMALLER_ROTORS)
+        asked = (
+            *_OF_PATTERNS * (wanted.pattern is not None),
+            *filter(partial(getattr, wanted), names),
+        )
+        found = dict[str, Any].fromkeys(asked)
         setting = self.cases[index].setting
         for name, search in self.follow_ups.get(index, {}).items():
             if isinstance(search, PatternSearch):
@@ -224,6 +245,8 @@ class Margin(StudyOfCases):
             elif isinstance(search, Trials) and search.next() is None:
                 kind = remedies if name == "what_helps" else disturbances
                 found[name] = kind.findings(setting, search)
+            elif name == SMALLER_ROTORS:
+                found[name] = {"override": self._tenth_of_rotors(setting), **_ends(search)}
         return found
 
     def _theory(self, setting: Setting, search: MarginSearch) -> dict[str, Any] | None:
@@ -236,17 +259,11 @@ def _search_findings(
     search: MarginSearch, case: Case, columns: Mapping[str, str]
 ) -> dict[str, Any]:
     all_rows = [row for rows in search.rows.values() for row in rows]
-
-    def value(steps: int | None) -> float | None:
-        return None if steps is None else search.steps.value(steps)
-
+    value, others = partial(_value, search), _margins_elsewhere(search)
     return {
-        "margin": value(search.margin),
-        "first_failure": value(search.first_failure),
-        "margin_on": {on: value(steps) for on, steps in _margins_elsewhere(search).items()},
+        **_ends(search),
+        "margin_on": {on: value(steps) for on, steps in others.items()},
         "held_again": list(map(value, search.held_again)),
-        "growth": search.steps.growth,
-        "completed": search.next() is None,
         "seeds": seeds_of(all_rows),
         "doubts": doubts(case.setting, all_rows, columns),
         "probes": [
@@ -260,6 +277,20 @@ def _search_findings(
             for steps, rows in sorted(search.rows.items())
         ],
     }
+
+
+def _ends(search: MarginSearch) -> dict[str, Any]:
+    """Return the margin of a search and its first failure."""
+    return {
+        "margin": _value(search, search.margin),
+        "first_failure": _value(search, search.first_failure),
+        "growth": search.steps.growth,
+        "completed": search.next() is None,
+    }
+
+
+def _value(search: MarginSearch, steps: int | None) -> float | None:
+    return None if steps is None else search.steps.value(steps)
 
 
 def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:

@@ -94,7 +94,7 @@ def margin(
         more: what else a study of margins may say: ``quantity`` (``delay``, ``jitter``, ``loss``,
             or a dotted key), ``resolution``, ``limit``, ``offsets``, ``compensation``,
             ``drive_feedback``, ``duration_s``, ``pattern`` (``any``), ``disturbances``,
-            ``what_helps``, ``plants`` with ``values``, and so on.
+            ``what_helps``, ``smaller_rotors``, ``plants`` with ``values``, and so on.
 
     Raises:
         InputError: something about it is wrong.

@@ -209,6 +209,10 @@ class MarginOptions(StudyOptions):
             help="Try remedies at the first failure; on unless --study, --plants or gate."
         ),
     ] = None
+    smaller_rotors: Annotated[
+        bool | None,
+        typer.Option(help="Search again with a tenth of estimated rotors; on as --what-helps."),
+    ] = None
     exhaustive: Annotated[
         bool | None,
         typer.Option(
@@ -232,7 +236,7 @@ class MarginOptions(StudyOptions):
     def definition(self) -> dict[str, Any]:
         costly = (self.study, self.plants, self.at_least, self.baseline)
         given: dict[str, Any] = {
-            "what_helps": True if all(each is None for each in costly) else None,
+            **dict.fromkeys(_FOLLOW_UPS, True if all(each is None for each in costly) else None),
             "scenarios": self.scenario or None,
             "laws": parse_laws(self.laws),
             "seeds": None if self.seeds is None else option_value("--seeds", self.seeds),
@@ -246,10 +250,11 @@ class MarginOptions(StudyOptions):
         }
 
 
+_FOLLOW_UPS = ("what_helps", "smaller_rotors")
 _LISTED = ("compensation", "drive_feedback", "running", "offsets", "values")
 _AS_GIVEN = (
     "excitation", "quantity", "direction", "resolution", "limit", "kept_share", "pattern",
-    "what_helps", "exhaustive",
+    "exhaustive", *_FOLLOW_UPS,
 )  # fmt: skip
 """Options with the same name as in a study's file: lists of values, and single values."""
 

@@ -69,12 +69,16 @@ def trials(case: Case, steps: Steps, values: list[int], changes: Changes, at: in
         with contextlib.suppress(ScenarioError):
             setup = load_setup(setting.scenario, setting.at(value, overrides))
             if effective_scenario(setup) != own:
-                variants += [
-                    Variant(at + len(variants) + number, (*start.overrides, *overrides),
-                            {**start.columns, COLUMN: name})
-                    for number, start in enumerate(case.variants)
-                ]  # fmt: skip
+                variants += changed(case, name, overrides, at + len(variants))
     return Trials(steps, variants=variants, values=values if variants else [])
+
+
+def changed(case: Case, name: str, overrides: tuple[str, ...], at: int) -> list[Variant]:
+    """Return the starts of a case with a change, numbered from `at`."""
+    return [
+        Variant(number, (*start.overrides, *overrides), {**start.columns, COLUMN: name})
+        for number, start in enumerate(case.variants, at)
+    ]
 
 
 def worst_of(rows: list[Row]) -> Row:

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +17,7 @@ from controller.manipulator_model import ManipulatorModel
 from deploy.identify.base_parameters import base_values, grouping
 from deploy.identify.identification import Wishes, identify
 from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
+from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
 from tests.warm_process import here
@@ -227,6 +229,25 @@ def test_rounded_and_lost_samples_and_spikes_change_little(virtual, tmp_path):
     found = identify([tmp_path / "log.csv"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
     assert found.fit.terms[:, COULOMB] == pytest.approx(truth.coulomb, rel=0.15)
     assert any("gaps are left out" in note for note in found.notes)
+
+
+def test_an_arm_is_read_with_the_options_of_robot(tmp_path):
+    """Joints to drive, packages to look in, and a mass as `robot` takes them."""
+    file = tmp_path / "arm.urdf"
+    text = (ROBOTS / "paper_arm.urdf").read_text()
+    file.write_text(re.sub(r"<inertial>.*?</inertial>", "", text, flags=re.DOTALL))
+    design_file = tmp_path / "d.csv"
+    words = ("identify", "--robot", file, "--design", design_file, "--duration", 12)
+    code, output = here(
+        *words, "--joints", "base_yaw,shoulder", "--mass", 20, "--include", tmp_path
+    )
+    assert code == 0, output
+    header = design_file.read_text().partition("\n")[0]
+    assert "shoulder" in header
+    assert "elbow" not in header
+    code, output = here(*words, "--joints", "shoulder,hip")
+    assert code == 2
+    assert "hip" in output
 
 
 def test_designed_trajectory_is_a_reference_and_a_joint_trajectory(tmp_path):

@@ -7,7 +7,7 @@ from bus_schema.robot_description import load_robot
 from deploy.cli.robot import at_rest, robot_warnings
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
-from deploy.scenario.warnings import scenario_warnings
+from deploy.scenario.warnings import scenario_warnings, tenth_of_rotors
 from tests.arms import ARMS, shipped_arm
 from tests.deploy.scenario.test_starter import ARM
 
@@ -92,6 +92,14 @@ def test_damping_that_takes_the_torque_is_named(arm):
     assert any("damping" in each for each in warnings_of(file))
     assert not any("damping" in each for each in scenario_warnings(load_setup(str(file))))
     assert not any("damping" in each for each in warnings_of(arm(60, 60, axis=damped.format(2))))
+
+
+def test_rotors_of_the_file_are_no_estimate(arm):
+    # The starter estimates 0.008 kg m² per N m; what is the file's own stays.
+    assert tenth_of_rotors(load_setup(str(arm(60, 20)))).endswith("=[0.048, 0.016]")
+    assert tenth_of_rotors(load_setup("paper_arm")) is None
+    values = ["robot.drive_data=rotor inertia ESTIMATED as 1"]
+    assert tenth_of_rotors(load_setup("paper_arm", values)) is None  # which has no rotors
 
 
 def test_a_tenth_of_estimated_rotors_has_its_command(arm):

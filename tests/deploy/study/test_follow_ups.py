@@ -12,7 +12,7 @@ from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.judge.metrics import summarise
 from deploy.reports.kinds import gauged
 from deploy.reports.results import judge_rows
-from deploy.reports.study_tables import disturbance_tables
+from deploy.reports.study_tables import disturbance_tables, margin_table
 from deploy.reports.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -291,3 +291,64 @@ def test_gate_of_every_pattern_ends_the_command_and_compares_with_its_like(funne
 def test_the_command_asks_what_helps_where_it_costs_little(options, asks):
     found = definition_with(MarginOptions(**options), {"what_helps": None})
     assert found.get("what_helps") is asks
+
+
+ESTIMATE = {"robot.drive_data": "rotor inertia ESTIMATED as 0.008 kg m² per N m"}
+ROTORS = "plant.actuator.rotor_inertia_kg_m2"
+
+
+def by_rotors(run):
+    """At a tenth of the rotors it holds up to 4 ms, and else up to 8 ms."""
+    limit = 8.0 if run.columns["change"] is None else 4.0
+    return made_up(run, **(LOST if run.columns["value"] > limit else {}))
+
+
+def of_rotors(**values):
+    given = {"limit": 12, "scenarios": ["panda_motors"], "set": ESTIMATE, "smaller_rotors": True}
+    return margin_of(**{**PLAIN, "running": [False], **given, **values})
+
+
+def test_estimated_rotors_have_a_margin_at_both_ends(tmp_path):
+    study = of_rotors()
+    whole, folder = conduct(study, tmp_path / "out", Here(by_rotors, seed=2))
+    assert whole
+    case, summary = case_of(study, folder), study.summary(folder.rows)
+    assert summary["completed"]
+    smaller = case["smaller_rotors"]
+    assert (case["margin"], smaller["margin"], smaller["first_failure"]) == (8.0, 4.0, 8.0)
+    own = study.cases[0].setting.base.scenario.plant.actuator.rotor_inertia_kg_m2
+    (tried,) = {
+        override for run in study.follow_ups[0]["smaller_rotors"].variants
+        for override in run.overrides if override.startswith(ROTORS)
+    }  # fmt: skip
+    assert tried == smaller["override"]
+    assert json.loads(tried.partition("=")[2]) == pytest.approx(
+        [0.1 * each for each in own], rel=5e-3
+    )
+    assert "8 ms; 4 ms if the rotors are a tenth." in " ".join(margin_sentences(summary))
+    table = margin_table(summary)
+    (column,) = [n for n, each in enumerate(table.columns) if "rotors" in each.title]
+    assert [row[column] for row in table.rows] == ["4 ms"]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"set": {}}, {"set": {**ESTIMATE, ROTORS: 0.1}}, {"smaller_rotors": False}],
+    ids=["data", "set", "not asked"],
+)
+def test_known_rotors_are_not_varied(tmp_path, values):
+    study = of_rotors(**values)
+    _, folder = conduct(study, tmp_path / "out", Here(by_rotors))
+    assert {row["change"] for row in folder.rows} == {None}
+    assert case_of(study, folder).get("smaller_rotors") is None
+    table = margin_table(study.summary(folder.rows))
+    assert not any("rotors" in each.title for each in table.columns)
+
+
+@pytest.mark.parametrize(
+    ("given", "is_tried"),
+    [({}, True), ({"at_least": "40 ms"}, None), ({"plants": 20}, None), ({"study": "a"}, None),
+     ({"at_least": "40 ms", "smaller_rotors": True}, True)],
+)  # fmt: skip
+def test_a_gate_asks_for_smaller_rotors_only_if_told(given, is_tried):
+    assert MarginOptions(**given).definition().get("smaller_rotors") is is_tried

@@ -1,0 +1,90 @@
+"""The table of arm files that were tried."""
+
+import time
+
+import pytest
+
+from deploy.scenario.referenced_files import ROBOTS
+from scripts.experiments.arms_tried import RUNS, files_of, opened, page, time_limit, tried
+
+XACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="a">
+<xacro:if value="${{'$(arg kind)' == 'long'}}"/>
+{0}</robot>"""
+JOINT = """<link name="world"/><link name="tip"><inertial><mass value="2"/>
+<origin xyz="0.5 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link><joint name="turn" type="revolute"><parent link="world"/><child link="tip"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="20" velocity="2"/></joint>"""
+KEPT = {"joints": 6, "mass_kg": 9.0, "estimated": ["rotor inertia"], "load": 0.4, "warnings": 0}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "07-vendor").mkdir()
+    for name, text in {
+        "arm.xacro": XACRO.format(JOINT),
+        "paint.xacro": '<robot name="paint"/>',
+        "arm_macro.xacro": JOINT,
+        "broken.urdf": "<robot",
+        "notes.txt": "",
+    }.items():
+        (tmp_path / "07-vendor" / name).write_text(text)
+    return tmp_path
+
+
+def test_files_of_arms_are_found_and_macros_are_not(folder):
+    names = [path.name for path in files_of(folder)]
+    assert names == ["arm.xacro", "broken.urdf", "paint.xacro"]
+
+
+def test_missing_arguments_get_the_first_value_of_the_message(folder):
+    arm, words = opened(folder / "07-vendor/arm.xacro")
+    assert words == ["kind:=long"]
+    assert arm.joint_names == ("turn",)
+
+
+def test_a_file_has_its_facts_and_verdicts(folder, monkeypatch):
+    monkeypatch.setattr("scripts.experiments.arms_tried.verdict", lambda *_: "kept")
+    row = tried(folder / "07-vendor/arm.xacro", folder)
+    assert row["command"] == "funnel-hil robot arm.xacro kind:=long"
+    # 2 kg at 0.5 m: 9.81 of 20 N m.
+    assert (row["joints"], row["mass_kg"], row["load"]) == (1, 2.0, pytest.approx(0.49, abs=0.002))
+    assert row["estimated"] == ["rotor inertia", "dry friction", "viscous friction"]
+    assert [row[name] for name in RUNS] == ["kept", "kept"]
+    broken = tried(folder / "07-vendor/broken.urdf", folder)
+    assert not broken["opens"]
+    assert str(folder) not in broken["reason"]
+
+
+def test_the_page_has_rates_and_names_goals_that_are_missed(folder):
+    part = tried(folder / "07-vendor/paint.xacro", folder)
+    first = {
+        "vendor": "07-vendor",
+        "file": "a.urdf",
+        "command": "funnel-hil robot a",
+        "opens": True,
+    }
+    rows = [
+        part,
+        {**first, **KEPT, "first_warning": None, "no delay": "kept", "48 ms": "lost"},
+        {**first, **KEPT, "load": 3.0, "first_warning": None, "no delay": "lost", "48 ms": "lost"},
+        {**first, "opens": False, "reason": "a | b"},
+    ]
+    text = page(rows, "Conditions.")
+    assert "| open | 2 of 3 | 67 % | 95 %, **missed** |" in text
+    # The weak arm does not count.
+    assert "| kept without delay, of arms that have the torque | 1 of 1 | 100 % | 98 % |" in text
+    assert "arms that have the torque | 0 of 1 | 0 % | 93 %, **missed** |" in text
+    assert (
+        "| vendor | `funnel-hil robot a` | 6 | 9 | rotor inertia | 0.4 | – | kept | lost |" in text
+    )
+    assert "does not open: a \\| b" in text
+    assert "paint" not in text
+
+
+def test_a_file_that_takes_too_long_is_given_up():
+    with pytest.raises(TimeoutError, match="within 1 s"), time_limit(1):
+        time.sleep(60.0)
+
+
+def test_shipped_arms_open_without_arguments():
+    assert opened(ROBOTS / "paper_arm.urdf")[1] == []
