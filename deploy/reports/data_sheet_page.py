@@ -12,7 +12,7 @@ from deploy.reports import study_tables as tables
 from deploy.reports import study_texts as texts
 from deploy.reports.figures import joints, space, style
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.tables import Cell, Column, Table, number
+from deploy.reports.tables import Cell, Column, Table
 from deploy.reports.verdict_texts import ReportHead
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns
@@ -88,7 +88,8 @@ def headline(summary: Summary) -> list[str]:
     parts = summary["parts"]
     cases = {case["compensation"]: case for case in parts["margin"]["cases"]}
     said = [_margin_sentence(summary, parts["margin"], cases[True], cases[False])]
-    said += [f"Not tested: {each}" for case in cases.values() for each in case["doubts"]]
+    doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
+    said += [f"Not tested: {each}" for each in doubts]
     if (network := parts.get("network")) is not None:
         point = network["points"][0]
         kept, runs = point["runs_kept"], point["runs"]
@@ -111,7 +112,7 @@ def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summar
         return f"{who} keeps its bounds {at_all}."
     at_least = "≥ " if on["first_failure"] is None else ""
     return (
-        f"{who} keeps its bounds for any delay up to {at_least}{number(any_ms)} ms with"
+        f"{who} keeps its bounds for any delay up to {at_least}{any_ms:g} ms with"
         " compensation (round trip; messages in order, none lost); constant:"
         f" {texts.margin_text(on, margin)} with it, {texts.margin_text(off, margin)} without."
     )
