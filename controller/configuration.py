@@ -33,10 +33,16 @@ from bus_schema.configuration import (
     expand_fields,
 )
 from bus_schema.drive_feedback import DriveGains
+from bus_schema.errors import did_you_mean
 from bus_schema.robot_description import RobotDescription
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.command_timeline import HorizonSettings
-from controller.compensation.delay_compensation import DelayCompensation
+from controller.compensation.delay_compensation import (
+    ADAPTIVE,
+    COMMUNICATION_DISTURBANCE_OBSERVER,
+    PREDICTORS,
+    DelayCompensation,
+)
 from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
 from controller.external.external_law import (
@@ -71,10 +77,13 @@ class DelayCompensationConfiguration(StrictModel):
 
     Attributes:
         enabled: whether the law sees the predicted state instead of the measured one.
-        observer_bandwidth_rad_s: bandwidth of the observer for model errors and disturbances.
-        learn_friction: whether Coulomb friction is identified too.
+        predictor: ``adaptive``, or a rival that learns nothing of the arm's model: ``smith``,
+            ``communication_disturbance_observer`` or ``hold_prediction``.
+        observer_bandwidth_rad_s: bandwidth of the observer for model errors and disturbances, or of
+            a rival's filter.
+        learn_friction: whether Coulomb friction is identified too (``adaptive`` only).
         identify_model: whether inertia, payload, viscous friction and actuator lag are identified
-            while the arm moves.
+            while the arm moves (``adaptive`` only).
         expected_round_trip_ms: round trip to assume until the first command is in force; by default
             what the sections of both directions say. An automatic play-out never is below it.
         bridge_ms: each command also holds predicted torques for this time after it acts; they act
@@ -82,11 +91,29 @@ class DelayCompensationConfiguration(StrictModel):
     """
 
     enabled: bool = False
+    predictor: str = ADAPTIVE
     observer_bandwidth_rad_s: Positive = 60.0
     learn_friction: bool = True
     identify_model: bool = True
     expected_round_trip_ms: NonNegative | None = None
     bridge_ms: NonNegative = 0.0
+
+    @field_validator("predictor")
+    @classmethod
+    def _is_known(cls, predictor: str) -> str:
+        if predictor not in PREDICTORS:
+            raise ValueError(f"one of {', '.join(PREDICTORS)}{did_you_mean(predictor, PREDICTORS)}")
+        return predictor
+
+    @property
+    def learns_model(self) -> bool:
+        """Whether anything of the arm's model is identified while it moves."""
+        return self.predictor == ADAPTIVE and self.identify_model
+
+    @property
+    def learns_friction(self) -> bool:
+        """Whether Coulomb friction is identified while the arm moves."""
+        return self.predictor == ADAPTIVE and self.learn_friction
 
 
 class DriveFeedbackConfiguration(StrictModel):
@@ -207,6 +234,17 @@ class ControllerConfiguration(StrictModel):
             raise ValueError(f"a program and its arguments if controller.law is {PROCESS}")
         return process
 
+    @model_validator(mode="after")
+    def _predictor_serves(self) -> ControllerConfiguration:
+        settings = self.delay_compensation
+        is_network = settings.predictor == COMMUNICATION_DISTURBANCE_OBSERVER
+        if settings.enabled and is_network and self.drive_feedback.enabled:
+            raise ValueError(
+                f"delay_compensation.predictor must not be {settings.predictor} while"
+                " drive_feedback.enabled is true: it does not see the torques of the drives' loops"
+            )
+        return self
+
     @field_validator(
         "torque_rate_limit_nm_s",
         "delay_compensation",
@@ -323,13 +361,14 @@ class ControllerConfiguration(StrictModel):
             nominal_arm(nominal, loaded, robot.effort_limits_nm),
             identification(
                 inertia_kg_m2,
-                model=settings.identify_model,
-                friction=settings.learn_friction,
+                model=settings.learns_model,
+                friction=settings.learns_friction,
                 rotors=rotors_kg_m2 is not None and bool(rotors_kg_m2.any()),
             ),
             drive,
             observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
             horizon=horizon,
+            predictor=settings.predictor,
         )
 
     def paced(self, law: ControlLaw, period_s: float, seed: int) -> ControlLaw:

@@ -8,102 +8,44 @@ receives another `Tracking`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.runtime.compiled import all_finite, bind, compiled
-from controller.compensation.arm_belief import ArmBelief, NominalArm, first_belief, forget
+from bus_schema.runtime.compiled import bind
+from controller.compensation.arm_belief import NominalArm, first_belief, forget
 from controller.compensation.bridge import filling
 from controller.compensation.command_timeline import (
-    CAPACITY,
     HELD,
-    LONGEST_HORIZON_NS,
     CommandFeedback,
-    Commands,
-    Flight,
     HorizonSettings,
-    ahead,
-    assumed_in_force,
-    explains,
     forget_commands,
     no_commands,
     note,
-    observe,
-    schedule,
 )
-from controller.compensation.model_identification import Identification, start_again, take_in
-from controller.compensation.motion_predictor import move
-from controller.control_law import LOWER, UPPER, Tracking
+from controller.compensation.model_identification import Identification, start_again
+from controller.compensation.prediction import Arm, foresee
+from controller.compensation.rival_predictors import foresee_network, foresee_smith
+from controller.control_law import Tracking
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.rigid_bodies.dynamics import mass_matrix
-
-_LARGEST_NM = 1e6
-"""Largest disturbance of a plausible state: nothing is learned from a larger one."""
-
-
-@compiled
-def learn_disturbance(
-    mass: Matrix, velocity: Vector, predicted_velocity: Vector, step_s: float, gain: float,
-    disturbance: Vector,
-) -> bool:  # fmt: skip
-    """Update the disturbance from the prediction error over a step; return whether it is plausible.
-
-    A constant disturbance is followed with 1 − e^(−bandwidth × time), at any length of the steps.
-
-    Args:
-        mass: M(q), kg m², shape (joints, joints).
-        velocity: measured at the end of the step, rad/s, shape (joints,).
-        predicted_velocity: the model's prediction from the state at its start, rad/s.
-        step_s: its length.
-        gain: 1 − e^(−bandwidth × step).
-        disturbance: f, driving, N m, changed in place.
-    """
-    joints = velocity.size
-    for i in range(joints):
-        for j in range(joints):
-            missed = mass[i, j] * (velocity[j] - predicted_velocity[j]) / step_s
-            if not -_LARGEST_NM < missed < _LARGEST_NM:
-                return False
-    for i in range(joints):
-        missed = 0.0
-        for j in range(joints):
-            missed += mass[i, j] * (velocity[j] - predicted_velocity[j])
-        disturbance[i] += gain * missed / step_s
-    return True
-
 
 _NO_FEEDBACK = CommandFeedback(-1, 0)
 """Feedback that is plausible for no state."""
 _LARGEST_NUMBER = 2**62
 
-
-class Arm(NamedTuple):
-    """All inputs of a prediction, for compiled code.
-
-    Attributes:
-        nominal: the nominal arm.
-        belief: the current belief about it.
-        identification: the filter that updates the belief.
-        drive: gains of the drives' own loops.
-        commands: all that were sent.
-        last: position and velocity of the state answered last as rows, shape (2, joints).
-        last_answered: its stamp in ns and the command in force at it, `HELD` for none; shape (2,).
-    """
-
-    nominal: NominalArm
-    belief: ArmBelief
-    identification: Identification
-    drive: DriveGains
-    commands: Commands
-    last: Matrix
-    last_answered: NDArray[np.int64]
+ADAPTIVE, HOLD_PREDICTION = "adaptive", "hold_prediction"
+COMMUNICATION_DISTURBANCE_OBSERVER = "communication_disturbance_observer"
+PREDICTORS: dict[str, Callable[..., float]] = {
+    ADAPTIVE: foresee,
+    HOLD_PREDICTION: foresee,
+    "smith": foresee_smith,
+    COMMUNICATION_DISTURBANCE_OBSERVER: foresee_network,
+}
+"""Compiled functions by predictor. `HOLD_PREDICTION` is the default one that learns nothing."""
 
 
 class DelayCompensation:
@@ -114,6 +56,7 @@ class DelayCompensation:
         identification: the filter for its model, in its initial state.
         drive: gains of the drives' own loops.
         observer_bandwidth_rad_s: how fast disturbances are learned.
+        predictor: one of `PREDICTORS`.
         horizon: how the time from a state until the torque that answers it acts is chosen.
 
     Attributes:
@@ -135,6 +78,7 @@ class DelayCompensation:
         *,
         observer_bandwidth_rad_s: float,
         horizon: HorizonSettings,
+        predictor: str = ADAPTIVE,
     ) -> None:
         joints = nominal.limits_nm.size
         self.announces = horizon.is_announced
@@ -144,10 +88,11 @@ class DelayCompensation:
         self.identification = identification
         self.predicted = Tracking(joints)
         self.target: Matrix = np.zeros((2, joints))
-        self._bandwidth_rad_s = observer_bandwidth_rad_s
+        self._bandwidth_rad_s = 0.0 if predictor == HOLD_PREDICTION else observer_bandwidth_rad_s
+        self._kernel = PREDICTORS[predictor]
         self._arm = Arm(
             nominal, self.belief, identification, drive, self.commands,
-            np.zeros((2, joints)), np.zeros(2, np.int64),
+            np.zeros((2, joints)), np.zeros(2, np.int64), np.zeros((4, joints)),
         )  # fmt: skip
         self._measured: Tracking | None = None
         self._torque_nm: Vector = np.zeros(joints)
@@ -166,6 +111,7 @@ class DelayCompensation:
         forget(self._arm.nominal, self.belief)
         start_again(self.identification)
         self._arm.last_answered[:] = 0, HELD
+        self._arm.memory[:] = 0.0
 
     def warm_up(self, measured: Tracking, reference: Reference, funnel: Funnel) -> None:
         """Compile everything before the run, without a trace in the state."""
@@ -220,89 +166,6 @@ class DelayCompensation:
         """Bind the arguments of compiled code: determining their types costs more than the work."""
         self._measured = measured
         self._foresee = bind(
-            _foresee, self._arm, self._bandwidth_rad_s, measured.motion, measured.error,
+            self._kernel, self._arm, self._bandwidth_rad_s, measured.motion, measured.error,
             measured.bounds, self.predicted.motion, self.target, free=["int64"] * 4,
         )  # fmt: skip
-
-
-@compiled
-def _foresee(
-    arm: Arm, bandwidth_rad_s: float, measured: Matrix, error: Vector, bounds: Matrix,
-    predicted: Matrix, target: Matrix, stamp_ns: int, sequence: int, delay_ns: int, arrival_ns: int,
-) -> float:  # fmt: skip
-    """Learn from a state, and predict for its answer into `predicted`; return the horizon."""
-    commands, (last_ns, last_in_force) = arm.commands, arm.last_answered
-    if explains(commands, sequence, delay_ns, stamp_ns):
-        observe(commands, CommandFeedback(sequence, delay_ns, arrival_ns), stamp_ns, last_ns)
-        if delay_ns <= commands.announced_ns[sequence % CAPACITY]:
-            delay_ns = 0  # it acted when it said so, and so did those before
-    else:
-        sequence = assumed_in_force(commands, stamp_ns)
-        delay_ns = commands.state[0].horizon_ns
-    if HELD < last_in_force <= sequence and stamp_ns - last_ns <= LONGEST_HORIZON_NS:
-        acted = schedule(commands, last_in_force, sequence, delay_ns, last_ns)
-        gain = 1.0 - math.exp(-bandwidth_rad_s * 1e-9 * (stamp_ns - last_ns))
-        _learn(arm, measured, error, bounds, acted, last_ns, stamp_ns, gain)
-    arm.last_answered[0], arm.last_answered[1] = stamp_ns, sequence
-    arm.last[:] = measured
-    flight = ahead(commands, sequence, stamp_ns)
-    until_ns = stamp_ns + commands.state[0].horizon_ns
-    return _predict(arm, measured, predicted, target, flight, stamp_ns, until_ns)
-
-
-@compiled
-def _learn(
-    arm: Arm, measured: Matrix, error: Vector, bounds: Matrix, flight: Flight,
-    last_ns: int, stamp_ns: int, gain: float,
-) -> None:  # fmt: skip
-    """Compare the arm's motion since the last state with the prediction."""
-    nominal, belief, identification, drive, commands, last, _ = arm
-    joints, step_s = error.size, (stamp_ns - last_ns) * 1e-9
-    motion, impulse = np.empty((3, joints)), np.empty(joints)
-    actuator, actuator_before = belief.actuator_nm.copy(), belief.actuator_nm.copy()
-    motion[:2] = last
-    move(nominal, belief, drive, commands, flight, last_ns, stamp_ns, motion, actuator, impulse)
-    mass = np.empty((joints, joints))
-    mass_matrix(nominal.bodies, belief.inertia, measured[0], mass)
-    if not all_finite(actuator):
-        return
-    belief.actuator_nm[:] = actuator
-    if not learn_disturbance(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
-        return
-    if identification.is_active and _is_inside(error, bounds):
-        take_in(nominal, identification, belief, last, measured, actuator_before, impulse, step_s)
-    else:
-        identification.window.elapsed_s[0] = 0.0
-
-
-@compiled
-def _is_inside(error: Vector, bounds: Matrix) -> bool:
-    """Whether all errors are inside the funnel: a lost arm's motion teaches nothing useful."""
-    for i in range(error.size):  # noqa: SIM110 (numba compiles no generators)
-        if not -bounds[LOWER, i] < error[i] < bounds[UPPER, i]:
-            return False
-    return True
-
-
-@compiled
-def _predict(
-    arm: Arm, measured: Matrix, predicted: Matrix, target: Matrix, flight: Flight,
-    stamp_ns: int, until_ns: int,
-) -> float:  # fmt: skip
-    """Predict the state in which a torque acts into `predicted`, (2, joints); return the span."""
-    nominal, belief, _, drive, commands, _, _ = arm
-    joints = measured.shape[1]
-    motion, impulse = np.empty((3, joints)), np.empty(joints)
-    actuator = belief.actuator_nm.copy()
-    motion[:2] = measured
-    acts_ns = until_ns + int(1e9 * belief.lag_s[0])
-    move(nominal, belief, drive, commands, flight, stamp_ns, acts_ns, motion, actuator, impulse)
-    predicted[:] = motion[:2]
-    if not (all_finite(predicted[0]) and all_finite(predicted[1])):
-        # no real motion: at such speeds the model's numbers overflow
-        predicted[:] = measured
-    horizon_s = (acts_ns - stamp_ns) * 1e-9
-    for i in range(joints):
-        target[1, i] = predicted[1, i]
-        target[0, i] = predicted[0, i] - horizon_s * predicted[1, i]
-    return horizon_s

@@ -16,6 +16,7 @@ from controller.laws.fixed_time_neural import FixedTimeNeural, FixedTimeNeuralGa
 from controller.laws.funnel_control import FunnelControl, FunnelControlGains
 from controller.laws.joint_impedance import JointImpedance, JointImpedanceGains
 from controller.laws.pid import Pid, PidGains, PidGravity, PidGravityGains
+from controller.laws.ppc_delay import PpcDelay, PpcDelayGains
 from controller.laws.settling import LargestInertia, settling_bound_s
 from controller.laws.sliding_mode import FtsmcGains, SlidingMode, SmcGains, TsmcGains
 from controller.laws.slotine_li import SlotineLi, SlotineLiGains
@@ -57,6 +58,7 @@ LAWS = {
     "time_delay_control": LawEntry(TimeDelayControl, TimeDelayControlGains),
     "disturbance_observer": LawEntry(DisturbanceObserver, DisturbanceObserverGains),
     "funnel_control": LawEntry(FunnelControl, FunnelControlGains),
+    "ppc_delay": LawEntry(PpcDelay, PpcDelayGains),
 }
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
 

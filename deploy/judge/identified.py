@@ -49,7 +49,7 @@ def series(run: RunData, name: str) -> Vector | None:
     """
     settings = run.setup.scenario.controller.delay_compensation
     field, factor = FIELDS[name]
-    is_learned = settings.learn_friction if name == "coulomb_nm" else settings.identify_model
+    is_learned = settings.learns_friction if name == "coulomb_nm" else settings.learns_model
     values = factor * run.tables[topics.CONTROL_STATUS.name][field]
     return values if is_learned and np.isfinite(values).any() else None
 

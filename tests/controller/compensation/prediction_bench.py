@@ -27,7 +27,7 @@ _STEPS = 10
 
 def compensation_of(
     *, model=False, friction=False, drive=None, limits=LIMITS, bandwidth_rad_s=60.0, least_ns=0,
-    first_ns=0, rotors=None, horizon=None,
+    first_ns=0, rotors=None, horizon=None, predictor="adaptive",
 ):  # fmt: skip
     """A compensation for the paper's arm, which by default learns nothing but a disturbance."""
     nominal, loaded = MODEL, LOADED
@@ -40,6 +40,7 @@ def compensation_of(
         drive or no_drive_feedback(3),
         observer_bandwidth_rad_s=bandwidth_rad_s,
         horizon=horizon or HorizonSettings(least_ns=least_ns, first_ns=first_ns),
+        predictor=predictor,
     )
 
 

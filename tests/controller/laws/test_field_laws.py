@@ -147,6 +147,43 @@ def test_funnel_control_within_its_funnels():
     np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-9)
 
 
+def test_ppc_delay_widens_its_envelope_by_the_torques_in_flight():
+    """Corrections once more, with the torque of 5 steps ago; there is none before the first."""
+    gains = gains_of("ppc_delay")._replace(delay_ms=10.0)
+    e, d_e, _, _ = columns()
+    ends = np.array([now.bounds for now in motion()])
+    bound = np.where(e >= 0.0, ends[:, UPPER], ends[:, 3])
+    position, velocity, expected = np.zeros(3), np.zeros(3), []
+    for tick in range(TICKS):
+        if tick > 0:
+            acted = expected[tick - 5] if tick >= 5 else np.zeros(3)
+            velocity = velocity + STEP_S * np.abs(expected[-1] - acted) / gains.inertia_kg_m2
+            position = position + STEP_S * velocity
+            position, velocity = np.exp(-gains.forgetting * STEP_S) * np.array([position, velocity])
+        wide = bound[tick] + position
+        pulled = d_e[tick] + gains.rate * wide * transformed(e[tick] / wide)
+        envelope = gains.rate * gains.opening * bound[tick] + velocity
+        expected.append(-gains.torque_nm * transformed(pulled / envelope))
+    assert position.min() > 1e-4  # rad: the correction matters
+    np.testing.assert_allclose(torques("ppc_delay", gains), expected, rtol=1e-9)
+
+
+def test_ppc_delay_has_the_prescribed_envelope_without_delay():
+    gains = gains_of("ppc_delay")._replace(delay_ms=0.0)
+    e, d_e, _, _ = columns()
+    ends = np.array([now.bounds for now in motion()])
+    bound = np.where(e >= 0.0, ends[:, UPPER], ends[:, 3])
+    pulled = (d_e / gains.rate + bound * transformed(e / bound)) / (gains.opening * bound)
+    expected = -gains.torque_nm * transformed(pulled)
+    np.testing.assert_allclose(torques("ppc_delay", gains), expected, rtol=1e-9)
+
+
+def transformed(share):
+    """½ ln((1 + x) / (1 − x)), and a line from 0.98 on."""
+    inside = np.clip(share, -0.98, 0.98)
+    return np.arctanh(inside) + (share - inside) / (1.0 - 0.98**2)
+
+
 def test_slotine_li_learns_along_the_regressor():
     gains = gains_of("slotine_li")._replace(adaptation=0.2)
     e, d_e, _, _ = columns()
@@ -186,8 +223,9 @@ def test_regressor_of_a_single_joint_has_a_row(tmp_path):
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name not in COMPARED_LAWS])
 def test_law_keeps_the_bounds_of_the_papers_arm_without_delay(name):
-    """At the start 34.8 % of the bound is left; PID with gravity overshoots to 14.8 %."""
+    """At the start 34.8 % of the bound is left; PID with gravity overshoots to 14.8 %, and the
+    widened envelope of `ppc_delay` lets the error come to 22 %."""
     run = simulate(load_setup("paper_arm", [f"controller.law={name}", "duration_s=3"]))
     bounds = summarise(run.data())["bounds"]
     assert bounds["kept"]
-    assert bounds["margin_min"] > (0.1 if name == "pid_gravity" else 0.25)
+    assert bounds["margin_min"] > {"pid_gravity": 0.1, "ppc_delay": 0.2}.get(name, 0.25)
