@@ -41,6 +41,7 @@ PANELS = {
         "sweep": "cli.study.studies:sweep",
         "compare": "cli.study.studies:compare",
         "tune": "cli.study.studies:tune",
+        "benchmark": "cli.study.studies:benchmark",
         "identify": "cli.identify:identify",
     },
     "Results": {

@@ -225,5 +225,25 @@ class GaugedTuning(GaugedSummary):
         return iter(())
 
 
+class _Cell(_Part):
+    scenario: str
+    law: str
+    predictor: str
+    gains: str
+    any_pattern_ms: Finite
+
+
+class GaugedBenchmark(GaugedSummary):
+    """A benchmark: the largest delay that each cell keeps in any pattern."""
+
+    group = "benchmark"
+    cells: Annotated[list[_Cell], Field(min_length=1)]
+
+    def numbers(self) -> Iterator[Gauged]:
+        for cell in self.cells:
+            name = f"{cell.scenario}, {cell.law}, {cell.predictor}, {cell.gains} gains"
+            yield Gauged(name, cell.any_pattern_ms, "ms")
+
+
 def _of_bound(name: str, margin: float | None) -> Gauged:
     return Gauged(name, None if margin is None else 100.0 * margin, OF_BOUND)

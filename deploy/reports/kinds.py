@@ -16,6 +16,7 @@ from bus_schema.user_files import read_text
 from deploy.judge.gate import Gauged
 from deploy.judge.verdict import Verdict, verdict_of
 from deploy.reports.gauges import (
+    GaugedBenchmark,
     GaugedComparison,
     GaugedDataSheet,
     GaugedMargins,
@@ -87,6 +88,12 @@ def _tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
     return tune_page(study)
 
 
+def _benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    from deploy.reports.benchmark_page import benchmark_page  # heavy
+
+    return benchmark_page(study)
+
+
 @dataclass(frozen=True)
 class ResultKind:
     """What is particular to a kind of result.
@@ -121,6 +128,7 @@ _KINDS = {
         ResultKind("margin", GaugedMargins, _margin_page, margins_by_law),
         ResultKind("robustness", GaugedRobustness, _robustness_page, robustness_table),
         ResultKind("tune", GaugedTuning, _tune_page),
+        ResultKind("benchmark", GaugedBenchmark, _benchmark_page),
         ResultKind("datasheet", GaugedDataSheet),
     )
 }

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bus_schema.configuration import ConfigurationError
-from controller.laws import COMPARED_LAWS
+from controller.laws import COMPARED_LAWS, LAWS
 from deploy.scenario.scenario import file_values, given_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import ARM_FILES
@@ -27,6 +27,11 @@ _IDLE = ("clock", "link.plant_endpoint", "link.controller_endpoint")
 """Keys without effect in a simulation; nor in a run of a process, like those of a bus."""
 _AS_IT_IS = {("clock", "lockstep")}
 """Values that are always true of a simulation."""
+
+
+def gains_key(law: str) -> str:
+    """Return the key of a law's gains in ``controller.gains``."""
+    return law if law in LAWS else "custom"
 
 
 def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:

@@ -33,6 +33,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
+from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.comparison.comparison import Comparison
 from deploy.study.growth import changes, hindrances
 from deploy.study.margin import Margin
@@ -45,7 +46,7 @@ from deploy.study.tuning.tuning import Tuning
 STUDY_FILE = "study.yaml"
 _PROVENANCES_FILE = "provenance.json"
 KINDS: dict[str, type[StudyOfRuns]] = {
-    kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison, Tuning)
+    kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison, Tuning, Benchmark)
 }
 _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3

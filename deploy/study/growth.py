@@ -67,6 +67,8 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
                 yield _lacks(f"grid.{axis}", before, now)
             elif (kind := column_type(old[axis])) != column_type(new[axis]):
                 yield f"grid.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
+    elif key == "gains" and isinstance(old, dict) and isinstance(new, dict):
+        yield from _of_gains(old, new)
     elif key in ("plants", "budget") and isinstance(old, int) and isinstance(new, int):
         if new < old:
             yield _lacks(key, old, new)
@@ -75,6 +77,15 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
             yield _lacks(key, old, new)
     elif old != new and key not in _ADDS_FINDINGS and (key, old) not in _ADDS_RUNS:
         yield f"{key} = {shown(new)}: must be {shown(old)}"
+
+
+def _of_gains(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
+    """Explain which gains of a law on an arm have changed; further ones are welcome."""
+    for arm, laws in old.items():
+        for law, before in laws.items():
+            now = new.get(arm, {}).get(law)
+            if now != before:
+                yield f"gains of {law} on {arm} = {shown(now)}: must be {shown(before)}, as before"
 
 
 def _has_all(new: Any, old: Any) -> bool:

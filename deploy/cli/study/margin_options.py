@@ -130,7 +130,7 @@ class TuneOptions(StudyOptions):
             "laws": parse_laws(self.laws) or COMPARED_LAWS,
             "goal": self.goal, "budget": self.budget, "search_seed": self.search_seed,
             "duration_s": self.duration, "travel_limit_per_s": self.travel_limit,
-            "delays_ms": _listed("delays", self.delays),
+            "delays_ms": listed("delays", self.delays),
             "ranges": None if self.ranges is None else read_yaml(self.ranges),
         }  # fmt: skip
         is_margin = self.goal == "margin"
@@ -244,7 +244,7 @@ class MarginOptions(StudyOptions):
         }
         as_given = {name: getattr(self, name) for name in _AS_GIVEN}
         given |= {name: value for name, value in as_given.items() if value is not None}
-        given |= {name: _listed(name, getattr(self, name)) for name in _LISTED}
+        given |= {name: listed(name, getattr(self, name)) for name in _LISTED}
         return super().definition() | {
             key: value for key, value in given.items() if value is not None
         }
@@ -278,7 +278,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     return values | given | {"set": {**own, **fixed}}
 
 
-def _listed(name: str, text: str | None) -> list[Any] | None:
+def listed(name: str, text: str | None) -> list[Any] | None:
     """Return the values in ``a,b,…``, with the types of YAML."""
     option = f"--{name.replace('_', '-')}"
     return None if text is None else [option_value(option, part) for part in text.split(",")]

@@ -14,6 +14,7 @@ import typer
 
 from deploy.cli.common import CommandGate, conclude, leave, say_oddities
 from deploy.cli.options import taking
+from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.cli.study.margin_options import (
     CompareOptions,
     MarginOptions,
@@ -31,6 +32,7 @@ from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.processes.program import require_program
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
+from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.comparison.comparison import Comparison
 from deploy.study.conduct import Conducted, conduct
 from deploy.study.robustness import margin_study
@@ -88,6 +90,17 @@ def tune(options: TuneOptions) -> None:
         if getattr(options, name) is not None:
             raise ScenarioError(f"--{name.replace('_', '-')}: tune has no margin to gate")
     _conduct(Tuning(options.definition(), Path("tune")), options)
+
+
+@taking(BenchmarkOptions)
+def benchmark(options: BenchmarkOptions) -> None:
+    """Run laws and predictors alike: rising delays, patterns, networks and uncertain plants.
+
+    With --tuned, each law also runs with the gains that `tune` found. After an interruption or a
+    kill, the same command continues; with more laws (also your own), arms, predictors or plants, it
+    adds their rows to those of the others.
+    """
+    _conduct(Benchmark(options.definition(), Path("benchmark")), options)
 
 
 @taking(CompareOptions)

@@ -150,8 +150,11 @@ class Tuning(StudyOfRuns):
         full_s = self._laws[index].setup.scenario.duration_s
         duration_s = min(wanted.duration_s, full_s) if stage == "search" else full_s
         # First, so that values of the user and of drawn plants take precedence.
-        common = (*REAL_ARM, *self._under(law), override(f"controller.gains.{_key(law)}", gains),
-                  *_lasting(duration_s, self._laws[index].setup))  # fmt: skip
+        common = (
+            *REAL_ARM, *self._under(law),
+            override(f"controller.gains.{study_keys.gains_key(law)}", gains),
+            *_lasting(duration_s, self._laws[index].setup),
+        )  # fmt: skip
         beyond = 0 if stage == "search" else max(wanted.seeds)
         for place_number, place in enumerate(self.places[stage]):
             for seed in wanted.seeds:
@@ -232,7 +235,7 @@ class Tuning(StudyOfRuns):
         for law in self._laws:
             if law.name not in summary["laws"]:
                 continue
-            gains = override(f"controller.gains.{_key(law.name)}", law.gains(1))
+            gains = override(f"controller.gains.{study_keys.gains_key(law.name)}", law.gains(1))
             name = override("name", f"{summary['scenario']}-{_file(law.name)}")
             path = folder / f"{_file(law.name)}.yaml"
             overrides = [*self._under(law.name), gains, name]
@@ -268,10 +271,6 @@ def _start_of(law: str, setup: Setup) -> Gains:
         raise InputError("has no gains here: must be a law, not a program")
     given = plain(setup.gains)
     return given if law in LAWS else {**default_gains(law), **given}
-
-
-def _key(law: str) -> str:
-    return law if law in LAWS else "custom"
 
 
 def _file(law: str) -> str:

@@ -1,0 +1,215 @@
+"""Report of a benchmark: laws and predictors by their worst arm, and each arm by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import plotly.graph_objects as go
+
+from deploy.reports.figures import style
+from deploy.reports.figures.study_figures import DrawnStudy
+from deploy.reports.page import Cards, Fact, Page, Panel
+from deploy.reports.tables import Cell, Column, Status, Table
+from deploy.reports.verdict_texts import ReportHead
+from deploy.study.statistics import worst
+
+Summary = Mapping[str, Any]
+Entry = tuple[str, str, str]
+"""Law, predictor, and whether its gains are given or tuned."""
+_HEIGHT_PX = 430
+_SYMBOLS = ("circle", "diamond", "square", "cross", "x")
+
+
+def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    """Return the report of a benchmark."""
+    summary = study.summary
+    entries = _ranked(summary)
+    (law, predictor, gains), cells = entries[0]
+    sentence = (
+        f"Largest delay that every arm and pattern kept: {_least(cells, 'any_pattern_ms'):g} ms,"
+        f" by {law} with predictor {predictor} and {gains} gains."
+    )
+    limits = (
+        "The delays are a grid, so that a margin is at least the value shown. RMS error and travel"
+        f" are those at {summary['delays_ms'][0]:g} ms."
+    )
+    return Page(
+        "benchmark",
+        summary["name"],
+        verdict=ReportHead("mixed", f"{len(entries)} laws with predictors", [sentence, limits]),
+        facts=[
+            Fact("Arms", str(len(_names(summary, "scenario")))),
+            Fact("Runs", str(summary["runs"])),
+            Fact("Uncertain plants", str(summary["plants"] or "none")),
+        ],
+        panels=lambda: [*map(_kept_panel, _names(summary, "predictor")), _SCATTER],
+        subject=study,
+        before=("Ranking", [Cards([_ranking(summary, entries)], "stacked")]),
+        after=("Each arm", [Cards([_by_arm(summary)], "stacked")]),
+    )
+
+
+def _names(summary: Summary, key: str) -> list[str]:
+    return list(dict.fromkeys(cell[key] for cell in summary["cells"]))
+
+
+def _ranked(summary: Summary) -> list[tuple[Entry, list[Summary]]]:
+    """Return the cells of all arms by entry: by the worst arm, then by the mean."""
+    found: dict[Entry, list[Summary]] = {}
+    for cell in summary["cells"]:
+        found.setdefault((cell["law"], cell["predictor"], cell["gains"]), []).append(cell)
+
+    def rank(item: tuple[Entry, list[Summary]]) -> tuple[float, float, float]:
+        cells = item[1]
+        return (
+            -_least(cells, "any_pattern_ms"), -_mean(cells, "any_pattern_ms"),
+            -_mean(cells, "margin_ms"),
+        )  # fmt: skip
+
+    return sorted(found.items(), key=rank)
+
+
+def _least(cells: list[Summary], key: str) -> float:
+    return min(float(cell[key]) for cell in cells)
+
+
+def _mean(cells: list[Summary], key: str) -> float:
+    return sum(cell[key] for cell in cells) / len(cells)
+
+
+def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Table:
+    columns = [
+        *(Column(name, is_text=True) for name in ("Law", "Predictor", "Gains")),
+        Column("Any pattern, worst arm", "ms"), Column("Constant, worst arm", "ms"),
+        Column("Constant, mean", "ms"), Column("RMS error, worst arm", "mrad"),
+    ]  # fmt: skip
+    if summary["networks"]:
+        columns.append(Column("Windows kept", is_text=True))
+    if summary["plants"]:
+        columns.append(Column("Plants kept", is_text=True))
+    rows = []
+    for entry, cells in entries:
+        errors = [worst(cell["rms_rad"]) for cell in cells]
+        known = [each for each in errors if each is not None]
+        row: list[Any] = [
+            *entry, _least(cells, "any_pattern_ms"), _least(cells, "margin_ms"),
+            _mean(cells, "margin_ms"),
+            1e3 * max(known) if len(known) == len(errors) and known else None,
+        ]  # fmt: skip
+        if summary["networks"]:
+            row.append(_share([each for cell in cells for each in cell["networks"].values()]))
+        if summary["plants"]:
+            row.append(_share([each for cell in cells for each in cell["plants_kept"]]))
+        rows.append(row)
+    return Table(
+        f"{summary['name']} · by the worst arm, then the mean", columns, rows,
+        "A law that is lost at the smallest delay has no further runs: 0 ms, and windows and plants"
+        " of its other arms only. Plants: over all delays that were asked for.",
+    )  # fmt: skip
+
+
+def _share(shares: list[Summary]) -> Cell:
+    kept, total = (sum(each[key] for each in shares) for key in ("kept", "total"))
+    status: Status = "good" if total and kept == total else "bad"
+    return Cell(f"{kept} of {total}", status) if total else Cell("none run")
+
+
+def _by_arm(summary: Summary) -> Table:
+    rows = [
+        [
+            cell["scenario"], cell["law"], cell["predictor"], cell["gains"], cell["margin_ms"],
+            cell["any_pattern_ms"],
+            *(None if value is None else factor * value for value, factor in (
+                (worst(cell["rms_rad"]), 1e3), (worst(cell["travel_nm_per_s"]), 1.0))),
+            *(_network(cell, name) for name in summary["networks"]),
+        ]
+        for cell in summary["cells"]
+    ]  # fmt: skip
+    columns = [
+        *(Column(name, is_text=True) for name in ("Arm", "Law", "Predictor", "Gains")),
+        Column("Constant", "ms"), Column("Any pattern", "ms"), Column("RMS error", "mrad"),
+        Column("Travel", "N m/s"),
+        *(Column(name, "%") for name in summary["networks"]),
+    ]  # fmt: skip
+    note = "Share of the windows of each network that were kept." if summary["networks"] else ""
+    return Table("Each arm", columns, rows, note)
+
+
+def _network(cell: Summary, name: str) -> float | None:
+    share = cell["networks"].get(name)
+    return None if share is None else 100.0 * share["fraction"]
+
+
+def _kept_panel(predictor: str) -> Panel[DrawnStudy]:
+    return Panel(
+        "Delay", f"benchmark-{predictor}", f"Cases that are kept, predictor {predictor}",
+        partial(_kept, predictor),
+        "Share of arms and uncertain plants that keep their bounds up to a constant delay, with the"
+        " better of given and tuned gains.",
+    )  # fmt: skip
+
+
+def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
+    summary = study.summary
+    figure = style.new_figure(_HEIGHT_PX, "round trip / ms", "kept / %")
+    delays_ms = summary["delays_ms"]
+    for index, law in enumerate(_names(summary, "law")):
+        curves = []
+        for gains in _names(summary, "gains"):
+            cells = [
+                cell for cell in summary["cells"]
+                if (cell["law"], cell["predictor"], cell["gains"]) == (law, predictor, gains)
+            ]  # fmt: skip
+            if cells:
+                curves.append([_share_at(cells, delay_ms) for delay_ms in delays_ms])
+        if curves:
+            figure.add_scatter(
+                x=delays_ms, y=max(curves, key=sum), name=law, mode="lines+markers",
+                line_color=style.palette(index),
+            )  # fmt: skip
+    style.put_legend_on_top(figure, 1 + len(figure.data) // 4)
+    return figure
+
+
+def _share_at(cells: list[Summary], delay_ms: float) -> float:
+    """Return the share of all arms, and of their plants, that are kept at a delay, in %."""
+    kept = sum(cell["margin_ms"] >= delay_ms for cell in cells)
+    plants = [
+        each for cell in cells for each in cell["plants_kept"] if each["round_trip_ms"] == delay_ms
+    ]
+    total = len(cells) + sum(each["total"] for each in plants)
+    return 100.0 * float(kept + sum(each["kept"] for each in plants)) / total
+
+
+def _margin_and_error(study: DrawnStudy) -> go.Figure:
+    summary = study.summary
+    figure = style.new_figure(_HEIGHT_PX, "RMS error / mrad", "constant delay kept / ms")
+    figure.update_xaxes(type="log")
+    predictors = _names(summary, "predictor")
+    for index, law in enumerate(_names(summary, "law")):
+        cells = [
+            cell for cell in summary["cells"]
+            if cell["law"] == law and worst(cell["rms_rad"]) is not None and cell["margin_ms"]
+        ]  # fmt: skip
+        figure.add_scatter(
+            x=[1e3 * (worst(cell["rms_rad"]) or 0.0) for cell in cells],
+            y=[cell["margin_ms"] for cell in cells], name=law, mode="markers",
+            marker={
+                "color": style.palette(index),
+                "symbol": [
+                    _SYMBOLS[predictors.index(cell["predictor"]) % len(_SYMBOLS)] for cell in cells
+                ],
+            },
+            text=[f"{c['scenario']}, {c['predictor']}, {c['gains']} gains" for c in cells],
+        )  # fmt: skip
+    style.put_legend_on_top(figure, 1 + len(figure.data) // 4)
+    return figure
+
+
+_SCATTER: Panel[DrawnStudy] = Panel(
+    "Delay", "benchmark-scatter", "Delay against precision", _margin_and_error,
+    "A point for each arm, predictor and gains that keep the smallest delay: further to the left is"
+    " more precise there, higher is more robust. Symbols: predictors, circles for the first.",
+)  # fmt: skip

@@ -1,0 +1,1 @@
+"""The benchmark: laws and predictors on arms, networks and uncertain plants, run alike."""
