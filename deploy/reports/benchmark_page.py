@@ -76,7 +76,7 @@ def _least(cells: list[Summary], key: str) -> float:
 
 
 def _mean(cells: list[Summary], key: str) -> float:
-    return sum(cell[key] for cell in cells) / len(cells)
+    return sum(float(cell[key]) for cell in cells) / len(cells)
 
 
 def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Table:
@@ -180,7 +180,7 @@ def _share_at(cells: list[Summary], delay_ms: float) -> float:
         each for cell in cells for each in cell["plants_kept"] if each["round_trip_ms"] == delay_ms
     ]
     total = len(cells) + sum(each["total"] for each in plants)
-    return 100.0 * float(kept + sum(each["kept"] for each in plants)) / total
+    return 100.0 * (kept + sum(int(each["kept"]) for each in plants)) / int(total)
 
 
 def _margin_and_error(study: DrawnStudy) -> go.Figure:
