@@ -180,7 +180,7 @@ def _share_at(cells: list[Summary], delay_ms: float) -> float:
         each for cell in cells for each in cell["plants_kept"] if each["round_trip_ms"] == delay_ms
     ]
     total = len(cells) + sum(each["total"] for each in plants)
-    return 100.0 * (kept + sum(int(each["kept"]) for each in plants)) / int(total)
+    return float(100.0 * (kept + sum(each["kept"] for each in plants)) / total)
 
 
 def _margin_and_error(study: DrawnStudy) -> go.Figure:

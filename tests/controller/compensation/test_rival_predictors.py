@@ -90,7 +90,7 @@ def inertial_law(sees_prediction):
 
 @pytest.mark.parametrize("predictor", RIVALS)
 def test_a_loop_that_delay_makes_swing_comes_to_rest_with_each_predictor(predictor):
-    """Without prediction the error still swings by 0.11 rad after 0.8 s, with it by 0.003 at most."""
+    """Without prediction the error still swings by 0.11 rad at 0.8 s, with it by 0.003 rad."""
     largest = []
     for sees_prediction in (False, True):
         bench = bench_of(predictor, law=inertial_law(sees_prediction))
