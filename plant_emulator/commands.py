@@ -139,7 +139,7 @@ class ArmCommands:
             elif time.monotonic() > give_up_s:
                 self.controller_is_lost = True
                 silence = PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")
-                self._supervisor.fail(str(silence))
+                self._supervisor.fail(str(silence), silence.peer)
                 return
             elif self._may_have_missed_state():
                 self._link.send_state(state.state, state.status)

@@ -34,6 +34,9 @@ from plant_emulator.supervisor import Supervisor
 from plant_emulator.telemetry import PlantTelemetry
 from plant_emulator.uplink import Uplink
 
+_ENDED = ("ticks", "completed", "wall_s", "stolen_ms")
+"""What the last event reports of the outcome."""
+
 
 class PlantLoop:
     """One run of the plant.
@@ -122,6 +125,7 @@ class PlantLoop:
             ticks=self.tick,
             completed=self.tick >= self._task.ticks and not supervisor.faults,
             faults=supervisor.faults,
+            awaited=supervisor.awaited,
             wall_s=time.monotonic() - started_s,
             stolen_ms=stolen_ms() - stolen_before_ms,
         )
@@ -275,8 +279,8 @@ class PlantLoop:
         if supervisor.stop_requested:
             supervisor.announce(EventKind.STOPPED, "stopped on request")
         supervisor.announce(EventKind.COUNTS, json.dumps(counts))
-        ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
-        ended |= {
+        ended = {
+            **{name: getattr(outcome, name) for name in _ENDED},
             "physics": self._arm.physics, "kernel": own_kernel(), "seed_used": is_seed_used(),
             "start_s": 1e-9 * (time.monotonic_ns() - self._clock.now_ns()),
         }  # fmt: skip
