@@ -59,7 +59,7 @@ class PlantLoop:
         downlink = self._downlink
         self._playout = downlink if isinstance(downlink, PlayoutBuffer) else None
         gate = CommandGate(
-            names, link.sender_has_left,
+            names, link.sessions.sender_has_left,
             takes_targets=task.takes_targets, takes_acting_time=task.link.plays_automatically,
         )  # fmt: skip
         self._link = _with_faults(task, link, clock, gate)
@@ -269,7 +269,7 @@ class PlantLoop:
 
     def _report_end(self, outcome: PlantOutcome) -> None:
         supervisor, downlink = self._supervisor, self._downlink
-        rejected = self._commands.rejected + Counter(overflow=self._link.overflow())
+        rejected = self._commands.rejected + Counter(overflow=self._link.sessions.overflow())
         counts = {
             "uplink": self._uplink.channel.statistics().summary() | {"rejected": {}},
             "downlink": downlink.statistics().summary() | {"rejected": rejected},
