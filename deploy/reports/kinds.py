@@ -126,7 +126,7 @@ _KINDS = {
     for kind in (
         ResultKind("run", GaugedRun, listed=_verdict, is_run=True),
         ResultKind("comparison", GaugedComparison, listed=_worst_law,
-                   study_at="deploy.study.comparison.comparison:Comparison",
+                   study_at="deploy.study.comparison.comparison:LawComparison",
                    again_at="deploy.reports.again:laws_again"),
         ResultKind("diff", again_at="deploy.reports.again:diff_again"),
         ResultKind("sweep", GaugedSweep, page_at="deploy.reports.sweep_page:sweep_page",
