@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -18,9 +17,11 @@ class BusError(Exception):
 
     Attributes:
         is_cause: other failures of the same run are consequences of this one.
+        peer: role of the peer whose silence it is; empty for other errors.
     """
 
     is_cause = False
+    peer = ""
 
 
 class InvalidMessageError(BusError, ValueError):
@@ -66,12 +67,6 @@ class PeerSilentError(BusError, TimeoutError):
         super().__init__(f"the {peer} is silent: no {awaited} within {waited_s:g} s")
         self.peer = peer
         self.waited_s = waited_s
-
-
-def silent_peer(text: str) -> str | None:
-    """Return the silent peer in a `PeerSilentError`'s sentence; None for other sentences."""
-    found = re.search(r"\bthe (\w+) is silent: no ", text)
-    return found and found[1]
 
 
 class ScenarioMismatchError(BusError):

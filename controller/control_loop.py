@@ -14,14 +14,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.limits import JointLimits, name_of
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.messages.types import join_stamp
@@ -34,6 +31,7 @@ from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
 from controller.control_status import ControlStatus
+from controller.cycle_messages import CycleMessages
 from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
 from controller.reference import Reference
@@ -83,31 +81,20 @@ class ControlLoop:
         names = task.robot.joint_names
         self._task, self._link = task, link
         self._compensation = task.compensation
-        self._state_layout = topics.layout(topics.JOINT_STATES, names)
-        self._state = Record(self._state_layout)
-        self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
-        self._plant_status = Record(self._plant_status_layout)
         announces = task.compensation is not None and task.compensation.announces
         rows = 1 if task.compensation is None else task.compensation.rows
-        self._command = Record(
-            topics.layout(
-                topics.JOINT_COMMANDS, names,
-                has_targets=task.sends_targets, has_acting_time=announces, rows=rows,
-            )
-        )  # fmt: skip
-        self._torques_nm = self._command.fields["effort"].reshape(rows, -1)
-        self._targets = np.zeros((2, *self._torques_nm.shape))
-        if task.sends_targets:
-            self._targets = self._command.rows("position", "velocity").reshape(2, rows, -1)
-        self._target = self._targets[:, 0] if task.sends_targets else None
+        messages = self._messages = CycleMessages(
+            names, rows, has_targets=task.sends_targets, has_acting_time=announces
+        )
+        self._command, self._torques_nm = messages.command, messages.torques_nm
+        self._target = messages.targets[:, 0] if task.sends_targets else None
         self._bridge: Callable[[], None] | None = None
         if task.compensation is not None and rows > 1:
-            self._bridge = task.compensation.bridge(self._torques_nm, self._targets, task.reference)
-        self._status = ControlStatus(names, task.law, task.compensation)
-        self.tracking = Tracking(
-            task.robot.joints, self._state.rows("position", "velocity"), self._status.tracking_rows
-        )
-        self._is_finite = bind(all_finite, self.tracking.motion)
+            bridge = task.compensation.bridge(messages.torques_nm, messages.targets, task.reference)
+            self._bridge = bridge
+        self._status = ControlStatus(messages.status, task.law, task.compensation)
+        self.tracking = Tracking(task.robot.joints, messages.motion, messages.tracked)
+        self._is_finite = bind(all_finite, messages.arrived.rows("position", "velocity"))
         self._guard = TorqueGuard(
             task.law_name, task.limits, self.tracking.motion, self._torques_nm[0]
         )
@@ -172,7 +159,7 @@ class ControlLoop:
         self._command.stamp_ns = max(self.stamp_ns, 0)
         self._torques_nm[:] = 0.0
         if self._target is not None:
-            self._targets[:] = math.nan  # without targets, or the drives would follow the last one
+            self._messages.targets[:] = math.nan  # or the drives would follow the last one
         with contextlib.suppress(Exception):  # the bus may be the fault
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         self._change_mode(Trigger.STOPPED, "sends no more torques")
@@ -197,8 +184,9 @@ class ControlLoop:
 
     def _read(self, state: bytes, plant_status: bytes | None) -> bool:
         """Read a state; return whether it requires a new torque."""
+        messages = self._messages
         try:
-            stamp_ns = self._state_layout.decode(state, self._state)
+            stamp_ns = messages.state_layout.decode(state, messages.arrived)
             if not self._is_finite():
                 raise InvalidMessageError("not_finite", "a position or velocity is not finite")
         except InvalidMessageError as error:
@@ -213,6 +201,7 @@ class ControlLoop:
             return False
         step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
         self.stamp_ns = stamp_ns
+        messages.accept()
         self.tracking.update(
             (stamp_ns - self._start_ns) * 1e-9, step_ns * 1e-9, self._task.reference,
             self._task.funnel,
@@ -224,14 +213,14 @@ class ControlLoop:
 
         A foreign plant reports nothing: the run begins with its first state.
         """
-        start_ns, self._feedback = stamp_ns, None
+        start_ns, self._feedback, messages = stamp_ns, None, self._messages
         if plant_status is not None:
             try:
-                self._plant_status_layout.decode(plant_status, self._plant_status)
+                messages.plant_status_layout.decode(plant_status, messages.plant_status)
             except InvalidMessageError as error:
                 self.rejections.note(error)
             else:
-                said = self._plant_status.scalars
+                said = messages.plant_status.scalars
                 start_ns = join_stamp(said.start_sec, said.start_nanosec)
                 self._feedback = CommandFeedback(
                     said.command_sequence, said.command_delay_ns, said.arrival_delay_ns
@@ -275,8 +264,8 @@ class ControlLoop:
         return LawError(self._task.law_name, tick, error) if is_of_the_law(error) else error
 
     def _write(self) -> int:
-        """Send the current torque in answer to the state that was read; return its number."""
-        self._command.stamp[:] = self._state.stamp
+        """Send the current torque in answer to the state that arrived; return its number."""
+        self._command.stamp[:] = self._messages.arrived.stamp
         if self._target is not None and self._target_of_law is None:
             self._write_target(self._target)
         compensation = self._compensation
@@ -299,7 +288,7 @@ class ControlLoop:
 
     def _report(self, sequence: int, started_ns: int) -> None:
         """Publish the law's internal state and its timing; the torque has already been sent."""
-        payload = self._status.encode(self._state, self.cycles, sequence, started_ns)
+        payload = self._status.encode(self._messages.state, self.cycles, sequence, started_ns)
         self._link.publish(topics.CONTROL_STATUS, payload)
         self.cycles += 1
         if self.cycles == 1:

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Records, Vector
-from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.compiled import bind, compiled, copying
 from controller.compensation.arm_belief import ArmBelief
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import INERTIA, LAG, PAYLOAD
-from controller.control_law import ControlLaw, Diagnostics, Tracking
+from controller.control_law import ControlLaw, Diagnostics
 
 _LEARNED = (
     "foreseen_error", "learned_disturbance", "learned_friction", "learned_viscous",
@@ -28,24 +27,22 @@ class ControlStatus:
     """Encoder of control status messages.
 
     Args:
-        joint_names: names of the joints.
+        record: the message; another owner writes what `Tracking` publishes.
         law: the law, for its diagnostics.
         compensation: the delay compensation, if there is one.
 
     Attributes:
-        tracking_rows: array for the `Tracking`'s published values.
         cycle_started_ns: start of the newest cycle; 0 before the first.
     """
 
     def __init__(
         self,
-        joint_names: tuple[str, ...],
+        record: Record,
         law: ControlLaw,
         compensation: DelayCompensation | None,
     ) -> None:
-        self._record = Record(topics.layout(topics.CONTROL_STATUS, joint_names))
+        self._record = record
         self._law = law
-        self.tracking_rows = self._record.rows(*Tracking.PUBLISHED)
         self._bind(law.diagnostics)
         for name in _LEARNED:
             self._record.fields[name][:] = np.nan

@@ -71,8 +71,7 @@ class ArmPlant:
             configuration, robot, grid.substep_s, randoms[0], limits, gains,
             adds_drive=not faults,
         )  # fmt: skip
-        # Without faults, the commanded torques are requested of the actuators unchanged.
-        self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
+        self._commanded: Vector = np.zeros(robot.joints)
         self._grid = grid
         engine = engine_in_force(configuration)
         self.physics = physics_in_force(configuration)
@@ -186,6 +185,7 @@ class ArmPlant:
             end: number of the first substep to leave out.
         """
         if self._faults is None and self.mode in COMMANDABLE:
+            self.torques.asked[:] = self._commanded
             self._go(first, end)
             return
         is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
@@ -193,7 +193,9 @@ class ArmPlant:
             if is_damped:
                 np.multiply(self._stop_damping, self.velocity, out=self._commanded)
                 np.negative(self._commanded, out=self._commanded)
-            if self._faults is not None:
+            if self._faults is None:
+                self.torques.asked[:] = self._commanded
+            else:
                 self._apply_faults(self._faults, self._grid.substep_ns(number))
             self._go(number, number + 1)
 

@@ -115,7 +115,7 @@ class ArmCommands:
                 if arrival.sender != former:
                     words = _commander(arrival.sender, former)
                     self._supervisor.announce(EventKind.COMMANDER, words)
-                    self._link.note_commander(arrival.sender)
+                    self._link.sessions.note_commander(arrival.sender)
                 self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
         if arrivals and not self._second_source_is_told and (source := self._gate.second_source):
             self._second_source_is_told = True
@@ -139,7 +139,7 @@ class ArmCommands:
             elif time.monotonic() > give_up_s:
                 self.controller_is_lost = True
                 silence = PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")
-                self._supervisor.fail(str(silence))
+                self._supervisor.fail(str(silence), silence.peer)
                 return
             elif self._may_have_missed_state():
                 self._link.send_state(state.state, state.status)
@@ -181,7 +181,7 @@ class ArmCommands:
     def _may_have_missed_state(self) -> bool:
         """Whether the controller may have missed the state, as the first one or a replacement."""
         if self._gate.commander is None:
-            return self._link.may_miss_states()
+            return self._link.sessions.may_miss_states()
         return self._gate.lacks_commander()
 
 

@@ -34,6 +34,9 @@ from plant_emulator.supervisor import Supervisor
 from plant_emulator.telemetry import PlantTelemetry
 from plant_emulator.uplink import Uplink
 
+_ENDED = ("ticks", "completed", "wall_s", "stolen_ms")
+"""What the last event reports of the outcome."""
+
 
 class PlantLoop:
     """One run of the plant.
@@ -56,7 +59,7 @@ class PlantLoop:
         downlink = self._downlink
         self._playout = downlink if isinstance(downlink, PlayoutBuffer) else None
         gate = CommandGate(
-            names, link.sender_has_left,
+            names, link.sessions.sender_has_left,
             takes_targets=task.takes_targets, takes_acting_time=task.link.plays_automatically,
         )  # fmt: skip
         self._link = _with_faults(task, link, clock, gate)
@@ -122,6 +125,7 @@ class PlantLoop:
             ticks=self.tick,
             completed=self.tick >= self._task.ticks and not supervisor.faults,
             faults=supervisor.faults,
+            awaited=supervisor.awaited,
             wall_s=time.monotonic() - started_s,
             stolen_ms=stolen_ms() - stolen_before_ms,
         )
@@ -265,7 +269,7 @@ class PlantLoop:
 
     def _report_end(self, outcome: PlantOutcome) -> None:
         supervisor, downlink = self._supervisor, self._downlink
-        rejected = self._commands.rejected + Counter(overflow=self._link.overflow())
+        rejected = self._commands.rejected + Counter(overflow=self._link.sessions.overflow())
         counts = {
             "uplink": self._uplink.channel.statistics().summary() | {"rejected": {}},
             "downlink": downlink.statistics().summary() | {"rejected": rejected},
@@ -275,8 +279,8 @@ class PlantLoop:
         if supervisor.stop_requested:
             supervisor.announce(EventKind.STOPPED, "stopped on request")
         supervisor.announce(EventKind.COUNTS, json.dumps(counts))
-        ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
-        ended |= {
+        ended = {
+            **{name: getattr(outcome, name) for name in _ENDED},
             "physics": self._arm.physics, "kernel": own_kernel(), "seed_used": is_seed_used(),
             "start_s": 1e-9 * (time.monotonic_ns() - self._clock.now_ns()),
         }  # fmt: skip

@@ -65,6 +65,7 @@ class PlantOutcome:
         ticks: ticks that passed.
         completed: the run came to its planned end.
         faults: one sentence each.
+        awaited: the peer whose silence was the first of them; empty if it was another.
         wall_s: wall time the loop took.
         stolen_ms: CPU time that the hypervisor gave to others during the run.
     """
@@ -72,5 +73,6 @@ class PlantOutcome:
     ticks: int = 0
     completed: bool = False
     faults: list[str] = field(default_factory=list)
+    awaited: str = ""
     wall_s: float = 0.0
     stolen_ms: float = 0.0

@@ -30,6 +30,7 @@ class Supervisor:
         end_tick: tick at which the run ends: after all its ticks, or when a stop is complete.
         stop_requested: the run must end at the next tick, on request.
         faults: the faults, one sentence each.
+        awaited: the peer whose silence was the first fault; empty if it was another.
         limits: how often each limit was hit.
     """
 
@@ -47,6 +48,7 @@ class Supervisor:
         self.tick, self.end_tick = 0, ticks
         self.stop_requested = False
         self.faults: list[str] = []
+        self.awaited = ""
         self.limits = LimitCounts()
 
     def announce(self, kind: EventKind, detail: str) -> None:
@@ -57,8 +59,9 @@ class Supervisor:
         """Report the arm's current mode."""
         self.announce(EventKind.MODE, mode_event(self._arm.mode, why))
 
-    def fail(self, reason: str) -> None:
-        """Report a fault."""
+    def fail(self, reason: str, awaited: str = "") -> None:
+        """Report a fault; `awaited` is the peer whose silence it is, if it is one."""
+        self.awaited = self.awaited if self.faults else awaited
         self.faults.append(reason)
         logger.error("%s", reason)
         self.announce(EventKind.FAULT, reason)

@@ -11,7 +11,14 @@ from collections.abc import Callable
 from itertools import count
 
 from bus_schema.errors import PeerSilentError
-from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
+from bus_schema.link.interface import (
+    CommandArrival,
+    CommandSessions,
+    ControllerLink,
+    PlantLink,
+    StateHandler,
+    never,
+)
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Role, Topic
 from bus_schema.runtime.clock import Clock
 
@@ -94,11 +101,15 @@ class InProcessNode:
         self._bus.leave(self._role)
 
 
-class InProcessPlantLink(InProcessNode, PlantLink):
+class InProcessPlantLink(InProcessNode, PlantLink, CommandSessions):
     """The plant's side of an `InProcessBus`."""
 
     def __init__(self, bus: InProcessBus) -> None:
         super().__init__(bus, Role.PLANT)
+
+    @property
+    def sessions(self) -> CommandSessions:
+        return self
 
     def await_controller(
         self,

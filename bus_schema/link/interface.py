@@ -80,8 +80,8 @@ class Telemetry(Link, Protocol):
         """Whether one of our own processes is on the bus."""
 
 
-class CommandSessions(Protocol):
-    """Facts about the sessions that send commands; the defaults are those of a bus without any."""
+class CommandSessions:
+    """Facts about the sessions that send commands; these are the facts of a bus without any."""
 
     def note_commander(self, sender: bytes) -> None:
         """Note that the plant accepts commands of this sender from now on, and of no other."""
@@ -100,8 +100,16 @@ class CommandSessions(Protocol):
         return False
 
 
-class PlantLink(Link, CommandSessions, Protocol):
+_NO_SESSIONS = CommandSessions()
+
+
+class PlantLink(Link, Protocol):
     """The plant's side. Some methods have defaults, for links that do not need them."""
+
+    @property
+    def sessions(self) -> CommandSessions:
+        """The sessions that send commands; a bus whose frames name no sender has none."""
+        return _NO_SESSIONS
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never

@@ -37,7 +37,7 @@ from bus_schema.urdf.mjcf_files import (
     reason,
     reduce_spec,
 )
-from bus_schema.urdf.mjcf_joints import Drive, drives_of
+from bus_schema.urdf.mjcf_joints import JointActuators, drives_of
 
 _GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 _Frame = tuple[Vector, Vector]
@@ -127,7 +127,7 @@ def _of_mujoco(root: ET.Element) -> Iterator[None]:
         raise RobotDescriptionError(f"MuJoCo: {reason(error, root)}") from error
 
 
-def _left_out(model: Any, drives: Mapping[int, Drive]) -> Iterator[str]:
+def _left_out(model: Any, drives: Mapping[int, JointActuators]) -> Iterator[str]:
     """Return warnings about elements that a URDF cannot represent."""
     joints = [model.joint(joint) for joint in range(model.njnt)]
     driven = [joint for joint in joints if joint.id in drives]
@@ -141,7 +141,11 @@ def _left_out(model: Any, drives: Mapping[int, Drive]) -> Iterator[str]:
 
 
 def _write_body(
-    urdf: ET.Element, model: Any, body: int, origins: list[Vector], drives: Mapping[int, Drive]
+    urdf: ET.Element,
+    model: Any,
+    body: int,
+    origins: list[Vector],
+    drives: Mapping[int, JointActuators],
 ) -> Vector:
     """Write a body and the joints before it.
 
@@ -173,7 +177,7 @@ def _write_body(
 
 
 def _write_joint(
-    urdf: ET.Element, joint: Any, drive: Drive | None, ends: tuple[str, str], frame: _Frame
+    urdf: ET.Element, joint: Any, drive: JointActuators | None, ends: tuple[str, str], frame: _Frame
 ) -> None:
     """Write a joint; a joint without a drive is held."""
     (at, turn), (reference,) = frame, joint.qpos0

@@ -23,7 +23,7 @@ _MOBILE_JOINTS = 3
 
 
 @dataclass
-class Drive:
+class JointActuators:
     """Limits and gains that the actuators of a joint have there; inf where there is no limit.
 
     Attributes:
@@ -73,7 +73,9 @@ class Drive:
                 self.velocity = min(self.velocity, speeds.max())
 
 
-def drives_of(model: Any, driven: Collection[str] | None) -> tuple[dict[int, Drive], list[str]]:
+def drives_of(
+    model: Any, driven: Collection[str] | None
+) -> tuple[dict[int, JointActuators], list[str]]:
     """Return the drives of joints by number, and warnings about those that are held.
 
     All joints have one if the file has no actuator.
@@ -87,17 +89,17 @@ def drives_of(model: Any, driven: Collection[str] | None) -> tuple[dict[int, Dri
     """
     held = {} if driven is not None else dict(_held(model))
     free = range(0 if model.nu else model.njnt)
-    drives = {joint: Drive(effort=math.inf) for joint in free}
+    drives = {joint: JointActuators(effort=math.inf) for joint in free}
     for actuator in map(model.actuator, range(model.nu)):
         target = _TARGET(actuator.trntype[0])
         if target in (_TARGET.mjTRN_JOINT, _TARGET.mjTRN_JOINTINPARENT):
-            drives.setdefault(int(actuator.trnid[0]), Drive()).add(actuator)
+            drives.setdefault(int(actuator.trnid[0]), JointActuators()).add(actuator)
         elif target != _TARGET.mjTRN_TENDON:
             name = shortened(actuator.name)
             raise RobotDescriptionError(f"actuator {name!r} must drive a joint or a tendon")
     for joint in range(model.njnt):
         if driven is not None and model.joint(joint).name in driven:
-            drives.setdefault(joint, Drive(effort=math.inf))
+            drives.setdefault(joint, JointActuators(effort=math.inf))
     drives = {joint: drive for joint, drive in drives.items() if joint not in held}
     cut = []
     for joint, drive in drives.items():

@@ -18,6 +18,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import (
     SCENARIO_WAIT_S,
     CommandArrival,
+    CommandSessions,
     ControllerLink,
     PlantLink,
     StateHandler,
@@ -40,7 +41,7 @@ _GRACE_BESIDE_RECORDER_S = 3.0
 """A client beside a recorder may be a mere viewer while our own controller still starts."""
 
 
-class ZenohPlantLink(ZenohNode, PlantLink):
+class ZenohPlantLink(ZenohNode, PlantLink, CommandSessions):
     """The plant's side.
 
     Args:
@@ -74,6 +75,10 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         arrivals = AwaitedArrivals if lockstep else Arrivals
         self._arrivals = arrivals(inbox, clock, self._graph.note_command)
         self.announce()
+
+    @property
+    def sessions(self) -> CommandSessions:
+        return self
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never

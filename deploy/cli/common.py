@@ -96,7 +96,7 @@ def watching(
     return watch
 
 
-class CommandGate:
+class ResultGate:
     """The gate of a command, checked before anything starts.
 
     Args:
@@ -222,7 +222,7 @@ def finish(
     options: OneRunOptions,
     *,
     confirms: bool = False,
-    gate: CommandGate | None = None,
+    gate: ResultGate | None = None,
 ) -> None:
     """Evaluate a run, show the result, and end with its exit code.
 

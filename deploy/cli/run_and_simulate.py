@@ -12,7 +12,7 @@ import typer
 
 from bus_schema.messages.topics import Role
 from controller.laws.custom import custom_laws_left_out
-from deploy.cli.common import CommandGate, finish, say_oddities, watching
+from deploy.cli.common import ResultGate, finish, say_oddities, watching
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
@@ -128,7 +128,7 @@ def run_in_virtual_time(options: SimulateOptions) -> None:
     """
     with custom_laws_left_out():
         setup = load_setup(options.scenario, options.overrides or [])
-    gate = CommandGate(options, setup.scenario.name, OF_BOUND)
+    gate = ResultGate(options, setup.scenario.name, OF_BOUND)
     console, stop = Console(), threading.Event()
     on_stop(stop.set)
     left = run_watched(partial(_simulated, options, console, stop))

@@ -62,7 +62,7 @@ def write_results(found: Identified, folder: Path) -> dict[str, Any]:
     write_whole(folder / BEFORE, found.robot.portable_urdf())
     write_whole(folder / SCENARIO, to_yaml(_scenario(found, folder)))
     write_whole(folder / RANGES, _RANGES_COMMENT + to_yaml(_ranges(found)))
-    summary = summary_of(found, folder.name)
+    summary = {**summary_of(found, folder.name), "files": [URDF, BEFORE, RANGES]}
     write_json(folder / "summary.json", summary)
     return summary
 

@@ -110,11 +110,12 @@ def host_of(manifest: Mapping[str, Any]) -> Conditions:
     }
 
 
-def granted_and_not(conditions: Mapping[str, str]) -> tuple[bool, list[str]]:
-    """Return whether the grants for the loops are known, and those that one of the loops lacked."""
-    granted = conditions.get("granted", _UNKNOWN)
-    lacked = [name for name in _SHOWN_GRANTS if f"no {name}" in granted]
-    return not granted.startswith(_UNKNOWN), lacked
+def lacked_grants(manifest: Mapping[str, Any]) -> list[str] | None:
+    """Return the grants that one of the loops lacked; None if the manifest names none at all."""
+    grants = manifest.get("realtime") or {}
+    settings = [setting for of_role in grants.values() for setting in of_role]
+    lacked = {setting["name"] for setting in settings if not setting["granted"]}
+    return [name for name in _SHOWN_GRANTS if name in lacked] if grants else None
 
 
 def conditions_line(conditions: Mapping[str, str]) -> str:

@@ -14,7 +14,7 @@ from deploy.judge.recorded_ticks import longest_run
 from deploy.judge.run_data import RunData, stamps_s
 
 
-class Measured(NamedTuple):
+class MeasuredDelays(NamedTuple):
     """The messages of one direction, in the order of sending.
 
     Attributes:
@@ -37,7 +37,7 @@ class Measured(NamedTuple):
         return link_sentence(len(self.sent_s), span_s, self.lost, longest, found, reordered)
 
 
-def measured_link(run: RunData) -> dict[str, Measured]:
+def measured_link(run: RunData) -> dict[str, MeasuredDelays]:
     """Return the messages that arrived, by direction: over bus, emulated link and any real delay.
 
     An uplink delay lasts from the measurement to the start of the controller's cycle, a downlink
@@ -57,7 +57,7 @@ def measured_link(run: RunData) -> dict[str, Measured]:
         and status.size == controller["cycles"]
         and np.array_equal(status["timing.cycle"], np.arange(status.size))
     ):  # fmt: skip
-        return dict.fromkeys(("uplink", "downlink"), Measured(np.zeros(0), np.zeros(0)))
+        return dict.fromkeys(("uplink", "downlink"), MeasuredDelays(np.zeros(0), np.zeros(0)))
     periods_ns, stamps_ns = status["timing.period_ns"], 1e9 * stamps_s(status)
     newest_ns = 1e9 * (controller["newest_cycle_s"] - plant["start_s"])
     started_ns = newest_ns + np.cumsum(periods_ns) - periods_ns.sum()
@@ -68,8 +68,9 @@ def measured_link(run: RunData) -> dict[str, Measured]:
     up_ms = (started_ns - stamps_ns) / 1e6
     down_ms = np.maximum(arrivals_ns - sent_ns, 0.0) / 1e6  # a cycle ends after sending
     return {
-        "uplink": Measured(stamps_ns / 1e9, up_ms), "downlink": Measured(sent_ns / 1e9, down_ms)
-    }  # fmt: skip
+        "uplink": MeasuredDelays(stamps_ns / 1e9, up_ms),
+        "downlink": MeasuredDelays(sent_ns / 1e9, down_ms),
+    }
 
 
 def link_sentence(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.runtime.clock import own_kernel
-from deploy.judge.link_delays import Measured
+from deploy.judge.link_delays import MeasuredDelays
 from deploy.measure.probe_frames import MOST_BYTES, REPEATED, FrameStream, ProbeFrame
 
 _LAST_ANSWERS_S = 1.0
@@ -64,8 +64,8 @@ class MeasuredLink:
         uncertainty_ms: of both one-way delays, in opposite senses; their sum is certain.
     """
 
-    there: Measured
-    back: Measured
+    there: MeasuredDelays
+    back: MeasuredDelays
     reordered: tuple[int, int]
     offset_ms: float
     drift_ppm: float
@@ -175,8 +175,8 @@ def evaluate(times: ProbeTimes) -> MeasuredLink:
     answered_s = np.interp(elapsed_s, elapsed_s[arrived], answered_ns[arrived] / 1e9)
     order = np.flatnonzero(came)[np.argsort(answered_s[came], kind="stable")]
     return MeasuredLink(
-        Measured(elapsed_s[known], delays_there[known]),
-        Measured(answered_s[order], delays_back[order]),
+        MeasuredDelays(elapsed_s[known], delays_there[known]),
+        MeasuredDelays(answered_s[order], delays_back[order]),
         (_reordered(received[arrived]), _reordered(returned[back])),
         line[0] / 1e6, line[1] / 1e3, uncertainty_ns / 1e6,
     )  # fmt: skip

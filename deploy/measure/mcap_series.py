@@ -69,7 +69,7 @@ def _read_field(file: Path, name: str) -> tuple[Vector, Vector]:
     return np.array(times_ns), np.array(values)
 
 
-class Message(NamedTuple):
+class RecordedMessage(NamedTuple):
     """A message of a recording.
 
     Attributes:
@@ -85,7 +85,7 @@ class Message(NamedTuple):
     content: Any
 
 
-def messages(file: Path, wanted: str) -> Iterator[Message]:
+def messages(file: Path, wanted: str) -> Iterator[RecordedMessage]:
     """Yield the messages of an MCAP file, of a rosbag2 ``.db3`` file or of a bag's folder.
 
     Args:
@@ -102,7 +102,7 @@ def messages(file: Path, wanted: str) -> Iterator[Message]:
             for connection, logged_ns, data in bag.messages():
                 is_wanted = wanted in (connection.topic, connection.msgtype)
                 content = bag.deserialize(data, connection.msgtype) if is_wanted else None
-                yield Message(connection.topic, connection.msgtype, logged_ns, content)
+                yield RecordedMessage(connection.topic, connection.msgtype, logged_ns, content)
         return
     types, known = get_typestore(Stores.EMPTY), set[str]()
     with file.open("rb") as stream:
@@ -113,7 +113,7 @@ def messages(file: Path, wanted: str) -> Iterator[Message]:
                     types.register(get_types_from_msg(schema.data.decode(), name))
                     known.add(name)
                 content = types.deserialize_cdr(message.data, name)
-            yield Message(channel.topic, name, message.log_time, content)
+            yield RecordedMessage(channel.topic, name, message.log_time, content)
 
 
 def element_place(element: str, names: Sequence[str]) -> int:

@@ -12,7 +12,7 @@ from bus_schema.foreign_files import refuse_foreign
 from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
-from deploy.judge.link_delays import Measured
+from deploy.judge.link_delays import MeasuredDelays
 from deploy.scenario.yaml_files import ScenarioError
 
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
@@ -23,7 +23,7 @@ _CAN_LOG = re.compile(r"\(([\d.]+)\)\s+\S+\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
 _WRAP = 1 << 16
 
 
-def from_ping(file: Path, interval_s: float) -> Measured:
+def from_ping(file: Path, interval_s: float) -> MeasuredDelays:
     """Half of each round trip that ``ping`` shows; numbers that are missing were lost.
 
     Args:
@@ -49,10 +49,10 @@ def from_ping(file: Path, interval_s: float) -> Measured:
     times_s = np.interp(numbers, known, [answers[number][0] for number in known])
     missing = (0.0, float("nan"))
     times_s = np.maximum.accumulate(times_s)  # ping rounds long round trips to whole milliseconds
-    return Measured(times_s, np.array([answers.get(int(n), missing)[1] for n in numbers]))
+    return MeasuredDelays(times_s, np.array([answers.get(int(n), missing)[1] for n in numbers]))
 
 
-def from_candump(file: Path, request: str, answer: str) -> Measured:
+def from_candump(file: Path, request: str, answer: str) -> MeasuredDelays:
     """The time from each frame of one identifier to the next one of another, in hexadecimal.
 
     A frame that is followed by its like first was lost.
@@ -76,10 +76,12 @@ def from_candump(file: Path, request: str, answer: str) -> Measured:
             delays[-1] = 1e3 * (float(found[1]) - sent[-1])
     if not sent:
         raise ScenarioError(f"{file}: does not contain frame {request} in the format of candump")
-    return Measured(np.array(sent), np.array(delays))
+    return MeasuredDelays(np.array(sent), np.array(delays))
 
 
-def from_csv(file: Path, sent: str, received: str | None, delay: str | None, unit: str) -> Measured:
+def from_csv(
+    file: Path, sent: str, received: str | None, delay: str | None, unit: str
+) -> MeasuredDelays:
     """Two columns of a CSV file: when messages were sent, and received or how long they took.
 
     Args:
@@ -102,10 +104,10 @@ def from_csv(file: Path, sent: str, received: str | None, delay: str | None, uni
         start_ms, end_ms = (start_ms - end_ms)[is_ack], 0.5 * end_ms[is_ack]
     order = np.argsort(start_ms, kind="stable")
     delays_ms = end_ms - start_ms if received else end_ms
-    return Measured(start_ms[order] / 1e3, delays_ms[order])
+    return MeasuredDelays(start_ms[order] / 1e3, delays_ms[order])
 
 
-def from_mcap(file: Path, topic: str, answer: str | None) -> Measured:
+def from_mcap(file: Path, topic: str, answer: str | None) -> MeasuredDelays:
     """How long messages of an MCAP file took, by the stamps in their headers.
 
     Args:
@@ -140,7 +142,7 @@ def from_mcap(file: Path, topic: str, answer: str | None) -> Measured:
         float("nan") if end is None else (end - int(start)) / 1e6
         for start, end in zip(starts, ends, strict=True)
     ]
-    return Measured((starts - starts[0]) / 1e9, np.array(delays_ms))
+    return MeasuredDelays((starts - starts[0]) / 1e9, np.array(delays_ms))
 
 
 def _lines(file: Path, program: str) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
-from deploy.judge.link_delays import Measured
+from deploy.judge.link_delays import MeasuredDelays
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.trace_file import ONE_WAY, ROUND_TRIP
 
@@ -32,7 +32,7 @@ def write_table(columns: Mapping[str, Any], file: Path, *, is_parquet: bool) -> 
     complete(file)
 
 
-def write_trace(measured: Measured, file: Path, *, is_round_trip: bool = False) -> None:
+def write_trace(measured: MeasuredDelays, file: Path, *, is_round_trip: bool = False) -> None:
     """Write a trace.
 
     Args:

@@ -10,6 +10,7 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.run_rows import Row
+from deploy.reports.again import Again
 from deploy.reports.data_sheet_page import DrawnSheet, data_sheet_page, headline
 from deploy.reports.results import Results, write_results, write_run
 from deploy.run.execute import JudgedRun, execute
@@ -53,14 +54,15 @@ def sheet_folder(sheet: DataSheet, out: Path | None, *, overwrite: bool) -> Path
     return path
 
 
-def sheet_again(folder: ResultFolder) -> Results:
+def sheet_again(path: Path) -> Again:
     """Write a data sheet again from the summaries of its parts."""
+    folder = ResultFolder(path.resolve())
     sheet = DataSheet(**read_yaml(folder.path / FILE))
     found = {name: read_summary(folder.path / name) for name in _PARTS}
     window = folder.path / _WINDOW
     run = JudgedRun(_WINDOW, load_run(window)[0], path=window) if window.is_dir() else None
     parts = {name: summary for name, summary in found.items() if summary}
-    return write_data_sheet(folder, sheet, parts, run)
+    return folder, lambda: write_data_sheet(folder, sheet, parts, run)
 
 
 def written_window(study: StudyOfRuns | None, rows: list[Row], folder: Path) -> JudgedRun | None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +33,10 @@ from deploy.reports.verdict_texts import VERDICTS
 from deploy.scenario.yaml_files import ScenarioError
 
 if TYPE_CHECKING:
+    from deploy.reports.again import Again
     from deploy.reports.figures.study_figures import DrawnStudy
     from deploy.reports.page import Page
+    from deploy.study.study import StudyOfRuns
 
 Summary = Mapping[str, Any]
 
@@ -64,74 +67,86 @@ def _worst_law(summary: Summary) -> str:
     return next((each for each in _WORST if each in found), _COMPLETE)
 
 
-def _margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
-    from deploy.reports.margin_pages import margin_page  # heavy
-
-    return margin_page(study)
-
-
-def _robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
-    from deploy.reports.margin_pages import robustness_page  # heavy
-
-    return robustness_page(study)
-
-
-def _sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
-    from deploy.reports.sweep_page import sweep_page  # heavy
-
-    return sweep_page(study)
-
-
-def _tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
-    from deploy.reports.tune_page import tune_page  # heavy
-
-    return tune_page(study)
-
-
-def _benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
-    from deploy.reports.benchmark_page import benchmark_page  # heavy
-
-    return benchmark_page(study)
-
-
 @dataclass(frozen=True)
 class ResultKind:
     """What is particular to a kind of result.
 
+    What is heavy to import is named as ``module:name``, and imported when it is first needed.
+
     Attributes:
         name: ``kind`` in its summary.
         gauged: the numbers that a gate reads; None if it has none.
-        page: returns the page of a study, from its summary; None if recordings are judged.
         quoted: returns the table for documents; None if it has none.
         listed: returns its result in a list: a verdict, or ``complete``.
         is_run: whether it is a single run.
+        page_at: place of `page`; empty for None, as with the next two.
+        study_at: place of `study`.
+        again_at: place of `again`.
     """
 
     name: str
     gauged: type[GaugedSummary] | None = None
-    page: Callable[[DrawnStudy], Page[DrawnStudy]] | None = None
     quoted: Callable[[dict[str, Any]], Table] | None = None
     listed: Callable[[Summary], str] = _completeness
     is_run: bool = False
+    page_at: str = ""
+    study_at: str = ""
+    again_at: str = ""
+
+    @property
+    def page(self) -> Callable[[DrawnStudy], Page[DrawnStudy]] | None:
+        """Return what makes the page of a study from its summary; None if recordings are judged."""
+        found: Callable[[DrawnStudy], Page[DrawnStudy]] | None = _at(self.page_at)
+        return found
+
+    @property
+    def study(self) -> type[StudyOfRuns] | None:
+        """Return the class of its studies; None if it is no study."""
+        found: type[StudyOfRuns] | None = _at(self.study_at)
+        return found
+
+    @property
+    def again(self) -> Callable[[Path], Again] | None:
+        """Return what judges it again; None for one recording, and for the rows of a study."""
+        found: Callable[[Path], Again] | None = _at(self.again_at)
+        return found
 
     def compared_with(self, quantity: str | None, *, patterns: bool = False) -> str:
         """Return what its results can be compared with, as `GaugedSummary.compared_with`."""
         return "" if self.gauged is None else self.gauged.compared_with(quantity, patterns=patterns)
 
 
+def _at(place: str) -> Any:
+    """Import what is at ``module:name``; None if the place is empty."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name) if name else None
+
+
 _KINDS = {
     kind.name: kind
     for kind in (
         ResultKind("run", GaugedRun, listed=_verdict, is_run=True),
-        ResultKind("comparison", GaugedComparison, listed=_worst_law),
-        ResultKind("sweep", GaugedSweep, _sweep_page),
-        ResultKind("margin", GaugedMargins, _margin_page, margins_by_law),
-        ResultKind("robustness", GaugedRobustness, _robustness_page, robustness_table),
-        ResultKind("tune", GaugedTuning, _tune_page),
-        ResultKind("benchmark", GaugedBenchmark, _benchmark_page),
-        ResultKind("datasheet", GaugedDataSheet),
+        ResultKind("comparison", GaugedComparison, listed=_worst_law,
+                   study_at="deploy.study.comparison.comparison:LawComparison",
+                   again_at="deploy.reports.again:laws_again"),
+        ResultKind("diff", again_at="deploy.reports.again:diff_again"),
+        ResultKind("sweep", GaugedSweep, page_at="deploy.reports.sweep_page:sweep_page",
+                   study_at="deploy.study.sweep:Sweep"),
+        ResultKind("margin", GaugedMargins, margins_by_law,
+                   page_at="deploy.reports.margin_pages:margin_page",
+                   study_at="deploy.study.margin:Margin"),
+        ResultKind("robustness", GaugedRobustness, robustness_table,
+                   page_at="deploy.reports.margin_pages:robustness_page",
+                   study_at="deploy.study.robustness:Robustness"),
+        ResultKind("tune", GaugedTuning, page_at="deploy.reports.tune_page:tune_page",
+                   study_at="deploy.study.tuning.tuning:Tuning"),
+        ResultKind("benchmark", GaugedBenchmark,
+                   page_at="deploy.reports.benchmark_page:benchmark_page",
+                   study_at="deploy.study.benchmark.benchmark:Benchmark"),
+        ResultKind("datasheet", GaugedDataSheet,
+                   again_at="deploy.reports.data_sheet_results:sheet_again"),
     )
-}
+}  # fmt: skip
 
 
 def kind_of(summary: Summary) -> ResultKind:

@@ -80,8 +80,7 @@ def run_results(folder: RunFolder, run: JudgedRun) -> Results:
     """Judge a run; a confirmation in its folder is kept."""
     confirmed = run.summary.get(CONFIRMATION) or read_summary(folder.path).get(CONFIRMATION)
     run.summary |= {CONFIRMATION: confirmed} if confirmed else {}
-    conditions = conditions_of_recording(run.data, read_manifest(folder.path))
-    return Results(run.summary, run_page(run, conditions), [run])
+    return Results(run.summary, run_page(run, read_manifest(folder.path)), [run])
 
 
 def write_run(folder: RunFolder, run: JudgedRun, *, draws_report: bool = True) -> Results:

@@ -10,7 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from deploy.judge.conditions import Conditions
+from deploy.judge.conditions import Conditions, conditions_of_recording
 from deploy.judge.link_delays import link_sentence, playout_sentence
 from deploy.reports import comparison_tables as of_runs
 from deploy.reports import run_numbers
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 
 def run_page(
-    run: JudgedRun, conditions: Mapping[str, str] = MappingProxyType({})
+    run: JudgedRun, manifest: Mapping[str, Any] = MappingProxyType({})
 ) -> Page[ComparedRuns]:
     """Return the page of a run.
 
     Args:
         run: the run.
-        conditions: its conditions, if they are known.
+        manifest: ``manifest.json`` of its folder; empty where there is none.
     """
     summary = run.summary
     from_s, bounds = run.data.setup.scenario.metrics.from_s, summary["bounds"]
     return Page(
         "report of a run",
         f"{summary['scenario']} · {summary['law']}",
-        verdict_on_run(run, conditions),
+        verdict_on_run(run, manifest),
         [
             *(Fact(key.capitalize(), summary[key]) for key in ("scenario", "law", "clock", "link")),
             Fact("Duration", f"{summary['duration_s']:g} s"),
@@ -54,7 +54,7 @@ def run_page(
         ],
         partial(_panels, "RUN_PANELS"),
         ComparedRuns([run]),
-        conditions,
+        conditions_of_recording(run.data, manifest),
         heading=f"{summary['scenario']} · {summary['law']} · {summary['clock']}",
         before=("Key numbers", [
             Cards([of_run.joint_table(summary, from_s)]),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
-from deploy.judge.conditions import granted_and_not
+from deploy.judge.conditions import lacked_grants
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.stalls import STALL_MS
@@ -77,9 +77,14 @@ class ReportHead:
 
 
 def verdict_on_run(
-    judged: JudgedRun, conditions: Mapping[str, str] = MappingProxyType({})
+    judged: JudgedRun, manifest: Mapping[str, Any] = MappingProxyType({})
 ) -> ReportHead:
-    """Return the verdict on a run, with its conditions if they are known."""
+    """Return the verdict on a run.
+
+    Args:
+        judged: the run.
+        manifest: ``manifest.json`` of its folder; empty where there is none.
+    """
     run, summary = judged.data, judged.summary
     bounds, known = summary["bounds"], known_ticks(run)
     is_judged = bounds["violation_fraction"] is not None
@@ -93,7 +98,7 @@ def verdict_on_run(
             for each in summary.get("growing", ())
         ),
         *_shortcomings(run, summary, known),
-        *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
+        *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
     ]
     level, headline, _ = VERDICTS[judged.verdict]
     if is_judged and judged.verdict is Verdict.NOTHING:
@@ -139,15 +144,16 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
     return found
 
 
-def _sentences_on_a_stall(stall_ms: float | None, conditions: Mapping[str, str]) -> list[str]:
+def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -> list[str]:
     """That a loop was held up for long, and by whom most likely, as far as that can be told."""
     if stall_ms is None or stall_ms <= STALL_MS:
         return []
-    is_known, lacked = granted_and_not(conditions)
+    lacked = lacked_grants(manifest)
     if lacked:
         who = " or ".join(_GOES_FIRST[name] for name in lacked)
         cause = f"most likely by {who}, as a loop of this run had no {' and no '.join(lacked)}"
     else:
+        is_known = lacked is not None
         cause = "most likely by the host" if is_known else "by the host or by other processes"
     said = f"A loop could not run for {stall_ms:.0f} ms, {cause}"
     return [f"{said}: this run says little about the law."]

@@ -39,7 +39,6 @@ _FOLDERS = ("rows", "scenarios", "base", "export")
 _SHOWN = 5
 _ROOM_BYTES = 10_000_000
 """What the disk must still take before old results are removed: a report and a short recording."""
-_KINDS = {"margin": "study of margins", "robustness": "study of robustness"}
 
 
 class FolderLock:
@@ -157,21 +156,22 @@ def _check_room(path: Path) -> None:
 
 
 def _remove_files(path: Path) -> None:
-    is_identified = _is_identified(path)
+    own = _own_files(path)
     for file in path.iterdir():
         is_result = file.name in _RESULTS or _MORE.fullmatch(file.name) or is_copy(file)
-        if is_result or (is_identified and file.name in _IDENTIFIED):
+        if is_result or file.name in own:
             file.unlink()
     for name in _FOLDERS:
         shutil.rmtree(path / name, ignore_errors=True)
 
 
-def _is_identified(path: Path) -> bool:
+def _own_files(path: Path) -> set[str]:
+    """Return the files of `identify` that a summary lists."""
     try:
-        summary = json.loads((path / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(summary, dict) and summary.get("kind") == "identify"
+        listed = json.loads((path / "summary.json").read_text(encoding="utf-8"))["files"]
+        return {name for name in _IDENTIFIED if name in listed}
+    except (OSError, ValueError, TypeError, KeyError):
+        return set()
 
 
 def _unused(name: str) -> Path:
@@ -191,16 +191,12 @@ def missing_recording(path: Path, kind: str) -> str:
         return f"{path}: has no run.mcap: no such folder or file{_others(path)}"
     if not kind and (path / "study.yaml").is_file():  # it was not finished
         kind = "study"
-    if kind == "identify":
-        return f"{path}: is no run but an identified arm; {path / 'report.html'} shows it"
-    if kind in {"", "run"}:
-        return f"{path}: has no run.mcap"
     recorded = _folders(path, lambda inner: (inner / "run.mcap").is_file())
     runs = f", with runs in {_listed(recorded)}" if recorded else ""
-    return (
-        f"{path}: has no run.mcap, because it is not a run but a {_KINDS.get(kind, kind)}{runs};"
-        f" funnel-hil report {path} shows it"
-    )
+    report = path / "report.html"
+    shown = report if report.is_file() else f"funnel-hil report {path}"
+    others = f", because it is not a run but has results of kind {kind}{runs}; {shown} shows them"
+    return f"{path}: has no run.mcap" + others * (kind not in {"", "run"})
 
 
 def _others(path: Path) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 
@@ -15,10 +14,33 @@ from bus_schema.configuration import Sections, shortened, shown
 from bus_schema.errors import did_you_mean
 
 _MOST_PROBLEMS = 20
-_SHOULD = re.compile(r"\w+ should ((?:be|have) .*)", re.DOTALL)
-"""Pydantic's form of what is allowed."""
-_QUOTED = re.compile("'([^']+)'")
-"""Each of some texts."""
+_NUMBER = "be a valid number"
+_INTEGER = "be a valid integer"
+_BOOLEAN = "be a valid boolean"
+_MUST: Mapping[str, str] = {
+    "value_error": "be {error}",
+    "literal_error": "be {expected}",
+    "greater_than": "be greater than {gt:.15g}",
+    "greater_than_equal": "be greater than or equal to {ge:.15g}",
+    "less_than": "be less than {lt:.15g}",
+    "less_than_equal": "be less than or equal to {le:.15g}",
+    "finite_number": "be a finite number",
+    "float_type": _NUMBER,
+    "float_parsing": f"{_NUMBER}, unable to parse string as a number",
+    "int_type": _INTEGER,
+    "int_parsing": f"{_INTEGER}, unable to parse string as an integer",
+    "int_parsing_size": f"{_INTEGER}, with fewer digits",
+    "int_from_float": f"{_INTEGER}, got a number with a fractional part",
+    "bool_type": _BOOLEAN,
+    "bool_parsing": f"{_BOOLEAN}, unable to interpret input",
+    "string_type": "be a valid string",
+    "string_too_long": "have at most {max_length} characters",
+    "string_pattern_mismatch": "match {pattern}",
+    "too_long": "have at most {max_length} items, not {actual_length}",
+    "too_short": "have {min_length} or more items, not {actual_length}",
+}
+"""What is allowed, by pydantic's type of error, with the values of its context."""
+_NOT_A_MAPPING = ("model_type", "model_attributes_type", "named_tuple_type", "dict_type")
 _ITEMS: dict[Any, str] = {str: "strings", int: "whole numbers", float: "numbers"}
 _LONGEST_ALLOWED = 1000
 _LIKELY = 0.75
@@ -80,30 +102,26 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
         return f"{source}: {key}: unknown key{hint}"
     if problem["type"] == "missing":
         return f"{source}: {key}: is missing"
-    if problem["type"] in ("model_type", "dataclass_type", "dict_type"):
+    if problem["type"] in _NOT_A_MAPPING:
         return f"{source}: {key} = {shown(problem['input'])}: must be a mapping of keys to values"
     if problem["type"] in ("tuple_type", "list_type"):
         held = next(filter(None, (_item(_keys(s).get(str(place[-1]))) for s in sections)), "values")
         return f"{source}: {key} = {shown(problem['input'])}: must be a list of {held}"
-    if problem["type"] == "union_tag_invalid":
-        return f"{source}: {key}.{_unknown_kind(**problem['ctx'])}"
-    if problem["type"] == "union_tag_not_found":
-        return f"{source}: {key}.{_QUOTED.findall(problem['ctx']['discriminator'])[0]}: is missing"
-    said = problem["msg"].removeprefix("Value error, ")
-    should = _SHOULD.fullmatch(said)
-    allowed = f"be {said}" if should is None else should[1]
-    allowed = shortened(allowed, _LONGEST_ALLOWED)
+    context = problem.get("ctx", {})
+    if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        which = context["discriminator"].strip("'")
+        if "tag" not in context:
+            return f"{source}: {key}.{which}: is missing"
+        _, kinds = _descend(model, place)
+        hint = did_you_mean(context["tag"], _literals([_keys(kind).get(which) for kind in kinds]))
+        wrong, allowed = shown(context["tag"]), context["expected_tags"]
+        return f"{source}: {key}.{which} = {wrong}: must be one of {allowed}{hint}"
+    must = _MUST.get(problem["type"], f"be valid: {problem['msg']}")
+    allowed = shortened(must.format_map(context), _LONGEST_ALLOWED)
     if problem["type"] == "literal_error":
-        allowed += did_you_mean(str(problem["input"]), _QUOTED.findall(problem["ctx"]["expected"]))
+        names = _literals([_keys(section).get(str(place[-1])) for section in sections])
+        allowed += did_you_mean(str(problem["input"]), names)
     return f"{source}: {key} = {shown(problem['input'])}: must {allowed}"
-
-
-def _unknown_kind(discriminator: str, tag: str, expected_tags: str) -> str:
-    """Explain the wrong value of a key by which pydantic distinguishes kinds of sections."""
-    hint = did_you_mean(tag, _QUOTED.findall(expected_tags))
-    return (
-        f"{_QUOTED.findall(discriminator)[0]} = {shown(tag)}: must be one of {expected_tags}{hint}"
-    )
 
 
 def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]) -> str:
@@ -163,6 +181,14 @@ def _sections(annotation: Any) -> Iterator[type]:
         parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
         for part in parts:
             yield from _sections(part)
+
+
+def _literals(annotation: Any) -> list[str]:
+    """Return the texts that an annotation, or one of several, allows."""
+    if get_origin(annotation) is Literal:
+        return [value for value in get_args(annotation) if isinstance(value, str)]
+    parts = annotation if isinstance(annotation, list | tuple) else get_args(annotation)
+    return [text for part in parts for text in _literals(part)]
 
 
 def _item(annotation: Any) -> str | None:

@@ -33,21 +33,12 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
-from deploy.study.benchmark.benchmark import Benchmark
-from deploy.study.comparison.comparison import Comparison
 from deploy.study.growth import changes, hindrances
-from deploy.study.margin import Margin
 from deploy.study.provenance import Provenance, current, differences, provenance_of_law
-from deploy.study.robustness import Robustness
 from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
-from deploy.study.sweep import Sweep
-from deploy.study.tuning.tuning import Tuning
 
 STUDY_FILE = "study.yaml"
 _PROVENANCES_FILE = "provenance.json"
-KINDS: dict[str, type[StudyOfRuns]] = {
-    kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison, Tuning, Benchmark)
-}
 _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3
 _NO_PROVENANCE = "an older version of funnel-hil made them and recorded neither"
@@ -306,23 +297,6 @@ def opened(
 def changes_since(study: StudyOfRuns, path: Path) -> list[str]:
     """Return which scenarios and files of a folder's study have changed, a sentence each."""
     return changes(read_yaml(path / STUDY_FILE), _identity(study), _digests(study))
-
-
-def read_study(path: Path) -> StudyOfRuns:
-    """Return the study in a folder.
-
-    Raises:
-        RunFolderError: it holds no study.
-        ScenarioError: the study cannot be used.
-    """
-    file = path / STUDY_FILE
-    values = read_yaml(file)
-    kind, definition = KINDS.get(str(values.get("kind"))), values.get("definition")
-    if kind is None or not isinstance(definition, dict):
-        raise run_folder.RunFolderError(
-            f"{file}: must have kind {' or '.join(KINDS)}, and definition"
-        )
-    return kind(definition, file)
 
 
 def _folder_name(study: StudyOfRuns) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bus_schema.link.interface import CommandArrival, PlantLink
+from bus_schema.link.interface import CommandArrival, CommandSessions, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
@@ -56,6 +56,7 @@ class FaultyLink:
         seed: int,
     ) -> None:
         self._link, self._clock, self._gate = link, clock, gate
+        self.sessions = _RealSessions(link.sessions)
         message_faults = [fault for fault in faults if isinstance(fault, MessageFault)]
         # The sender's faults are applied before the link's.
         self._message_faults = sorted(message_faults, key=lambda fault: fault.happens_on_the_way)
@@ -98,10 +99,6 @@ class FaultyLink:
             taken.append(arrival._replace(payload=payload))
         return taken
 
-    def note_commander(self, sender: bytes) -> None:
-        if sender != SECOND_COMMANDER:  # its commands are no messages
-            self._link.note_commander(sender)
-
     def _changed(self, messages: tuple[bytes, ...], direction: Direction) -> tuple[bytes, ...]:
         now_ns = self._clock.now_ns()
         for fault in self._message_faults:
@@ -123,6 +120,20 @@ class FaultyLink:
     def _announce(self, text: str) -> None:
         event = RunEvent(self._clock.now_ns(), Role.PLANT, EventKind.INJECTED, text)
         self._link.publish(topics.RUN_EVENTS, event.encode())
+
+
+class _RealSessions:
+    """The sessions of the wrapped link, without the second commander, which sends no messages."""
+
+    def __init__(self, sessions: CommandSessions) -> None:
+        self._sessions = sessions
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sessions, name)
+
+    def note_commander(self, sender: bytes) -> None:
+        if sender != SECOND_COMMANDER:
+            self._sessions.note_commander(sender)
 
 
 def _announcements(faults: Iterable[Fault]) -> Iterable[ScheduledAction]:

@@ -26,7 +26,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from deploy.judge.link_delays import Measured, measured_link
+from deploy.judge.link_delays import MeasuredDelays, measured_link
 from deploy.measure.trace_output import write_trace
 from deploy.run.execute import InProcess, JudgedRun, execute
 from deploy.run.exit_codes import BAD_INPUT
@@ -168,7 +168,7 @@ def run_live(network: Network, folder: Path) -> Live:
     start_s = data.last_values(Role.PLANT, EventKind.ENDED)["start_s"]
     own = folder / "own"
     for way, (sent_s, delays_ms) in measured_link(data).items():
-        whole = Measured(np.append(0.0, sent_s), np.append(delays_ms[0], delays_ms))
+        whole = MeasuredDelays(np.append(0.0, sent_s), np.append(delays_ms[0], delays_ms))
         write_trace(whole, traced(own, way))
     into_s = (start_s - begun_s) - (first_s - probe_begun_s)
     traces = {"by the run": (own, 0.0), "beside": (beside, into_s), "before": (before, 0.0)}

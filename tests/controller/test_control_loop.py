@@ -71,6 +71,15 @@ def test_late_states_change_nothing_in_the_law(law):
     assert after[0] == after[1]
 
 
+@pytest.mark.parametrize("wrong", [state(MS, -OFFSET), state(9 * MS, (np.nan, 0.0, 0.0))])
+def test_late_and_invalid_states_leave_the_tracked_situation(wrong):
+    bench = Bench()
+    bench.send(3 * MS)
+    before = bench.loop.tracking.motion.copy()
+    bench.plant.send_state(wrong, status(MS))
+    np.testing.assert_array_equal(bench.loop.tracking.motion, before)
+
+
 def test_unusable_states_are_ignored_and_counted():
     bench, silent = Bench(), []
     bench.send(0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus_schema.link.interface import CommandArrival, PlantLink
+from bus_schema.link.interface import CommandArrival, CommandSessions, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.clock import VirtualClock
@@ -234,8 +234,12 @@ def test_answer_that_came_just_before_the_controller_left_is_taken():
     assert outcome.faults == ["the controller has left the bus"]
 
 
-class DeafController(Station):
+class DeafController(Station, CommandSessions):
     """A stranger that hears nothing before the third state, and answers from there on."""
+
+    @property
+    def sessions(self):
+        return self
 
     def may_miss_states(self):
         return True

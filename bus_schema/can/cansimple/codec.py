@@ -31,7 +31,7 @@ _ESTIMATES = struct.Struct("<ff")
 _WORD = np.iinfo(np.int16)
 
 
-class Command(IntEnum):
+class CommandId(IntEnum):
     """What a message says: the lowest bits of its identifier."""
 
     HEARTBEAT = 0x01
@@ -67,17 +67,17 @@ class CanSimpleMode(NamedTuple):
     """
 
     control: int
-    input: Command
+    input: CommandId
     layout: struct.Struct
     cycle: CycleFrames
 
 
 TORQUE = CanSimpleMode(
-    1, Command.SET_INPUT_TORQUE, struct.Struct("<f"),
+    1, CommandId.SET_INPUT_TORQUE, struct.Struct("<f"),
     CycleFrames((), (0, 8, 4), "{n} × (request + encoder estimates 8 bytes + torque 4 bytes)"),
 )  # fmt: skip
 POSITION = CanSimpleMode(
-    3, Command.SET_INPUT_POS, struct.Struct("<fhh"),
+    3, CommandId.SET_INPUT_POS, struct.Struct("<fhh"),
     CycleFrames((), (0, 8, 8), "{n} × (request + encoder estimates 8 bytes + position 8 bytes)"),
 )  # fmt: skip
 
@@ -109,7 +109,7 @@ class CanSimpleCodec(CanCodec):
         self.gains, self._scales = gains, scales or CanSimpleConfiguration()
         self.mode = TORQUE if gains is None else POSITION
         self.cycle = self.mode.cycle
-        estimates = [identifier(node_id, Command.GET_ENCODER_ESTIMATES) for node_id in node_ids]
+        estimates = [identifier(node_id, CommandId.GET_ENCODER_ESTIMATES) for node_id in node_ids]
         super().__init__(node_ids, [CanFrame(each, is_remote=True) for each in estimates])
         self._joint_of_estimates = {each: joint for joint, each in enumerate(estimates)}
         self._inputs = [identifier(node_id, self.mode.input) for node_id in node_ids]

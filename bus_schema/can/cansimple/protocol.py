@@ -13,7 +13,7 @@ from bus_schema.can.cansimple.codec import (
     PASSTHROUGH,
     TURN_RAD,
     CanSimpleCodec,
-    Command,
+    CommandId,
     OdriveState,
     identifier,
 )
@@ -29,8 +29,8 @@ _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _GAIN, _GAINS = struct.Struct("<f"), struct.Struct("<ff")
 _BEAT = struct.Struct("<IBB")
 _OF_MASTER = {
-    Command.SET_AXIS_STATE, Command.SET_CONTROLLER_MODE, Command.SET_INPUT_POS,
-    Command.SET_INPUT_TORQUE, Command.CLEAR_ERRORS,
+    CommandId.SET_AXIS_STATE, CommandId.SET_CONTROLLER_MODE, CommandId.SET_INPUT_POS,
+    CommandId.SET_INPUT_TORQUE, CommandId.CLEAR_ERRORS,
 }  # fmt: skip
 """Commands that only a master sends."""
 
@@ -56,23 +56,23 @@ class CanSimpleMaster(CanMaster):
 
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:
-            self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(OdriveState.IDLE))
+            self._send_to_all(CommandId.SET_AXIS_STATE, _U32.pack(OdriveState.IDLE))
             torque_nm = np.zeros_like(torque_nm)
         super().command(torque_nm)
 
     def leave(self) -> None:
-        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(OdriveState.IDLE))
+        self._send_to_all(CommandId.SET_AXIS_STATE, _U32.pack(OdriveState.IDLE))
 
     def _ask(self) -> None:
         """Ask all axes to follow their inputs, and for the heartbeats that say whether they do."""
         self._send_gains()
         self._states = [0] * len(self._node_ids)
         self._is_powered = [False] * len(self._node_ids)
-        self._send_to_all(Command.CLEAR_ERRORS, b"\0")
+        self._send_to_all(CommandId.CLEAR_ERRORS, b"\0")
         self._send_to_all(
-            Command.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, PASSTHROUGH)
+            CommandId.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, PASSTHROUGH)
         )
-        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(OdriveState.CLOSED_LOOP_CONTROL))
+        self._send_to_all(CommandId.SET_AXIS_STATE, _U32.pack(OdriveState.CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
 
     def _send_gains(self) -> None:
@@ -85,8 +85,8 @@ class CanSimpleMaster(CanMaster):
             position = _GAIN.pack(stiffness / damping)
             velocity = _GAINS.pack(damping * TURN_RAD, 0.0)
             self._send((
-                CanFrame(identifier(node_id, Command.SET_POS_GAIN), position),
-                CanFrame(identifier(node_id, Command.SET_VEL_GAINS), velocity),
+                CanFrame(identifier(node_id, CommandId.SET_POS_GAIN), position),
+                CanFrame(identifier(node_id, CommandId.SET_VEL_GAINS), velocity),
             ))  # fmt: skip
 
     def _who_is_absent(self, timeout_s: float) -> str:
@@ -103,7 +103,7 @@ class CanSimpleMaster(CanMaster):
 
     def _send_heartbeat(self) -> None:
         """Request the heartbeats of all axes; they need none of the master's."""
-        self._send_to_all(Command.HEARTBEAT, is_remote=True)
+        self._send_to_all(CommandId.HEARTBEAT, is_remote=True)
 
     def _only_master_sends(self, frame: CanFrame) -> str | None:
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
@@ -111,13 +111,13 @@ class CanSimpleMaster(CanMaster):
             return None
         if frame.is_remote:
             return "requests"
-        return Command(command).name.title() if command in _OF_MASTER else None
+        return CommandId(command).name.title() if command in _OF_MASTER else None
 
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in heartbeats."""
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
         joint = self._joint_of.get(node_id)
-        if joint is None or command != Command.HEARTBEAT or len(frame.data) < _BEAT.size:
+        if joint is None or command != CommandId.HEARTBEAT or len(frame.data) < _BEAT.size:
             return
         self._errors[joint], self._states[joint], _ = _BEAT.unpack_from(frame.data)
         self._is_powered[joint] = self._states[joint] == OdriveState.CLOSED_LOOP_CONTROL
@@ -153,11 +153,11 @@ class CanSimpleProtocol(DriveProtocol):
         return CanSimpleCodec(self.node_ids(can, robot.joints), gains, can.cansimple)
 
     def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
-        return [CanFrame(identifier(node_id, Command.HEARTBEAT), is_remote=True)]
+        return [CanFrame(identifier(node_id, CommandId.HEARTBEAT), is_remote=True)]
 
     def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
-        is_beat = command == Command.HEARTBEAT and is_data(frame, _BEAT_BYTES)
+        is_beat = command == CommandId.HEARTBEAT and is_data(frame, _BEAT_BYTES)
         return (node_id, "heartbeat", 1.0) if is_beat and node_id else None
 
     def own_settings(

@@ -37,7 +37,7 @@ _STATE_BYTES = 6
 _NIBBLE = 0xF
 
 
-class Mode(IntEnum):
+class DamiaoMode(IntEnum):
     """Register CTRL_MODE."""
 
     MIT = 1
@@ -87,23 +87,23 @@ _VEL_BYTES = (4, 8)
 """`openarm_can` and the manual send four bytes, other clients fill them up to eight."""
 
 
-def packed_target(mode: Mode, target: Target) -> bytes:
+def packed_target(mode: DamiaoMode, target: Target) -> bytes:
     """Data of a command in any mode but MIT."""
-    if mode is Mode.POS_VEL:
+    if mode is DamiaoMode.POS_VEL:
         return _PAIR.pack(*target[:2])
-    if mode is Mode.VEL:
+    if mode is DamiaoMode.VEL:
         return _SINGLE.pack(target.velocity_rad_s)
     speed, share = target.velocity_rad_s * _VELOCITY_SCALE, target.torque_share * _SHARE_SCALE
     return _FORCE.pack(target.position_rad, int(speed), int(share))
 
 
-def target_of(mode: Mode, data: bytes) -> Target | None:
+def target_of(mode: DamiaoMode, data: bytes) -> Target | None:
     """What a frame of a mode other than MIT commands; None if it is no command."""
-    if len(data) not in (_VEL_BYTES if mode is Mode.VEL else (COMMAND_BYTES,)):
+    if len(data) not in (_VEL_BYTES if mode is DamiaoMode.VEL else (COMMAND_BYTES,)):
         return None
-    if mode is Mode.VEL:
+    if mode is DamiaoMode.VEL:
         target = Target(0.0, *_SINGLE.unpack_from(data))
-    elif mode is Mode.POS_VEL:
+    elif mode is DamiaoMode.POS_VEL:
         target = Target(*_PAIR.unpack(data))
     else:
         position, speed, share = _FORCE.unpack(data)
@@ -139,7 +139,7 @@ class Request(IntEnum):
     REFRESH = 0xCC
 
 
-class Register(IntEnum):
+class DamiaoRegister(IntEnum):
     """The registers that an emulated motor acts on, by the vendor's names."""
 
     MAX_SPD = 6
@@ -160,7 +160,8 @@ class Register(IntEnum):
 
 
 RANGES = {
-    Register.PMAX: "position_rad", Register.VMAX: "velocity_rad_s", Register.TMAX: "torque_nm"
+    DamiaoRegister.PMAX: "position_rad", DamiaoRegister.VMAX: "velocity_rad_s",
+    DamiaoRegister.TMAX: "torque_nm",
 }  # fmt: skip
 """Registers with the ranges of the numbers in frames, and their names in `MitRanges`."""
 

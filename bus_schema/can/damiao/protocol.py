@@ -11,8 +11,8 @@ from bus_schema.can.damiao.codec import (
     REGISTER_IDENTIFIER,
     TIMEOUT_STEP_NS,
     DamiaoCodec,
-    Mode,
-    Register,
+    DamiaoMode,
+    DamiaoRegister,
     RegisterFrame,
     Request,
     Status,
@@ -43,16 +43,16 @@ class DamiaoMaster(MitMaster):
 
     def _set_up_drive(self, joint: int) -> None:
         self._check_ranges(joint)
-        self._write(joint, Register.CTRL_MODE, Mode.MIT)
+        self._write(joint, DamiaoRegister.CTRL_MODE, DamiaoMode.MIT)
         timeout_ns = self._can.command_timeout_ms * _MS
-        self._write(joint, Register.TIMEOUT, timeout_ns // TIMEOUT_STEP_NS)
+        self._write(joint, DamiaoRegister.TIMEOUT, timeout_ns // TIMEOUT_STEP_NS)
         self._switch(joint, Special.CLEAR_ERROR)
         self._switch(joint, Special.ENABLE)
 
     def _only_master_sends(self, frame: CanFrame) -> str | None:
         if frame.identifier == REGISTER_IDENTIFIER:
             return "requests"
-        nodes = [frame.identifier - mode.offset for mode in Mode]
+        nodes = [frame.identifier - mode.offset for mode in DamiaoMode]
         return "commands" if any(node in self._joint_of for node in nodes) else None
 
     def _missed_heartbeats(self) -> list[str]:
@@ -86,7 +86,7 @@ class DamiaoMaster(MitMaster):
             if time.monotonic() > give_up_s:
                 raise DriveError(self._silence(joint, kind.name))
 
-    def _write(self, joint: int, register: Register, value: int) -> None:
+    def _write(self, joint: int, register: DamiaoRegister, value: int) -> None:
         written = self._ask_register(joint, Request.WRITE, register, value)
         if written != value:
             raise DriveError(
@@ -95,7 +95,7 @@ class DamiaoMaster(MitMaster):
             )
 
     def _ask_register(
-        self, joint: int, request: Request, register: Register, value: float = 0.0
+        self, joint: int, request: Request, register: DamiaoRegister, value: float = 0.0
     ) -> float:
         """Value in a motor's answer.
 
@@ -161,7 +161,7 @@ class DamiaoProtocol(MitProtocol):
 
     def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
         node_ids = can.node_ids_of(joints)
-        taken = {node_id + mode.offset for node_id in node_ids for mode in Mode}
+        taken = {node_id + mode.offset for node_id in node_ids for mode in DamiaoMode}
         feedback_ids = _feedback_ids(can, joints)
         if twice := sorted({*taken, REGISTER_IDENTIFIER} & {*feedback_ids}):
             raise ConfigurationError(
@@ -180,7 +180,11 @@ class DamiaoProtocol(MitProtocol):
             return None
         node_id, request, register, value = register_frame(frame.data)
         is_ours = frame.identifier != REGISTER_IDENTIFIER and request == Request.READ
-        return (node_id, Register(register).name, value) if is_ours and register in RANGES else None
+        return (
+            (node_id, DamiaoRegister(register).name, value)
+            if is_ours and register in RANGES
+            else None
+        )
 
     def expected_answers(
         self, can: CanConfiguration, robot: RobotDescription

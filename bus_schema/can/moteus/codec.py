@@ -28,7 +28,7 @@ _TURNS, _TURNS_S, _TORQUE = (1e-2, 1e-4, 1e-5), (0.1, 2.5e-4, 1e-5), (0.5, 1e-2,
 _FINE, _SHARE = (1.0, 0.1, 1e-3), (1 / 0x7F, 1 / 0x7FFF, 1 / 0x7FFF_FFFF)
 
 
-class Register(IntEnum):
+class MoteusRegister(IntEnum):
     """The registers that an emulated drive has.
 
     Attributes:
@@ -37,7 +37,9 @@ class Register(IntEnum):
 
     steps: tuple[float, float, float]
 
-    def __new__(cls, number: int, steps: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Register:
+    def __new__(
+        cls, number: int, steps: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    ) -> MoteusRegister:
         register = int.__new__(cls, number)
         register._value_, register.steps = number, steps
         return register
@@ -67,7 +69,7 @@ class Register(IntEnum):
     SET_OUTPUT_EXACT = 0x131, _TURNS
 
 
-class Mode(IntEnum):
+class MoteusMode(IntEnum):
     """Register MODE, as far as an emulated drive has them."""
 
     STOPPED = 0
@@ -108,7 +110,7 @@ def state_of(frame: CanFrame) -> AxisState | None:
     first, mode, second, turns, turns_s, third, fault = _STATE.unpack(frame.data)
     if (first, second, third) != _STATE_HEADS:
         return None
-    error = {Mode.FAULT: fault, Mode.TIMEOUT: mode}.get(mode, 0)
+    error = {MoteusMode.FAULT: fault, MoteusMode.TIMEOUT: mode}.get(mode, 0)
     return AxisState(node_id, turns * TURN_RAD, turns_s * TURN_RAD, error=error)
 
 

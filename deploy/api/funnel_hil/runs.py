@@ -19,8 +19,7 @@ from deploy.run.network.links import check_link
 from deploy.run.new_folder import new_folder
 from deploy.run.run_folder import ResultFolder, RunFolder, provenance
 from deploy.scenario.study_keys import laws_beside
-from deploy.study.comparison.comparison import ComparedRuns, judged_again
-from deploy.study.comparison.comparison import Comparison as OfLaws
+from deploy.study.comparison.comparison import ComparedRuns, LawComparison, judged_again
 from deploy.study.comparison.recorded import KIND, recorded_runs
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
@@ -91,8 +90,8 @@ def compare(
     makers = {name: make for each in tried for name, make in each.makers.items()}
     values = {"laws": [each.law for each in tried]}
     with laws_given(makers), conducted(
-        base, lambda file: OfLaws({"scenario": str(file), **values}, Path("compare")), Path(out),
-        overwrite=overwrite,
+        base, lambda file: LawComparison({"scenario": str(file), **values}, Path("compare")),
+        Path(out), overwrite=overwrite,
     ) as (study, folder):  # fmt: skip
         results, compared = comparison_results(folder, judge_rows(study, folder))
         write_results(folder, results)

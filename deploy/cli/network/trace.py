@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from bus_schema.errors import InputError
-from deploy.judge.link_delays import Measured
+from deploy.judge.link_delays import MeasuredDelays
 from deploy.measure import trace_import
 from deploy.measure.trace_output import scenario_lines, write_trace
 
@@ -93,7 +93,7 @@ def _read(
     delay: str | None,
     unit: Unit,
     interval_s: float,
-) -> Measured:
+) -> MeasuredDelays:
     if kind is Kind.PING:
         return trace_import.from_ping(file, interval_s)
     if sent is not None and sent == received:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.cli.common import CommandGate, conclude, leave
+from deploy.cli.common import ResultGate, conclude, leave
 from deploy.cli.options import ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
@@ -52,7 +52,7 @@ def datasheet(options: DatasheetOptions) -> None:
         options.quick,
     )  # fmt: skip
     margin, windows = sheet.margin(), sheet.windows()
-    gate = CommandGate(options, "datasheet", "ms", "datasheet")
+    gate = ResultGate(options, "datasheet", "ms", "datasheet")
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     parts = {"margin": _made(margin, options, out / "margin", console, stop)}

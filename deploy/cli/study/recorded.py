@@ -15,39 +15,27 @@ from deploy.cli.options import NoReport, Out, Overwrite
 from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.bounds import all_damage
 from deploy.judge.run_data import RunData
-from deploy.reports.data_sheet_results import sheet_again
-from deploy.reports.kinds import kind_of
+from deploy.reports.again import evaluated_again
 from deploy.reports.results import (
-    Results,
-    comparison_results,
     diff_results,
-    study_results,
     write_results,
-    write_run,
-    write_study,
 )
 from deploy.reports.verdict_texts import PARTIAL, damaged
 from deploy.run.console import Console
-from deploy.run.execute import JudgedRun
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.new_folder import new_folder
 from deploy.run.replay import Replay
 from deploy.run.replay import replay as replay_run
 from deploy.run.run_folder import (
     ResultFolder,
-    RunFolder,
     load_run,
     provenance,
     read_manifest,
-    read_summary,
 )
 from deploy.run.stop_signals import WITHIN_S, stop_at_once
 from deploy.scenario.yaml_files import ScenarioError, naming
-from deploy.study.comparison.comparison import KIND as COMPARISON
 from deploy.study.comparison.recorded import KIND as DIFF
-from deploy.study.comparison.recorded import read_again, recorded_runs
-from deploy.study.folder import STUDY_FILE, StudyFolder, changes_since, read_study
-from deploy.study.runner import retrace
+from deploy.study.comparison.recorded import recorded_runs
 
 
 def diff(
@@ -80,59 +68,10 @@ def report(
 
     A damaged recording is evaluated as far as it can be read, with exit code 1.
     """
-    again = _AGAIN.get(kind_of(read_summary(run_dir)).name)
-    if again is None:
-        again = _study_again if (run_dir / STUDY_FILE).is_file() else _run_again
-    raise typer.Exit(FAULT if again(run_dir, Console()).is_damaged else FINISHED)
-
-
-def _run_again(path: Path, console: Console) -> Results:
-    run = JudgedRun(path.name, load_run(path)[0], path=path)
-    with RunFolder(path if path.is_dir() else path.parent).lock() as folder:
-        return conclude(console, folder, lambda: write_run(folder, run))
-
-
-def _laws_again(path: Path, console: Console) -> Results:
-    """Judge the recordings of a comparison; its study may have changed, or be of an old version."""
-    with ResultFolder(path.resolve()).lock() as folder:
-
-        def judge() -> Results:
-            results, _ = comparison_results(folder, read_summary(folder.path))
-            return write_results(folder, results)
-
-        return conclude(console, folder, judge)
-
-
-def _diff_again(path: Path, console: Console) -> Results:
-    results = diff_results(read_again(path))
-    with ResultFolder(path.resolve()).lock() as folder:
-        return conclude(console, folder, lambda: write_results(folder, results))
-
-
-def _study_again(path: Path, console: Console) -> Results:
-    """Judge the rows of a study; show its earlier summary if its scenarios have changed."""
-    study = read_study(path)
-    with StudyFolder(path.resolve(), study).lock() as folder:
-        changed, summary = "; ".join(changes_since(study, folder.path)), read_summary(folder.path)
-        if not changed:
-            retrace(study, folder)
-            return conclude(console, folder, lambda: write_study(study, folder))
-        if "conditions" not in summary:
-            raise ScenarioError(
-                f"{folder.path}: {changed}: must be as it was, as no summary is there"
-            )
-        console.print(f"{changed}: this is the summary of before", markup=False, soft_wrap=True)
-        results = study_results(summary, folder)
-        return conclude(console, folder, lambda: write_results(folder, results))
-
-
-def _sheet_again(path: Path, console: Console) -> Results:
-    with ResultFolder(path.resolve()).lock() as folder:
-        return conclude(console, folder, lambda: sheet_again(folder))
-
-
-_AGAIN = {COMPARISON: _laws_again, DIFF: _diff_again, "datasheet": _sheet_again}
-"""Results of several recordings, by kind."""
+    folder, judge = evaluated_again(run_dir)
+    with folder.lock():
+        results = conclude(Console(), folder, judge)
+    raise typer.Exit(FAULT if results.is_damaged else FINISHED)
 
 
 def replay(

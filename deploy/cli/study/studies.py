@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from deploy.cli.common import CommandGate, conclude, leave, say_oddities
+from deploy.cli.common import ResultGate, conclude, leave, say_oddities
 from deploy.cli.options import taking
 from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.cli.study.margin_options import (
@@ -33,7 +33,7 @@ from deploy.run.processes.program import require_program
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.benchmark.benchmark import Benchmark
-from deploy.study.comparison.comparison import Comparison
+from deploy.study.comparison.comparison import LawComparison
 from deploy.study.conduct import Conducted, conduct
 from deploy.study.robustness import margin_study
 from deploy.study.runner import Progress, Workers
@@ -110,7 +110,7 @@ def compare(options: CompareOptions) -> None:
     After an interruption or a kill, the same command continues. With more laws, it adds them.
     """
     _conduct(
-        Comparison(options.definition(), Path("compare")), options,
+        LawComparison(options.definition(), Path("compare")), options,
         require_bounds=options.require_bounds,
     )  # fmt: skip
 
@@ -138,7 +138,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
     """Run or continue a study, show its results, and end with its exit code."""
     quantity, pattern = (getattr(study.definition, key, None) for key in ("quantity", "pattern"))
     console = Console()
-    gate = CommandGate(
+    gate = ResultGate(
         options, study.definition.name, study.unit, study.kind, quantity,
         patterns=pattern is not None,
     )  # fmt: skip

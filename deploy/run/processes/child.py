@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bus_schema.errors import silent_peer
 from bus_schema.runtime.child import how_it_ended, last_line
 from deploy.run.exit_codes import BAD_INPUT, INTERRUPTED
 from deploy.run.processes.role_process import Options, RoleProcess, start_role
@@ -37,11 +36,15 @@ class Failure(NamedTuple):
         is_cause: other failures are its consequences: it was killed or frozen from outside, or
             reports itself as the cause.
         is_bad_input: its inputs conflict, such as two different scenarios.
+        role: the role of ours that failed by itself; empty for other processes and other ends.
+        awaited: the peer whose silence it is; empty if it is another failure.
     """
 
     text: str
-    is_cause: bool
+    is_cause: bool = False
     is_bad_input: bool = False
+    role: str = ""
+    awaited: str = ""
 
 
 @dataclass
@@ -63,16 +66,10 @@ class RunOutcome:
     relay: dict[str, Any] = field(default_factory=dict)
 
 
-def in_causal_order(failures: Sequence[str]) -> list[str]:
-    """Sort sentences about failures: a process's own failure comes before its silence."""
-
-    def is_consequence(text: str) -> bool:
-        peer = silent_peer(text)
-        return peer is not None and any(
-            other.startswith(f"the {peer} failed") for other in failures
-        )
-
-    return sorted(failures, key=is_consequence)
+def in_causal_order(failures: Sequence[Failure]) -> list[Failure]:
+    """Sort failures: a process's own failure comes before its silence."""
+    failed = {failure.role for failure in failures} - {""}
+    return sorted(failures, key=lambda each: each.awaited in failed)
 
 
 class ChildProcess(ABC):
@@ -196,7 +193,7 @@ class Child(ChildProcess):
             return self._faults[0]._replace(is_bad_input=code == BAD_INPUT)
         if code:
             text = f"the {self.role} failed with exit code {code}: {self._last_line()}"
-            return Failure(text, is_cause=False, is_bad_input=code == BAD_INPUT)
+            return Failure(text, is_bad_input=code == BAD_INPUT, role=self.role)
         return None
 
     def _read_messages(self) -> None:
@@ -206,8 +203,9 @@ class Child(ChildProcess):
                 if message.kind == "note":
                     self.has_started.set()
                 elif message.kind == "fault":
-                    text = f"the {self.role} failed: {message.values['text']}"
-                    self._faults.append(Failure(text, message.values.get("is_cause", False)))
+                    told = dict(message.values)
+                    told["text"] = f"the {self.role} failed: {told['text']}"
+                    self._faults.append(Failure(**told, role=self.role))
                 self._inbox.put(message)
 
 

@@ -19,7 +19,6 @@ from collections.abc import Callable
 from multiprocessing import connection
 from pathlib import Path
 
-from bus_schema.errors import silent_peer
 from bus_schema.messages.topics import Role
 from deploy.run.network.live_feed import clear_left_behind
 from deploy.run.network.real_delay import RELAY, RealDelay
@@ -81,6 +80,7 @@ class Launcher:
         self._starts: Counter[Role] = Counter()
         self._injector = ProcessFaultInjector(self._children, self._start)
         self._outcome = RunOutcome()
+        self._failures: list[Failure] = []
         self._stop_requested = False
         self._has_begun = self._plant_has_failed = self._program_left_first = False
 
@@ -115,8 +115,10 @@ class Launcher:
                 self._viewer.end()
             clear_left_behind()
         self._handle_messages(on_message)
-        self._outcome.failures = in_causal_order(self._outcome.failures)
+        self._failures = in_causal_order(self._failures)
         self._note_suspicion()
+        self._outcome.failures = [failure.text for failure in self._failures]
+        self._outcome.is_bad_input = any(failure.is_bad_input for failure in self._failures)
         for start in range(1, self._starts[Role.RECORDER] + 1):
             record_failures(_numbered(self._folder.log, start), self._outcome.failures)
         return self._outcome
@@ -242,16 +244,14 @@ class Launcher:
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, ControllerProcess) or program.failure() is not None:
             return
-        if self._outcome.failures or not (self._has_begun or self._outcome.interrupted):
-            awaited = Role.CONTROLLER in map(silent_peer, self._outcome.failures)
+        if self._failures or not (self._has_begun or self._outcome.interrupted):
+            awaited = any(failure.awaited == Role.CONTROLLER for failure in self._failures)
             gave_up = awaited and not self._program_left_first
             self._note_failure(program.suspicion(plant_gave_up_first=gave_up))
 
     def _note_failure(self, failure: Failure | None) -> None:
         if failure is not None:
-            failures = self._outcome.failures
-            self._outcome.is_bad_input |= failure.is_bad_input
-            failures.insert(0 if failure.is_cause else len(failures), failure.text)
+            self._failures.insert(0 if failure.is_cause else len(self._failures), failure)
 
     def _handle_messages(self, on_message: Callable[[StatusMessage], None]) -> None:
         while not self._inbox.empty():

@@ -106,7 +106,7 @@ def plant(options: RoleOptions, reporter: StatusReporter) -> int:
             return FAULT
         return INTERRUPTED if stop.is_set else FINISHED
     except BusError as error:
-        reporter.report("fault", text=str(error))
+        reporter.report("fault", text=str(error), awaited=error.peer)
         return _exit_code(error)
     finally:
         ignore_stops()
@@ -117,7 +117,7 @@ def plant(options: RoleOptions, reporter: StatusReporter) -> int:
 
 def _report_outcome(outcome: PlantOutcome, reporter: StatusReporter) -> None:
     for fault in outcome.faults:
-        reporter.report("fault", text=fault)
+        reporter.report("fault", text=fault, awaited=outcome.awaited)
     reporter.report(
         "result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s
     )
@@ -152,7 +152,7 @@ def controller(options: RoleOptions, reporter: StatusReporter) -> int:
             return _exit_code(failure)
         return INTERRUPTED if stop.is_set else FINISHED
     except BusError as error:
-        reporter.report("fault", text=str(error))
+        reporter.report("fault", text=str(error), awaited=error.peer)
         return _exit_code(error)
     finally:
         ignore_stops()
@@ -176,9 +176,9 @@ def _end(
     if failure is not None:
         reason = reason_of(failure)
         # The controller's own failures are causes; those of the bus may be consequences.
-        bus_is_cause = isinstance(failure, BusError) and failure.is_cause
-        is_cause = bus_is_cause or isinstance(failure, ControllerError)
-        reporter.report("fault", text=reason, is_cause=is_cause)
+        of_bus = failure if isinstance(failure, BusError) else BusError()
+        is_cause = of_bus.is_cause or isinstance(failure, ControllerError)
+        reporter.report("fault", text=reason, is_cause=is_cause, awaited=of_bus.peer)
         loop.stop(reason)
     reporter.report("result", **loop.end())
     link.await_recorded()
@@ -212,7 +212,7 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
     try:
         recorder.run(lambda: stop.is_set)
     except BusError as error:
-        reporter.report("fault", text=str(error))
+        reporter.report("fault", text=str(error), awaited=error.peer)
         code = _exit_code(error)
     ignore_stops()
     recorder.close()

@@ -51,7 +51,7 @@ class ComparisonDefinition(StudyDefinition):
     settling_rad: list[float] = Field(default=[])
 
 
-class Comparison(StudyOfRuns):
+class LawComparison(StudyOfRuns):
     """The runs of a comparison: each law is recorded to its own folder, except for settling.
 
     Attributes:

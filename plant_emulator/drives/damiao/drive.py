@@ -10,8 +10,8 @@ from __future__ import annotations
 from bus_schema.can.damiao.codec import (
     REGISTER_IDENTIFIER,
     TIMEOUT_STEP_NS,
-    Mode,
-    Register,
+    DamiaoMode,
+    DamiaoRegister,
     RegisterFrame,
     Request,
     Status,
@@ -44,7 +44,7 @@ _ERRORS = {
     DriveFault.OVER_TEMPERATURE: Status.COIL_HOT,
     DriveFault.ENCODER: Status.SENSOR_ERROR,
 }
-_RESTARTING = {Register.CTRL_MODE, Register.ESC_ID, Register.MST_ID}
+_RESTARTING = {DamiaoRegister.CTRL_MODE, DamiaoRegister.ESC_ID, DamiaoRegister.MST_ID}
 
 
 class DamiaoDrive(LoopDrive[DamiaoSettings]):
@@ -90,7 +90,7 @@ class DamiaoDrive(LoopDrive[DamiaoSettings]):
 
     @property
     def timeout_ns(self) -> float:
-        return self._registers[Register.TIMEOUT] * TIMEOUT_STEP_NS
+        return self._registers[DamiaoRegister.TIMEOUT] * TIMEOUT_STEP_NS
 
     def _time_out(self) -> None:
         self._rest(Status.LOST_COMMUNICATION)
@@ -103,7 +103,7 @@ class DamiaoDrive(LoopDrive[DamiaoSettings]):
         name = f"drive {self._node_id}"
         if frame.identifier == REGISTER_IDENTIFIER and self._is_meant(frame.data):
             return f"{name} asked: {_asked(register_frame(frame.data))}"
-        if frame.identifier == self._registers[Register.MST_ID] and is_whole:
+        if frame.identifier == self._registers[DamiaoRegister.MST_ID] and is_whole:
             return f"{name} state: {feedback_of(frame.data, self._ranges)}"
         if mode is None:
             return None
@@ -113,23 +113,27 @@ class DamiaoDrive(LoopDrive[DamiaoSettings]):
         return f"{name} {mode.name}: {self._commanded(mode, frame.data) or 'no command'}"
 
     @property
-    def _mode(self) -> Mode:
-        return Mode(int(self._registers[Register.CTRL_MODE]))
+    def _mode(self) -> DamiaoMode:
+        return DamiaoMode(int(self._registers[DamiaoRegister.CTRL_MODE]))
 
     def _note_registers(self) -> None:
         """Cache the register values that every frame needs."""
         values = self._registers
-        limits = values[Register.PMAX], values[Register.VMAX], values[Register.TMAX]
+        limits = (
+            values[DamiaoRegister.PMAX],
+            values[DamiaoRegister.VMAX],
+            values[DamiaoRegister.TMAX],
+        )
         self._ranges = MitRanges(*limits, *self._gain_ranges)
-        self._node_id = int(values[Register.ESC_ID])
-        self._modes = {self._node_id + mode.offset: mode for mode in Mode}
+        self._node_id = int(values[DamiaoRegister.ESC_ID])
+        self._modes = {self._node_id + mode.offset: mode for mode in DamiaoMode}
         self.identifiers = {REGISTER_IDENTIFIER, *self._modes}
         self.on_set_up()
 
     def _is_meant(self, data: bytes) -> bool:
         return len(data) == COMMAND_BYTES and data[0] | data[1] << 8 == self._node_id
 
-    def _obey(self, mode: Mode, data: bytes) -> None:
+    def _obey(self, mode: DamiaoMode, data: bytes) -> None:
         """Receive a special frame, or a command of the active mode."""
         if len(data) == COMMAND_BYTES and ending_of(data) is not None:
             self._change(special_of(data), data)
@@ -144,8 +148,8 @@ class DamiaoDrive(LoopDrive[DamiaoSettings]):
         if self._error is Status.ENABLED:  # it stays in force until the next one
             self._loop = self._loop_for(command)
 
-    def _commanded(self, mode: Mode, data: bytes) -> MitCommand | Target | None:
-        if mode is not Mode.MIT:
+    def _commanded(self, mode: DamiaoMode, data: bytes) -> MitCommand | Target | None:
+        if mode is not DamiaoMode.MIT:
             return target_of(mode, data)
         is_command = len(data) == COMMAND_BYTES and ending_of(data) is None
         return command_of(data, self._ranges) if is_command else None
@@ -165,15 +169,15 @@ class DamiaoDrive(LoopDrive[DamiaoSettings]):
             self._error = _ERRORS[self._lasting_fault]
 
     def _loop_for(self, command: MitCommand | Target) -> JointLoop | CascadeLoop:
-        values, is_velocity = self._registers, self._mode is Mode.VEL
-        most_nm = min(self._peak_nm, values[Register.TMAX])
+        values, is_velocity = self._registers, self._mode is DamiaoMode.VEL
+        most_nm = min(self._peak_nm, values[DamiaoRegister.TMAX])
         if isinstance(command, MitCommand):
             return self._joint_loop(command, most_nm)
         gains = CascadeGains(
-            0.0 if is_velocity else values[Register.KP_APR],
-            values[Register.KP_ASR], values[Register.KI_ASR],
+            0.0 if is_velocity else values[DamiaoRegister.KP_APR],
+            values[DamiaoRegister.KP_ASR], values[DamiaoRegister.KI_ASR],
         )  # fmt: skip
-        fastest = values[Register.MAX_SPD]
+        fastest = values[DamiaoRegister.MAX_SPD]
         wanted = command.velocity_rad_s if is_velocity else 0.0
         most_rad_s = fastest if is_velocity else min(abs(command.velocity_rad_s), fastest)
         return CascadeLoop(
@@ -214,7 +218,7 @@ class DamiaoDrive(LoopDrive[DamiaoSettings]):
         self._answer(packed_feedback(state, self._ranges, self.temperature_c))
 
     def _answer(self, data: bytes) -> None:
-        identifier = int(self._registers[Register.MST_ID])
+        identifier = int(self._registers[DamiaoRegister.MST_ID])
         self._transmit(CanFrame(identifier, data, is_fd=self._settings.fd_process_data))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 
-from bus_schema.can.damiao.codec import TIMEOUT_STEP_NS, Mode, Register
+from bus_schema.can.damiao.codec import TIMEOUT_STEP_NS, DamiaoMode, DamiaoRegister
 from bus_schema.can.damiao.protocol import DamiaoSettings
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.drive import DriveSettings
@@ -23,14 +23,15 @@ _IDLE = {  # register: (default, lowest, highest), of those that only can be rea
     32: (50.0, 0.0, 500.0), 33: (1000.0, 100.0, 10_000.0), 34: (50.0, 0.0, 10_000.0),
 }  # fmt: skip
 _LIVE: dict[int, tuple[float, float]] = {  # those that it acts on: lowest, highest
-    Register.MAX_SPD: (0.0, _INF), Register.MST_ID: (0, _MOST_IDENTIFIER),
-    Register.ESC_ID: (0, _MOST_IDENTIFIER), Register.TIMEOUT: (0, 0xFFFF_FFFF),
-    Register.CTRL_MODE: (min(Mode), max(Mode)), Register.PMAX: (0.0, _INF),
-    Register.VMAX: (0.0, _INF), Register.TMAX: (0.0, _INF), Register.KP_ASR: (0.0, _INF),
-    Register.KI_ASR: (0.0, _INF), Register.KP_APR: (0.0, _INF), Register.CAN_BR: (0, 9),
+    DamiaoRegister.MAX_SPD: (0.0, _INF), DamiaoRegister.MST_ID: (0, _MOST_IDENTIFIER),
+    DamiaoRegister.ESC_ID: (0, _MOST_IDENTIFIER), DamiaoRegister.TIMEOUT: (0, 0xFFFF_FFFF),
+    DamiaoRegister.CTRL_MODE: (min(DamiaoMode), max(DamiaoMode)), DamiaoRegister.PMAX: (0.0, _INF),
+    DamiaoRegister.VMAX: (0.0, _INF), DamiaoRegister.TMAX: (0.0, _INF),
+    DamiaoRegister.KP_ASR: (0.0, _INF), DamiaoRegister.KI_ASR: (0.0, _INF),
+    DamiaoRegister.KP_APR: (0.0, _INF), DamiaoRegister.CAN_BR: (0, 9),
 }  # fmt: skip
 _ALLOWED = _LIVE | {register: row[1:] for register, row in _IDLE.items()}
-_POSITIVE = {Register.PMAX, Register.VMAX, Register.TMAX, Register.MAX_SPD}
+_POSITIVE = {DamiaoRegister.PMAX, DamiaoRegister.VMAX, DamiaoRegister.TMAX, DamiaoRegister.MAX_SPD}
 _FLOAT = struct.Struct("<f")
 
 
@@ -46,15 +47,15 @@ class Registers:
         ranges = own.motor.ranges
         self._values: dict[int, float] = {register: row[0] for register, row in _IDLE.items()}
         self._values |= {
-            Register.MAX_SPD: min(own.motor.no_load_rad_s, settings.max_velocity_rad_s),
-            Register.MST_ID: own.feedback_id, Register.ESC_ID: settings.node_id,
-            Register.CTRL_MODE: Mode.MIT,
-            Register.TIMEOUT: settings.watchdog_ms * _MS // TIMEOUT_STEP_NS,
-            Register.GR: own.motor.gear_ratio, Register.PMAX: ranges.position_rad,
-            Register.VMAX: ranges.velocity_rad_s, Register.TMAX: ranges.torque_nm,
-            Register.KP_ASR: gains.velocity_nm_s, Register.KI_ASR: gains.integral_nm_rad,
-            Register.KP_APR: gains.position_1_s,
-            Register.CAN_BR: _FD_RATE if settings.fd_process_data else _CLASSICAL_RATE,
+            DamiaoRegister.MAX_SPD: min(own.motor.no_load_rad_s, settings.max_velocity_rad_s),
+            DamiaoRegister.MST_ID: own.feedback_id, DamiaoRegister.ESC_ID: settings.node_id,
+            DamiaoRegister.CTRL_MODE: DamiaoMode.MIT,
+            DamiaoRegister.TIMEOUT: settings.watchdog_ms * _MS // TIMEOUT_STEP_NS,
+            DamiaoRegister.GR: own.motor.gear_ratio, DamiaoRegister.PMAX: ranges.position_rad,
+            DamiaoRegister.VMAX: ranges.velocity_rad_s, DamiaoRegister.TMAX: ranges.torque_nm,
+            DamiaoRegister.KP_ASR: gains.velocity_nm_s,
+            DamiaoRegister.KI_ASR: gains.integral_nm_rad, DamiaoRegister.KP_APR: gains.position_1_s,
+            DamiaoRegister.CAN_BR: _FD_RATE if settings.fd_process_data else _CLASSICAL_RATE,
         }  # fmt: skip
 
     def __getitem__(self, register: int) -> float:
@@ -69,8 +70,8 @@ class Registers:
 
     def show(self, position_rad: float) -> None:
         """Update the registers that hold the shaft's position."""
-        self._values[Register.XOUT] = position_rad
-        self._values[Register.P_M] = position_rad * self._values[Register.GR]
+        self._values[DamiaoRegister.XOUT] = position_rad
+        self._values[DamiaoRegister.P_M] = position_rad * self._values[DamiaoRegister.GR]
 
     def write(self, register: int, value: float) -> None:
         """Set a register.

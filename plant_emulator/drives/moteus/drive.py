@@ -14,8 +14,8 @@ from bus_schema.can.moteus.codec import (
     ASKS_REPLY,
     BROADCAST,
     TURN_RAD,
-    Mode,
-    Register,
+    MoteusMode,
+    MoteusRegister,
     moteus_frame,
 )
 from bus_schema.errors import InvalidMessageError
@@ -33,21 +33,27 @@ _FAULTS = {DriveFault.DRIVE: 33, DriveFault.ENCODER: 35, DriveFault.OVER_TEMPERA
 _DEFAULT_TIMEOUT_MS, _MS, _S = 100.0, 1e6, 1e9
 _BUS_V, _TORQUE_CONSTANT_NM_A = 48.0, 1.0
 _COMMAND: dict[int, float] = {
-    Register.COMMAND_POSITION: 0.0, Register.COMMAND_VELOCITY: 0.0,
-    Register.FEEDFORWARD_TORQUE: 0.0, Register.KP_SCALE: 1.0, Register.KD_SCALE: 1.0,
-    Register.MAXIMUM_TORQUE: math.nan, Register.STOP_POSITION: math.nan,
-    Register.WATCHDOG_TIMEOUT: 0.0,
+    MoteusRegister.COMMAND_POSITION: 0.0, MoteusRegister.COMMAND_VELOCITY: 0.0,
+    MoteusRegister.FEEDFORWARD_TORQUE: 0.0, MoteusRegister.KP_SCALE: 1.0,
+    MoteusRegister.KD_SCALE: 1.0, MoteusRegister.MAXIMUM_TORQUE: math.nan,
+    MoteusRegister.STOP_POSITION: math.nan, MoteusRegister.WATCHDOG_TIMEOUT: 0.0,
 }  # fmt: skip
 """Registers of a command, with what holds if it has none of its own."""
 
-_UNLIMITED = {Register.VELOCITY_LIMIT, Register.ACCELERATION_LIMIT}
-_WRITABLE = {*_COMMAND, *_UNLIMITED, Register.SET_OUTPUT_NEAREST, Register.SET_OUTPUT_EXACT}
+_UNLIMITED = {MoteusRegister.VELOCITY_LIMIT, MoteusRegister.ACCELERATION_LIMIT}
+_WRITABLE = {
+    *_COMMAND,
+    *_UNLIMITED,
+    MoteusRegister.SET_OUTPUT_NEAREST,
+    MoteusRegister.SET_OUTPUT_EXACT,
+}
 _NEVER_NAN = {
-    Register.FEEDFORWARD_TORQUE, Register.KP_SCALE, Register.KD_SCALE,
-    Register.SET_OUTPUT_NEAREST, Register.SET_OUTPUT_EXACT,
+    MoteusRegister.FEEDFORWARD_TORQUE, MoteusRegister.KP_SCALE, MoteusRegister.KD_SCALE,
+    MoteusRegister.SET_OUTPUT_NEAREST, MoteusRegister.SET_OUTPUT_EXACT,
 }  # fmt: skip
 _NEVER_NEGATIVE = {
-    Register.KP_SCALE, Register.KD_SCALE, Register.MAXIMUM_TORQUE, Register.WATCHDOG_TIMEOUT
+    MoteusRegister.KP_SCALE, MoteusRegister.KD_SCALE, MoteusRegister.MAXIMUM_TORQUE,
+    MoteusRegister.WATCHDOG_TIMEOUT,
 }  # fmt: skip
 
 
@@ -89,7 +95,7 @@ class MoteusDrive(LoopDrive[None]):
         self.identifiers = {
             each for node_id in node_ids for each in range(node_id, 1 << 16, 1 << 8)
         }
-        self._mode, self._fault = Mode.STOPPED, 0
+        self._mode, self._fault = MoteusMode.STOPPED, 0
         self._command, self._timeout_ns = _COMMAND.copy(), math.nan
 
     @property
@@ -98,9 +104,9 @@ class MoteusDrive(LoopDrive[None]):
 
     @property
     def fault(self) -> str | None:
-        if self._mode is Mode.TIMEOUT:
+        if self._mode is MoteusMode.TIMEOUT:
             return "command timeout (mode 11)"
-        return f"fault {self._fault}" if self._mode is Mode.FAULT else None
+        return f"fault {self._fault}" if self._mode is MoteusMode.FAULT else None
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus:
@@ -118,7 +124,7 @@ class MoteusDrive(LoopDrive[None]):
             data = packed_reply(read, self._registers())
             data += b"" if refused is None else packed_error(WRITE_ERROR, refused)
             if len(data) <= self.most_bytes:  # no frame holds more
-                self.samplings += any(Register.POSITION in each.registers for each in read)
+                self.samplings += any(MoteusRegister.POSITION in each.registers for each in read)
                 receiver = frame.identifier >> 8 & 0x7F
                 self._transmit(moteus_frame(self._settings.node_id << 8 | receiver, data))
         if refused is not None:
@@ -127,13 +133,16 @@ class MoteusDrive(LoopDrive[None]):
 
     @property
     def timeout_ns(self) -> float:
-        return self._timeout_ns if self._mode is Mode.POSITION else 0.0
+        return self._timeout_ns if self._mode is MoteusMode.POSITION else 0.0
 
     def _time_out(self) -> None:
-        self._mode, self._loop = Mode.TIMEOUT, self._damper(self._settings.gains.velocity_nm_s)
+        self._mode, self._loop = (
+            MoteusMode.TIMEOUT,
+            self._damper(self._settings.gains.velocity_nm_s),
+        )
 
     def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        self._mode, self._fault, self._loop = Mode.FAULT, _FAULTS[fault], None
+        self._mode, self._fault, self._loop = MoteusMode.FAULT, _FAULTS[fault], None
 
     def describe(self, frame: CanFrame) -> str | None:
         node_id = self._settings.node_id
@@ -148,38 +157,41 @@ class MoteusDrive(LoopDrive[None]):
         self, written: Iterable[tuple[int, float]], now_ns: int, *, asks_reply: bool
     ) -> None:
         """Set registers; a mode makes them a command, and forgets those before it."""
-        mode: Mode | None = None
+        mode: MoteusMode | None = None
         for register, value in written:
-            if register == Register.MODE:
-                mode, self._command = Mode(int(value)), _COMMAND.copy()
+            if register == MoteusRegister.MODE:
+                mode, self._command = MoteusMode(int(value)), _COMMAND.copy()
             elif register in _COMMAND:
                 self._command[register] = value
             elif register not in _UNLIMITED:
                 moved = value - self.position_rad / TURN_RAD
-                is_exact = register == Register.SET_OUTPUT_EXACT
+                is_exact = register == MoteusRegister.SET_OUTPUT_EXACT
                 self._zero_rad -= (moved if is_exact else round(moved)) * TURN_RAD
         if mode is None:
             return
         # A stop that asks for the state samples it, and another one is the command.
-        self.targets += mode is not Mode.STOPPED or not asks_reply
+        self.targets += mode is not MoteusMode.STOPPED or not asks_reply
         self._fed_ns = now_ns
-        if mode is Mode.STOPPED:
+        if mode is MoteusMode.STOPPED:
             self._mode, self._fault, self._loop = mode, 0, None
         elif self._lasting_fault is not None:
             self._fail(self._lasting_fault, now_ns)
-        elif self._mode not in (Mode.FAULT, Mode.TIMEOUT):
+        elif self._mode not in (MoteusMode.FAULT, MoteusMode.TIMEOUT):
             self._mode, self._loop = mode, self._loop_for(mode)
 
-    def _loop_for(self, mode: Mode) -> Loop:
+    def _loop_for(self, mode: MoteusMode) -> Loop:
         """The loop of the present command."""
         command, gains = self._command, self._settings.gains
-        damping = command[Register.KD_SCALE] * gains.velocity_nm_s
-        if mode is not Mode.POSITION:
+        damping = command[MoteusRegister.KD_SCALE] * gains.velocity_nm_s
+        if mode is not MoteusMode.POSITION:
             return self._damper(damping)
         timeout_ms = self._settings.watchdog_ms or _DEFAULT_TIMEOUT_MS
-        self._timeout_ns = command[Register.WATCHDOG_TIMEOUT] * _S or timeout_ms * _MS
-        position, velocity = command[Register.COMMAND_POSITION], command[Register.COMMAND_VELOCITY]
-        most_nm, largest_nm = command[Register.MAXIMUM_TORQUE], self._settings.max_torque_nm
+        self._timeout_ns = command[MoteusRegister.WATCHDOG_TIMEOUT] * _S or timeout_ms * _MS
+        position, velocity = (
+            command[MoteusRegister.COMMAND_POSITION],
+            command[MoteusRegister.COMMAND_VELOCITY],
+        )
+        most_nm, largest_nm = command[MoteusRegister.MAXIMUM_TORQUE], self._settings.max_torque_nm
         if not math.isnan(position):
             target_rad = position * TURN_RAD + self._zero_rad
         elif isinstance(self._loop, MovingLoop):
@@ -188,11 +200,11 @@ class MoteusDrive(LoopDrive[None]):
             target_rad = self._reading.position_rad
         loop = JointLoop(
             target_rad, 0.0 if math.isnan(velocity) else velocity * TURN_RAD,
-            command[Register.KP_SCALE] * gains.position_1_s * gains.velocity_nm_s, damping,
-            command[Register.FEEDFORWARD_TORQUE], self._step_rad,
+            command[MoteusRegister.KP_SCALE] * gains.position_1_s * gains.velocity_nm_s, damping,
+            command[MoteusRegister.FEEDFORWARD_TORQUE], self._step_rad,
             largest_nm if math.isnan(most_nm) else min(most_nm, largest_nm),
         )  # fmt: skip
-        return MovingLoop(loop, command[Register.STOP_POSITION] * TURN_RAD + self._zero_rad)
+        return MovingLoop(loop, command[MoteusRegister.STOP_POSITION] * TURN_RAD + self._zero_rad)
 
     def _damper(self, damping_nm_s: float) -> JointLoop:
         """The loop of zero velocity."""
@@ -202,20 +214,20 @@ class MoteusDrive(LoopDrive[None]):
         """Registers that can be read."""
         reading, temperature_c = self._reading, self.temperature_c
         return self._command | {
-            Register.MODE: self._mode, Register.POSITION: self.position_rad / TURN_RAD,
-            Register.VELOCITY: reading.velocity_rad_s / TURN_RAD,
-            Register.TORQUE: reading.torque_nm, Register.D_CURRENT: 0.0,
-            Register.Q_CURRENT: reading.torque_nm / _TORQUE_CONSTANT_NM_A,
-            Register.MOTOR_TEMPERATURE: temperature_c, Register.TRAJECTORY_COMPLETE: 1,
-            Register.VOLTAGE: _BUS_V, Register.TEMPERATURE: temperature_c,
-            Register.FAULT: self._fault,
+            MoteusRegister.MODE: self._mode, MoteusRegister.POSITION: self.position_rad / TURN_RAD,
+            MoteusRegister.VELOCITY: reading.velocity_rad_s / TURN_RAD,
+            MoteusRegister.TORQUE: reading.torque_nm, MoteusRegister.D_CURRENT: 0.0,
+            MoteusRegister.Q_CURRENT: reading.torque_nm / _TORQUE_CONSTANT_NM_A,
+            MoteusRegister.MOTOR_TEMPERATURE: temperature_c, MoteusRegister.TRAJECTORY_COMPLETE: 1,
+            MoteusRegister.VOLTAGE: _BUS_V, MoteusRegister.TEMPERATURE: temperature_c,
+            MoteusRegister.FAULT: self._fault,
         }  # fmt: skip
 
 
 def _may(register: int, value: float) -> bool:
     """Whether an emulated drive can do what a written register asks for."""
-    if register == Register.MODE:
-        return value in (Mode.STOPPED, Mode.POSITION, Mode.ZERO_VELOCITY)
+    if register == MoteusRegister.MODE:
+        return value in (MoteusMode.STOPPED, MoteusMode.POSITION, MoteusMode.ZERO_VELOCITY)
     if register not in _WRITABLE or math.isinf(value):
         return False
     if math.isnan(value):

@@ -12,12 +12,12 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import NamedTuple
 
-from bus_schema.can.moteus.codec import NOP, Register
+from bus_schema.can.moteus.codec import NOP, MoteusRegister
 from bus_schema.errors import InvalidMessageError
 
 _FORMATS, _FLOAT = "bhif", 3
 _MOST = (0x7F, 0x7FFF, 0x7FFF_FFFF)
-_STEPS = {int(register): register.steps for register in Register}
+_STEPS = {int(register): register.steps for register in MoteusRegister}
 _WHOLE = (1.0, 1.0, 1.0)
 _MOST_REGISTERS, _MOST_SHORT, _MOST_VARUINT = 64, 3, 5
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from bus_schema.can.cansimple.codec import CanSimpleCodec, Command
+from bus_schema.can.cansimple.codec import CanSimpleCodec, CommandId
 from bus_schema.can.cansimple.protocol import CanSimpleMaster
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.link import CanControllerLink, CanRun
@@ -48,14 +48,14 @@ class LateAxes:
     def send_all(self, frames: Sequence[CanFrame]) -> None:
         for frame in frames:
             command = frame.identifier & 0x1F
-            if frame.is_remote and command == Command.GET_ENCODER_ESTIMATES:
+            if frame.is_remote and command == CommandId.GET_ENCODER_ESTIMATES:
                 turns = self._asked[frame.identifier] / (2.0 * math.pi)
                 self._owed.append(CanFrame(frame.identifier, struct.pack("<ff", turns, 0.0)))
                 self._asked[frame.identifier] += 1
                 if self._asked[frame.identifier] > self._held_up:
                     self._sent += self._owed
                     self._owed = []
-            elif frame.is_remote and command == Command.HEARTBEAT:
+            elif frame.is_remote and command == CommandId.HEARTBEAT:
                 beat = struct.pack("<IBB", 0, self._state, 0) + bytes(2)
                 self._sent.append(CanFrame(frame.identifier, beat))
             elif command == 0x07:

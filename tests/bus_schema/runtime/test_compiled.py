@@ -84,6 +84,21 @@ class NumbasAlone:
         return field.__get__(result, owner)
 CompileResult.entry_point = NumbasAlone()
 """,
+    "cache of a kernel": """
+import sys
+from bus_schema.runtime import kernel_cache
+kernel_cache.choose_folder()  # before numba looks
+from numba.core.dispatcher import Dispatcher
+class NumbasAlone:
+    def __get__(self, dispatcher, owner):
+        if sys._getframe(1).f_globals["__name__"].startswith("bus_schema"):
+            raise AttributeError("_cache")
+        return vars(dispatcher)["cache"]
+    def __set__(self, dispatcher, cache):
+        assert not sys._getframe(1).f_globals["__name__"].startswith("bus_schema")
+        vars(dispatcher)["cache"] = cache
+Dispatcher._cache = NumbasAlone()
+""",
     "loading": """
 from numba.core.caching import Cache
 Cache._load = Cache._load_overload

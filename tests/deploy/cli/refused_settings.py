@@ -32,6 +32,7 @@ SET = [
     (f"{SINUSOIDS} [{{amplitude_rad: 100, frequency_rad_s: 628.3185307179586}}]}}",
      "", "must stay within the arm's reach and joint limits"),
     ("link.can.node_ids=3", "", ": must be a list of whole numbers"),
+    ("controller.gains.computed_torque=1", "", "= 1: must be a mapping of keys to values"),
     ("robot.joints=elbow", "", ": must be a list of strings"),
     ("faults=1", "", ": must be a list of mappings of keys to values"),
     ("link.uplink.schedule=1", "", ": must be a list of mappings of keys to values"),

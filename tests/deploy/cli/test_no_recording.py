@@ -38,17 +38,17 @@ def test_folder_that_is_not_there(funnel_hil, runs, command):
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("margin-a", "a study of margins"),
-        ("sweep-a", "a sweep"),
-        ("under_way", "a study"),
-        ("both", "a comparison, with runs in runs/both/pid"),
+        ("margin-a", "margin"),
+        ("sweep-a", "sweep"),
+        ("under_way", "study"),
+        ("both", "comparison, with runs in runs/both/pid"),
     ],
 )
 def test_results_of_another_kind(funnel_hil, runs, name, what):
     code, said = funnel_hil("view", f"runs/{name}")
     assert code == 2
-    told = f"has no run.mcap, because it is not a run but {what}"
-    assert said == f"error: runs/{name}: {told}; funnel-hil report runs/{name} shows it\n"
+    told = f"has no run.mcap, because it is not a run but has results of kind {what}"
+    assert said == f"error: runs/{name}: {told}; funnel-hil report runs/{name} shows them\n"
 
 
 def test_folder_of_a_run_without_its_recording(funnel_hil, runs):

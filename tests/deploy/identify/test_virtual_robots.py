@@ -214,7 +214,7 @@ def test_dead_time_from_command_to_position_becomes_a_delay_of_the_link(virtual,
     link = load_setup(str(folder / "scenario.yaml")).scenario.link
     assert link.downlink.delay_ms == pytest.approx(30.0, abs=2.0)
     code, output = here("report", folder)
-    assert (code, "report.html shows it" in output) == (2, True)
+    assert (code, "report.html shows them" in output) == (2, True)
 
 
 def test_rounded_and_lost_samples_and_spikes_change_little(virtual, tmp_path):

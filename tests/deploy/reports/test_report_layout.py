@@ -70,7 +70,7 @@ def report(tmp_path_factory):
     ).data()  # fmt: skip
     summary = summarise(run)
     assert len(summary["bounds"]["margin_min_joint"]) > 50
-    page = run_page(JudgedRun("", run, summary), {"set": "x" * 300})
+    page = run_page(JudgedRun("", run, summary), {"set": ["x" * 300]})
     write_page(folder / "report.html", page)
     return folder / "report.html"
 

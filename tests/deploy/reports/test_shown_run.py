@@ -9,7 +9,6 @@ import pytest
 from rich.console import Console
 
 from bus_schema.messages import topics
-from deploy.judge.conditions import conditions_of_recording
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.reports.run_pages import run_page
@@ -41,7 +40,7 @@ def shown(run: RunData, *settings: dict[str, object]) -> str:
     """What the terminal shows of a run whose plant was granted or refused some settings."""
     manifest = {"realtime": {"plant": list(settings)} if settings else {}}
     console = Console(file=io.StringIO(), width=200)
-    print_page(console, run_page(JudgedRun("", run), conditions_of_recording(run, manifest)))
+    print_page(console, run_page(JudgedRun("", run), manifest))
     return console.file.getvalue()
 
 

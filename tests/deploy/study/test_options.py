@@ -17,7 +17,7 @@ from deploy.run.network.keys import create_authority, issue
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, parse_override
-from deploy.study.comparison.comparison import Comparison
+from deploy.study.comparison.comparison import LawComparison
 from deploy.study.margin import Margin
 from deploy.study.robustness import margin_study
 from deploy.study.study import PlannedRun, row_of
@@ -30,7 +30,7 @@ def load_setups(scenario, overrides, laws):
     """The scenario under each law, as `compare` checks it."""
     fixed = dict(map(parse_override, overrides))
     values = {"scenario": scenario, "laws": laws, "set": fixed}
-    return Comparison(values, Path("compare")).variants
+    return LawComparison(values, Path("compare")).variants
 
 
 PLANTS = {"plants": 2, "values": "4,8", "uncertainty": "half"}

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
+from deploy.reports.again import read_study
 from deploy.reports.html import write_page
 from deploy.reports.results import study_page
 from deploy.reports.study_tables import robustness_table
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
-from deploy.study.folder import create_folder, read_study
+from deploy.study.folder import create_folder
 from deploy.study.plants import measured
 from deploy.study.robustness import Robustness, margin_study
 from deploy.study.study import SHIPPED

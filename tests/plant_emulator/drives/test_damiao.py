@@ -8,7 +8,7 @@ import struct
 import pytest
 from dialects import CLEAR, DISABLE, DM4310, ENABLE, command, unpacked
 
-from bus_schema.can.damiao.codec import Mode, Target, packed_target, target_of
+from bus_schema.can.damiao.codec import DamiaoMode, Target, packed_target, target_of
 from bus_schema.can.damiao.motors import MOTORS
 from bus_schema.can.damiao.protocol import DamiaoSettings
 from bus_schema.can.frame import CanFrame
@@ -76,7 +76,7 @@ def test_states_are_in_the_high_half_of_the_first_byte_and_temperatures_in_the_l
 
 def test_position_velocity_goes_to_a_position_no_faster_than_it_may():
     bench = Bench()
-    bench.in_mode(Mode.POS_VEL)
+    bench.in_mode(DamiaoMode.POS_VEL)
     bench.hear(struct.pack("<ff", 1.0, 0.5), NODE + 0x100)
     loop = bench.drive.demand().loop
     assert loop.torque_nm(0.0, 0.0) == pytest.approx(2.0 * 0.5)
@@ -88,7 +88,7 @@ def test_position_velocity_goes_to_a_position_no_faster_than_it_may():
 @pytest.mark.parametrize("padding", [b"", bytes(4)])  # openarm_can sends four bytes
 def test_velocity_mode_turns_at_a_speed(padding):
     bench = Bench()
-    bench.in_mode(Mode.VEL)
+    bench.in_mode(DamiaoMode.VEL)
     bench.hear(struct.pack("<f", -2.0) + padding, NODE + 0x200)
     loop = bench.drive.demand().loop
     assert loop.torque_nm(5.0, -2.0) == pytest.approx(0.0)
@@ -97,26 +97,29 @@ def test_velocity_mode_turns_at_a_speed(padding):
 
 def test_position_force_limits_speed_and_torque():
     bench = Bench()
-    bench.in_mode(Mode.POS_FORCE)
+    bench.in_mode(DamiaoMode.POS_FORCE)
     bench.hear(struct.pack("<fHH", 1.0, 300, 2500), NODE + 0x300)
     loop = bench.drive.demand().loop
     assert loop.torque_nm(0.9, 0.0) == pytest.approx(1.75)  # a quarter of 7 N m
     assert loop.torque_nm(0.95, 0.0) == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("mode", [Mode.POS_VEL, Mode.VEL, Mode.POS_FORCE])
+@pytest.mark.parametrize("mode", [DamiaoMode.POS_VEL, DamiaoMode.VEL, DamiaoMode.POS_FORCE])
 def test_targets_survive_packing(mode):
-    target = Target(0.0 if mode is Mode.VEL else 0.5, 1.5, 0.25 if mode is Mode.POS_FORCE else 1.0)
+    target = Target(
+        0.0 if mode is DamiaoMode.VEL else 0.5, 1.5, 0.25 if mode is DamiaoMode.POS_FORCE else 1.0
+    )
     assert target_of(mode, packed_target(mode, target)) == target
 
 
-@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("mode", list(DamiaoMode))
 def test_commands_of_another_mode_are_refused_without_an_answer(mode):
     bench = Bench()
     bench.in_mode(mode)
     frames = {
-        Mode.MIT: command(t=1.0, ranges=DM4310), Mode.POS_VEL: struct.pack("<ff", 1.0, 1.0),
-        Mode.VEL: struct.pack("<f", 1.0), Mode.POS_FORCE: struct.pack("<fHH", 1.0, 100, 100),
+        DamiaoMode.MIT: command(t=1.0, ranges=DM4310),
+        DamiaoMode.POS_VEL: struct.pack("<ff", 1.0, 1.0), DamiaoMode.VEL: struct.pack("<f", 1.0),
+        DamiaoMode.POS_FORCE: struct.pack("<fHH", 1.0, 100, 100),
     }  # fmt: skip
     for other, data in frames.items():
         if other is not mode:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bus_schema.can.damiao.codec import Register, RegisterFrame, Request, register_frame
+from bus_schema.can.damiao.codec import DamiaoRegister, RegisterFrame, Request, register_frame
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CanConfiguration
 from deploy.scenario.scenario import load_setup
@@ -66,7 +66,7 @@ def test_position_torque_and_gains_are_those_of_a_cia402_drive(setup: Setup) -> 
 
 
 def test_speed_is_that_of_a_damiao_motor(setup: Setup) -> None:
-    asked = RegisterFrame(1, Request.READ, Register.MAX_SPD)
+    asked = RegisterFrame(1, Request.READ, DamiaoRegister.MAX_SPD)
     (answer,) = answers(setup, "damiao", CanFrame(0x7FF, asked.packed()))
     assert register_frame(answer).value == 3.0
 

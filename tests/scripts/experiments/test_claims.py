@@ -14,7 +14,7 @@ from controller.laws import COMPARED_LAWS, LAWS
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import Comparison
+from deploy.study.comparison.comparison import LawComparison
 from deploy.study.study import row_of
 from deploy.study.tuning.gain_search import FIXED
 
@@ -101,7 +101,7 @@ def test_moderate_changes_of_a_rivals_shipped_gains_do_not_reverse_the_result(br
 def settled(scenario, law, sizes_rad, **fixed):
     """How a law settles from starts with errors of these sizes."""
     values = {"scenario": scenario, "laws": [law], "settling_rad": sizes_rad, "set": fixed}
-    study = Comparison(values, Path("compare"))
+    study = LawComparison(values, Path("compare"))
     starts = [run for run in study.first() if run.columns["offset_rad"] is not None]
     (result,) = study.settling([row_of(run) for run in starts])
     return result

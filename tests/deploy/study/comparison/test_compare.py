@@ -21,7 +21,7 @@ from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.comparison.comparison import Comparison
+from deploy.study.comparison.comparison import LawComparison
 from tests.damage import damage_at
 
 SHORTLY = {"duration_s": 0.3, "metrics.from_s": 0.1}
@@ -47,7 +47,7 @@ def compared(comparison, tmp_path):
 
 def test_all_registered_laws_are_compared_by_default():
     assert parse_laws(None) is None
-    study = Comparison({"scenario": "paper_arm"}, Path("compare"))
+    study = LawComparison({"scenario": "paper_arm"}, Path("compare"))
     assert [setup.scenario.controller.law for setup in study.variants] == COMPARED_LAWS
 
 

@@ -261,7 +261,7 @@ def test_a_comparison_is_no_run(folder, tmp_path, funnel_hil):
     funnel_hil("compare", "--laws", "smc,pid", *changes, "--out", tmp_path / "laws")
     code, told = funnel_hil("diff", folder / "first", tmp_path / "laws")
     assert code == 2
-    assert "is not a run but a comparison, with runs in" in told
+    assert "is not a run but has results of kind comparison, with runs in" in told
     compared = recorded_runs([tmp_path / "laws" / "smc", tmp_path / "laws" / "pid"])
     assert compared.labels == ["smc", "pid"]
 

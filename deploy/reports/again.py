@@ -1,0 +1,102 @@
+"""Evaluate recorded results again: the folder of each kind of result, and what judges it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bus_schema.foreign_text import say
+from deploy.reports.kinds import kind_named, kind_of
+from deploy.reports.results import (
+    Results,
+    comparison_results,
+    diff_results,
+    study_results,
+    write_results,
+    write_run,
+    write_study,
+)
+from deploy.run.execute import JudgedRun
+from deploy.run.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_summary
+from deploy.scenario.yaml_files import ScenarioError, read_yaml
+from deploy.study.comparison.recorded import read_again
+from deploy.study.folder import STUDY_FILE, StudyFolder, changes_since
+from deploy.study.runner import retrace
+from deploy.study.study import StudyOfRuns
+
+Again = tuple[ResultFolder, Callable[[], Results]]
+"""The folder, to be locked, and a function that then judges its results and writes their files."""
+
+
+def evaluated_again(path: Path) -> Again:
+    """Return the folder of recorded results, and what judges them again.
+
+    Args:
+        path: the folder, or the MCAP file of a run.
+
+    Raises:
+        RunFolderError: it holds no results.
+        ScenarioError: its study cannot be used.
+    """
+    again = kind_of(read_summary(path)).again
+    if again is None:
+        again = _study_again if (path / STUDY_FILE).is_file() else _run_again
+    return again(path)
+
+
+def laws_again(path: Path) -> Again:
+    """Judge the recordings of a comparison; its study may have changed, or be of an old version."""
+    folder = ResultFolder(path.resolve())
+
+    def judge() -> Results:
+        results, _ = comparison_results(folder, read_summary(folder.path))
+        return write_results(folder, results)
+
+    return folder, judge
+
+
+def diff_again(path: Path) -> Again:
+    """Judge recorded runs side by side."""
+    results, folder = diff_results(read_again(path)), ResultFolder(path.resolve())
+    return folder, lambda: write_results(folder, results)
+
+
+def read_study(path: Path) -> StudyOfRuns:
+    """Return the study in a folder.
+
+    Raises:
+        RunFolderError: it holds no study.
+        ScenarioError: the study cannot be used.
+    """
+    file = path / STUDY_FILE
+    values = read_yaml(file)
+    study, definition = kind_named(str(values.get("kind"))).study, values.get("definition")
+    if study is None or not isinstance(definition, dict):
+        raise RunFolderError(f"{file}: must have the kind of a study, and definition")
+    return study(definition, file)
+
+
+def _run_again(path: Path) -> Again:
+    run = JudgedRun(path.name, load_run(path)[0], path=path)
+    folder = RunFolder(path if path.is_dir() else path.parent)
+    return folder, lambda: write_run(folder, run)
+
+
+def _study_again(path: Path) -> Again:
+    """Judge the rows of a study; show its earlier summary if its scenarios have changed."""
+    study = read_study(path)
+    folder = StudyFolder(path.resolve(), study)
+
+    def judge() -> Results:
+        changed, summary = "; ".join(changes_since(study, folder.path)), read_summary(folder.path)
+        if not changed:
+            retrace(study, folder)
+            return write_study(study, folder)
+        if "conditions" not in summary:
+            raise ScenarioError(
+                f"{folder.path}: {changed}: must be as it was, as no summary is there"
+            )
+        say(f"{changed}: this is the summary of before")
+        return write_results(folder, study_results(summary, folder))
+
+    return folder, judge
