@@ -18,6 +18,8 @@ from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.time_series import SERIES, series
 from deploy.measure.trace_output import write_table
+from deploy.reports.again import evaluated_again
+from deploy.reports.paper.paper import FORMATS, write_bibtex, write_figures, write_latex
 from deploy.reports.verdict_texts import PARTIAL, damaged, missing_ticks_sentence
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import load_run
@@ -29,34 +31,75 @@ Format = Literal["csv", "parquet"]
 
 
 def export(
-    run_dir: Annotated[Path, typer.Argument(metavar="RUN", help="Folder or MCAP file of a run.")],
+    run_dir: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder of a result, or MCAP file of a run.")
+    ],
     csv: Annotated[bool, typer.Option("--csv", help="Write CSV files.")] = False,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet files.")] = False,
     names: Annotated[
         list[str] | None,
         typer.Option("--series", metavar="NAME", help="Write only this series; repeatable."),
     ] = None,
+    figures: Annotated[
+        str | None,
+        typer.Option(metavar="pdf,svg", help="Write the report's figures, for a paper."),
+    ] = None,
+    columns: Annotated[
+        int, typer.Option(min=1, max=2, help="Columns of a page that a figure is as wide as.")
+    ] = 1,
+    latex: Annotated[bool, typer.Option("--latex", help="Write the report's tables.")] = False,
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="Write a citation.")] = False,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the files; RUN/export by default.")
+        Path | None, typer.Option(help="Folder for the files; RESULT/export by default.")
     ] = None,
 ) -> None:
-    """Write a recorded run as time series: the judged errors and bounds, and every topic.
+    """Write a result for other programs, and for a paper.
 
-    From a damaged recording, the command writes what it can read, reports what is missing, and
-    ends with exit code 1.
+    --csv and --parquet write the time series of a run: the judged errors and bounds, and every
+    topic. --figures, --latex and --bibtex write the figures and tables of any result's report,
+    and a citation with version and digest. From a damaged recording, the command writes what it can
+    read, reports what is missing, and ends with exit code 1.
     """
     asked: dict[Format, bool] = {"csv": csv, "parquet": parquet}
     formats = [kind for kind, wanted in asked.items() if wanted]
-    if not formats:
-        raise ScenarioError("export: must be given --csv, --parquet, or both")
-    data, _ = load_run(run_dir)
+    pictures = [] if figures is None else figures.split(",")
+    for each in pictures:
+        if each not in FORMATS:
+            raise ScenarioError(f"--figures {each[:40]}: must be {', '.join(FORMATS)}")
+    if not (formats or pictures or latex or bibtex):
+        wanted = "--csv, --parquet, --figures, --latex or --bibtex"
+        raise ScenarioError(f"export: must be given one or more of {wanted}")
     own = run_dir if run_dir.is_dir() else run_dir.parent
-    for file in export_series(data, out or own / "export", formats, names or SERIES):
+    folder = out or own / "export"
+    if pictures or latex or bibtex:
+        _export_for_paper(run_dir, folder, pictures, columns, latex=latex, bibtex=bibtex)
+    if not formats:
+        return
+    data, _ = load_run(run_dir)
+    for file in export_series(data, folder, formats, names or SERIES):
         print(file)
     damage = all_damage(data)
     for sentence in _missing(data, damage):
         say(sentence, err=True)
     raise typer.Exit(FAULT if damage else FINISHED)
+
+
+def _export_for_paper(
+    path: Path, folder: Path, figures: Sequence[str], columns: int, *, latex: bool, bibtex: bool
+) -> None:
+    """Evaluate results again, and write what a paper needs of them."""
+    results_folder, judge = evaluated_again(path)
+    with results_folder.lock():
+        results = judge()
+    if results.page is None:
+        raise ScenarioError(f"{path}: has no report, so no figures and tables")
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in write_figures(results.page, folder, figures, columns) if figures else ():
+        print(file)
+    if latex:
+        print(write_latex(results.page, folder / "tables.tex"))
+    if bibtex:
+        print(write_bibtex(results, folder / "citation.bib"))
 
 
 def export_series(

@@ -1,0 +1,1 @@
+"""Results for papers: figures as PDF or SVG, tables as LaTeX, and a citation."""

@@ -1,0 +1,105 @@
+"""Files of a result for a paper: figures, tables as LaTeX, and a citation with its digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bus_schema.errors import InputError
+from deploy.judge.conditions import conditions_line
+from deploy.reports.page import Page
+from deploy.reports.results import Results
+from deploy.reports.tables import Table
+
+FORMATS = ("pdf", "svg")
+_ESCAPES = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "×": r"$\times$", "−": "$-$", "–": "--", "…": r"\dots{}", "Σ": r"$\Sigma$", "Δ": r"$\Delta$",
+    "τ": r"$\tau$", "µ": r"$\mu$", "≤": r"$\leq$", "≥": r"$\geq$", "°": r"$^\circ$",
+    "⁻": "$^{-}$", "²": "$^{2}$", "³": "$^{3}$", "¹": "$^{1}$", "→": r"$\rightarrow$",
+}  # fmt: skip
+_NEEDS = "--figures: needs matplotlib: pip install 'funnel-hil[papers]'"
+
+
+def write_figures(
+    page: Page[Any], folder: Path, formats: Sequence[str], columns: int
+) -> Iterator[Path]:
+    """Write every figure of a page that is in the plane; yield the files.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    try:
+        from deploy.reports.paper.paper_figures import can_be_drawn, write_figure  # an extra
+    except ImportError as error:
+        raise InputError(_NEEDS) from error
+    for panel in page.panels():
+        drawn: Any = panel.draw(page.subject)
+        figure = drawn() if callable(drawn) else drawn
+        if not can_be_drawn(figure):
+            continue
+        for each in formats:
+            file = folder / f"{panel.id}.{each}"
+            write_figure(figure, file, columns)
+            yield file
+
+
+def write_latex(page: Page[Any], file: Path) -> Path:
+    """Write all tables of a page, for the packages booktabs and longtable."""
+    conditions = conditions_line(page.conditions)
+    head = f"% funnel-hil {version('funnel-hil')}: {page.name}\n% {conditions}\n"
+    file.write_text(head + "\n".join(map(as_latex, page.tables)), encoding="utf-8")
+    return file
+
+
+def as_latex(table: Table) -> str:
+    """Return a table with rules of booktabs, numbers to the right."""
+    sides = "".join("l" if column.is_text else "r" for column in table.columns)
+    heads = [column.title for column in table.columns]
+    lines = [heads, *([cell.text for cell in row] for row in table.cells)]
+    body = [" & ".join(map(latex_text, line)) + r" \\" for line in lines]
+    caption = latex_text(f"{table.title}. {table.note}".rstrip())
+    return "\n".join([
+        rf"\begin{{longtable}}{{{sides}}}", rf"\caption{{{caption}}} \\", r"\toprule", body[0],
+        r"\midrule", r"\endhead", *body[1:], r"\bottomrule", r"\end{longtable}", "",
+    ])  # fmt: skip
+
+
+def latex_text(text: str) -> str:
+    """Return a text in which no letter is a command of LaTeX."""
+    return "".join(_ESCAPES.get(letter, letter) for letter in text)
+
+
+def write_bibtex(results: Results, file: Path) -> Path:
+    """Write a citation of the software's version and of these results, by their digest."""
+    shown = version("funnel-hil")
+    digest = digest_of_results(results)
+    name = results.page.name if results.page is not None else ""
+    when = str(results.summary.get("conditions", {}).get("date", ""))[:4]
+    conditions = "" if results.page is None else str(results.page.conditions.get("date", ""))
+    year = when or conditions[:4]
+    entry = {
+        "title": "{funnel-hil}: a hardware-in-the-loop test bench for prescribed-performance and"
+        " fixed-time robot control",
+        "author": "{the funnel-hil authors}",
+        "version": shown,
+        "year": year,
+        "note": latex_text(f"results of {name}, digest {digest}"),
+    }
+    fields = ",\n".join(f"  {key} = {{{value}}}" for key, value in entry.items() if value)
+    file.write_text(f"@software{{funnel_hil_{digest[:8]},\n{fields}\n}}\n", encoding="utf-8")
+    return file
+
+
+def digest_of_results(results: Results) -> str:
+    """Return the digest of a run, or one of the summary of a study."""
+    own = results.summary.get("digest")
+    if isinstance(own, str):
+        return own[:16]
+    kept = {key: value for key, value in results.summary.items() if key != "conditions"}
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,0 +1,92 @@
+"""Results for papers: figures with what the report draws, tables as LaTeX, and a citation."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+from deploy.reports.figures.style import new_figure
+from deploy.reports.paper.paper import as_latex, latex_text
+from deploy.reports.tables import Cell, Column, Table
+from tests.warm_process import here
+
+pytest.importorskip("matplotlib", reason="the extra papers is not installed")
+from deploy.reports.paper.paper_figures import WIDTHS_MM, can_be_drawn, write_figure
+
+
+def line_figure():
+    figure = new_figure(300, "time (s)", "cost of $5 & more")
+    figure.add_scatter(x=[0.0, 1.0, 2.0], y=[1.0, 4.0, 2.0], name="a <b>law</b>", mode="lines")
+    figure.add_scatter(x=[0.0, 2.0], y=[3.0, 3.0], name="another", mode="markers")
+    return figure
+
+
+def test_a_figure_is_as_wide_as_its_columns_and_the_same_bytes_each_time(tmp_path):
+    for columns, width_mm in WIDTHS_MM.items():
+        files = [tmp_path / f"{columns}-{n}.svg" for n in (1, 2)]
+        for file in files:
+            write_figure(line_figure(), file, columns)
+        first, second = (file.read_text() for file in files)
+        assert first == second
+        (width_pt,) = re.findall(r'<svg [^>]*?width="([\d.]+)pt"', first)
+        assert float(width_pt) / 72.0 * 25.4 == pytest.approx(width_mm, abs=0.1)
+
+
+def test_a_pdf_has_its_fonts_and_no_date(tmp_path):
+    file = tmp_path / "figure.pdf"
+    write_figure(line_figure(), file, 1)
+    content = file.read_bytes()
+    assert content.startswith(b"%PDF")
+    assert b"STIX" in content
+    assert b"CreationDate" not in content
+
+
+@pytest.mark.parametrize(
+    ("trace", "is_drawn"),
+    [
+        (go.Scatter(x=[1], y=[1]), True),
+        (go.Bar(x=["a"], y=[1]), True),
+        (go.Bar(x=[1], y=["a"], orientation="h"), False),
+        (go.Scatter3d(x=[1], y=[1], z=[1]), False),
+    ],
+)
+def test_only_lines_and_columns_in_the_plane_are_drawn(trace, is_drawn):
+    assert can_be_drawn(go.Figure([trace])) == is_drawn
+    assert not can_be_drawn(np.zeros(3))
+
+
+def test_no_letter_of_a_table_is_a_command_of_latex():
+    table = Table(
+        "A & B", [Column("Law", is_text=True), Column("Share", "%")],
+        [[r"\input{/etc/passwd}_x", Cell(0.5)]], "100 % of #1",
+    )  # fmt: skip
+    text = as_latex(table)
+    assert r"\textbackslash{}input\{/etc/passwd\}\_x & 0.5 \\" in text
+    assert r"\caption{A \& B. 100 \% of \#1} \\" in text
+    assert r"Law & Share (\%) \\" in text
+    assert latex_text("τ × 10⁻³") == r"$\tau$ $\times$ 10$^{-}$$^{3}$"
+
+
+def test_export_writes_figures_tables_and_a_citation_of_a_run(tmp_path):
+    out = tmp_path / "run"
+    code, output = here(
+        "simulate", "paper_arm", "--set", "duration_s=0.3", "--out", out, "--no-report"
+    )
+    assert code == 0, output
+    code, output = here("export", out, "--figures", "svg", "--latex", "--bibtex")
+    assert code == 0, output
+    folder = out / "export"
+    assert {"error-in-funnel.svg", "torques.svg"} <= {file.name for file in folder.iterdir()}
+    assert r"base\_yaw" in (folder / "tables.tex").read_text()
+    citation = (folder / "citation.bib").read_text()
+    (digest,) = re.findall(r"digest (\w{16})", citation)
+    assert digest in (out / "summary.json").read_text()
+
+
+def test_an_unknown_format_is_refused(tmp_path):
+    code, output = here("export", tmp_path, "--figures", "png")
+    assert code == 2
+    assert "--figures png: must be pdf, svg" in output
