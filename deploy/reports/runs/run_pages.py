@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from deploy.judge.conditions import Conditions, conditions_of_recording
-from deploy.judge.link_delays import link_sentence, playout_sentence
+from deploy.judge.findings.link_delays import link_sentence, playout_sentence
 from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.runs import comparison_tables as of_runs
 from deploy.reports.runs import run_numbers
