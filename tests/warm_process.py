@@ -33,7 +33,7 @@ HANG_S = 300.0
 
 IMPORTED = (
     "deploy.cli.processes", "deploy.cli.run_and_simulate", "deploy.cli.study.recorded",
-    "deploy.cli.study.studies", "deploy.reports.html", "deploy.reports.run_panels",
+    "deploy.cli.study.studies", "deploy.reports.html", "deploy.reports.runs.run_panels",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
 FUNNEL_HIL = "deploy.cli:main"

@@ -14,14 +14,14 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import all_damage, judge_bounds, may_have_moved, plant_count
-from deploy.judge.chattering import chatter_shares
-from deploy.judge.growing import growths
-from deploy.judge.identified import identified
-from deploy.judge.link_delays import measured_link
-from deploy.judge.loss_reason import loss_reason
+from deploy.judge.findings.chattering import chatter_shares
+from deploy.judge.findings.growing import growths
+from deploy.judge.findings.identified import identified
+from deploy.judge.findings.link_delays import measured_link
+from deploy.judge.findings.loss_reason import loss_reason
+from deploy.judge.findings.stalls import longest_stall_ms
 from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
-from deploy.judge.stalls import longest_stall_ms
 from deploy.judge.verdict import decide, with_verdict
 from deploy.scenario.setup import Setup
 

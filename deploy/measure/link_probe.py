@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.runtime.clock import own_kernel
-from deploy.judge.link_delays import MeasuredDelays
+from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure.probe_frames import MOST_BYTES, REPEATED, FrameStream, ProbeFrame
 
 _LAST_ANSWERS_S = 1.0

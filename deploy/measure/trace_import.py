@@ -12,7 +12,7 @@ from bus_schema.foreign_files import refuse_foreign
 from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
-from deploy.judge.link_delays import MeasuredDelays
+from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.scenario.yaml_files import ScenarioError
 
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"

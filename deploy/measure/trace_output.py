@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
-from deploy.judge.link_delays import MeasuredDelays
+from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.trace_file import ONE_WAY, ROUND_TRIP
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deploy.judge.gate import Finite, Gauged
 from deploy.judge.verdict import Verdict
-from deploy.reports.study_texts import case_title
+from deploy.reports.studies.study_texts import case_title
 from deploy.study.study import OF_BOUND, shown_value
 
 _EVERY_PATTERN = ", every pattern of delays"

@@ -27,7 +27,7 @@ from deploy.reports.gauges import (
     GaugedSweep,
     GaugedTuning,
 )
-from deploy.reports.study_tables import margins_by_law, robustness_table
+from deploy.reports.studies.study_tables import margins_by_law, robustness_table
 from deploy.reports.tables import Table
 from deploy.reports.verdict_texts import VERDICTS
 from deploy.scenario.yaml_files import ScenarioError
@@ -130,21 +130,21 @@ _KINDS = {
                    study_at="deploy.study.comparison.comparison:LawComparison",
                    again_at="deploy.reports.again:laws_again"),
         ResultKind("diff", again_at="deploy.reports.again:diff_again"),
-        ResultKind("sweep", GaugedSweep, page_at="deploy.reports.sweep_page:sweep_page",
+        ResultKind("sweep", GaugedSweep, page_at="deploy.reports.studies.sweep_page:sweep_page",
                    study_at="deploy.study.sweep:Sweep"),
         ResultKind("margin", GaugedMargins, margins_by_law,
-                   page_at="deploy.reports.margin_pages:margin_page",
+                   page_at="deploy.reports.studies.margin_pages:margin_page",
                    study_at="deploy.study.margin:Margin"),
         ResultKind("robustness", GaugedRobustness, robustness_table,
-                   page_at="deploy.reports.margin_pages:robustness_page",
+                   page_at="deploy.reports.studies.margin_pages:robustness_page",
                    study_at="deploy.study.robustness:Robustness"),
-        ResultKind("tune", GaugedTuning, page_at="deploy.reports.tune_page:tune_page",
+        ResultKind("tune", GaugedTuning, page_at="deploy.reports.studies.tune_page:tune_page",
                    study_at="deploy.study.tuning.tuning:Tuning"),
         ResultKind("benchmark", GaugedBenchmark,
                    page_at="deploy.reports.benchmark_page:benchmark_page",
                    study_at="deploy.study.benchmark.benchmark:Benchmark"),
         ResultKind("datasheet", GaugedDataSheet,
-                   again_at="deploy.reports.data_sheet_results:sheet_again"),
+                   again_at="deploy.reports.studies.data_sheet_results:sheet_again"),
     )
 }  # fmt: skip
 

@@ -16,8 +16,8 @@ from deploy.judge.run_rows import read_rows, write_rows
 from deploy.judge.verdict import Verdict, decide, with_verdict
 from deploy.reports.kinds import kind_of
 from deploy.reports.page import Cards, Fact, Page
-from deploy.reports.run_pages import diff_page, laws_page, run_page
-from deploy.reports.run_tables import confirmation_tables
+from deploy.reports.runs.run_pages import diff_page, laws_page, run_page
+from deploy.reports.runs.run_tables import confirmation_tables
 from deploy.reports.tables import quotable
 from deploy.reports.verdict_texts import ReportHead
 from deploy.run.confirmation import CONFIRMATION, CONFIRMATION_COLUMNS
@@ -226,7 +226,8 @@ def _shortened(seeds: Sequence[int]) -> str:
 
 def load_report() -> None:
     """Import what draws the report of a run, which takes some time."""
-    from deploy.reports import html, run_panels  # noqa: F401
+    from deploy.reports import html  # noqa: F401
+    from deploy.reports.runs import run_panels  # noqa: F401
 
 
 def _write_report(folder: ResultFolder, page: Page[Any]) -> None:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
 from deploy.judge.conditions import lacked_grants
+from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
-from deploy.judge.stalls import STALL_MS
 from deploy.judge.verdict import Verdict
-from deploy.reports.run_numbers import margin_place, other_margins
+from deploy.reports.runs.run_numbers import margin_place, other_margins
 from deploy.reports.tables import margin_text, number
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from bus_schema.configuration import StrictModel
 from controller.laws.read_files import files_read
 from deploy.judge.conditions import Conditions, conditions_of_runs
-from deploy.judge.loss_reason import AFTER_S
+from deploy.judge.findings.loss_reason import AFTER_S
 from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import InProcess, execute

@@ -19,7 +19,7 @@ from deploy.bench.bench import show_section
 from deploy.bench.measure import Section, cost_us, interleave, ratio
 from deploy.judge.metrics import summarise
 from deploy.reports.html import write_page
-from deploy.reports.run_pages import run_page
+from deploy.reports.runs.run_pages import run_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
-from deploy.judge.link_delays import share_interval
+from deploy.judge.findings.link_delays import share_interval
 from plant_emulator.channel.trace_file import read_trace
 from scripts.experiments.two_hosts import Host, await_line, two_hosts
 

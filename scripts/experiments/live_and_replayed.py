@@ -26,7 +26,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from deploy.judge.link_delays import MeasuredDelays, measured_link
+from deploy.judge.findings.link_delays import MeasuredDelays, measured_link
 from deploy.measure.trace_output import write_trace
 from deploy.run.execute import InProcess, JudgedRun, execute
 from deploy.run.exit_codes import BAD_INPUT

@@ -21,7 +21,7 @@ import numpy as np
 from bus_schema.errors import InputError
 from bus_schema.messages import topics
 from bus_schema.recording.atomic_files import write_json, write_whole
-from deploy.judge.stalls import STALL_MS
+from deploy.judge.findings.stalls import STALL_MS
 from deploy.run.execute import InProcess, InProcesses, JudgedRun, execute
 from deploy.run.exit_codes import BAD_INPUT
 from deploy.run.network.links import check_link, require_keys, with_free_endpoints
@@ -46,7 +46,7 @@ class Outcome:
         round_trip_ms: percentiles from a state to the arrival of its answer at the plant.
         horizon_ms: median of the controller's estimate, from 0.5 s on; None without compensation.
         horizon_jitter_ms: between its 1st and 99th percentile.
-        longest_stall_ms: see `deploy.judge.stalls`; None in virtual time.
+        longest_stall_ms: see `deploy.judge.findings.stalls`; None in virtual time.
         faults: what went wrong.
     """
 

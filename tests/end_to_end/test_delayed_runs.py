@@ -10,7 +10,7 @@ from pathlib import Path
 from running import Watcher, funnel_hil_here, processes_of, settings, started
 
 from bus_schema.messages.topics import CONTROL_STATUS, PLANT_TRUTH
-from deploy.judge.link_delays import measured_link
+from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.run_data import RunData
 
 ROUND_TRIP_MS = 4

@@ -18,7 +18,7 @@ from deploy.judge.verdict import Verdict, verdict_of
 from deploy.reports.figures.style import template
 from deploy.reports.page import Panel
 from deploy.reports.results import Results
-from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
+from deploy.reports.runs.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns
 from deploy.study.comparison.recorded import RecordedRuns

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from bus_schema.errors import InputError
-from deploy.judge.link_delays import MeasuredDelays
+from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure import trace_import
 from deploy.measure.trace_output import scenario_lines, write_trace
 

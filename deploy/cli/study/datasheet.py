@@ -14,8 +14,8 @@ from deploy.cli.options import ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
 from deploy.judge.run_rows import Row
-from deploy.reports.data_sheet_results import sheet_folder, write_data_sheet, written_window
 from deploy.reports.results import write_study
+from deploy.reports.studies.data_sheet_results import sheet_folder, write_data_sheet, written_window
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.run_folder import ResultFolder

@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from deploy.judge.bounds import bound_usage
-from deploy.judge.chattering import CHATTER_HZ, power_spectrum
+from deploy.judge.findings.chattering import CHATTER_HZ, power_spectrum
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import style

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
-from deploy.judge.identified import identified, series, truth_of
+from deploy.judge.findings.identified import identified, series, truth_of
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.reports.figures import style
 from deploy.reports.tables import Column, Table

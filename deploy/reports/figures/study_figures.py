@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
-from deploy.reports.study_texts import (
+from deploy.reports.studies.study_texts import (
     margin_figure,
     probe_at,
     setting_text,

@@ -20,7 +20,7 @@ from deploy.judge.metrics import times_us
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
 from deploy.reports.figures.several_runs import colour_of
-from deploy.reports.run_numbers import TIMES
+from deploy.reports.runs.run_numbers import TIMES
 from deploy.study.comparison.comparison import ComparedRuns
 
 _ROLES = (Role.PLANT, Role.CONTROLLER)

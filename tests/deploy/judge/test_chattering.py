@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.judge.chattering import CHATTER_HZ, chatter_shares, power_spectrum
+from deploy.judge.findings.chattering import CHATTER_HZ, chatter_shares, power_spectrum
 
 RATE_HZ = 1000.0
 TIMES_S = np.arange(5000) / RATE_HZ

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, Topic
-from deploy.judge.chattering import chatter_shares
+from deploy.judge.findings.chattering import chatter_shares
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData, build_run_data
 from deploy.reports.verdict_texts import verdict_on_run

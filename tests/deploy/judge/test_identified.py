@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.judge.identified import identified, truth_of
+from deploy.judge.findings.identified import identified, truth_of
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

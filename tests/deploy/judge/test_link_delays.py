@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deploy.judge.link_delays import MeasuredDelays
+from deploy.judge.findings.link_delays import MeasuredDelays
 
 LOST = np.nan
 

@@ -23,7 +23,7 @@ from bus_schema.messages.topics import (
     PLANT_TRUTH,
     RUN_EVENTS,
 )
-from deploy.judge.link_delays import measured_link
+from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
 from deploy.judge.run_data import RunData, build_run_data, digest
 from deploy.reports.verdict_texts import verdict_on_run

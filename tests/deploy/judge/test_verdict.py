@@ -21,8 +21,8 @@ from deploy.judge.bounds import plant_count
 from deploy.judge.metrics import summarise
 from deploy.judge.run_rows import held, row
 from deploy.judge.verdict import verdict_of
-from deploy.reports.comparison_tables import status_cell
 from deploy.reports.run_index import results_in
+from deploy.reports.runs.comparison_tables import status_cell
 from deploy.reports.verdict_texts import verdict_on_laws, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.recording import record_failures

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.judge.link_delays import share_interval
+from deploy.judge.findings.link_delays import share_interval
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from plant_emulator.channel.trace_file import LOST_NS, read_trace

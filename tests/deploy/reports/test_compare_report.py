@@ -8,14 +8,14 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
 from deploy.judge.verdict import Verdict, with_verdict
-from deploy.reports import run_panels
-from deploy.reports.comparison_tables import law_table, verdict_table
 from deploy.reports.figures.joints import error_envelopes, error_in_funnel, torque_spectra
 from deploy.reports.figures.several_runs import joint_bars, settling, settling_from_afar
 from deploy.reports.figures.space import tip_path
 from deploy.reports.html import write_page
-from deploy.reports.run_numbers import BY_LAW, RMS_ERROR
-from deploy.reports.run_pages import laws_page
+from deploy.reports.runs import run_panels
+from deploy.reports.runs.comparison_tables import law_table, verdict_table
+from deploy.reports.runs.run_numbers import BY_LAW, RMS_ERROR
+from deploy.reports.runs.run_pages import laws_page
 from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.reports.figures import learned
 from deploy.reports.html import write_page
-from deploy.reports.run_pages import run_page
+from deploy.reports.runs.run_pages import run_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -20,8 +20,8 @@ from deploy.judge.run_data import build_run_data
 from deploy.reports.figures.space import arm_motion, tip_path
 from deploy.reports.figures.style import figure_json
 from deploy.reports.html import LIBRARY_FILE, library_address, share_library, write_page
-from deploy.reports.run_pages import laws_page, run_page
-from deploy.reports.run_panels import RUN_PANELS
+from deploy.reports.runs.run_pages import laws_page, run_page
+from deploy.reports.runs.run_panels import RUN_PANELS
 from deploy.run.execute import JudgedRun
 from deploy.run.new_folder import new_folder
 from deploy.run.simulate import simulate

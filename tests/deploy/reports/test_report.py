@@ -14,7 +14,6 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.robot_description import load_robot
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
-from deploy.reports import run_panels
 from deploy.reports.figures import style
 from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
 from deploy.reports.figures.joints import error_in_funnel, torques
@@ -23,8 +22,9 @@ from deploy.reports.figures.style import decimate
 from deploy.reports.figures.timeline import deadline_misses, fault_spans_s, with_faults
 from deploy.reports.html import packed_library, write_page
 from deploy.reports.page import Panel
-from deploy.reports.run_pages import run_page
-from deploy.reports.run_tables import event_table, timing_table
+from deploy.reports.runs import run_panels
+from deploy.reports.runs.run_pages import run_page
+from deploy.reports.runs.run_tables import event_table, timing_table
 from deploy.reports.verdict_texts import PARTIAL, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate

@@ -11,8 +11,8 @@ from rich.console import Console
 from bus_schema.messages import topics
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
-from deploy.reports.run_pages import run_page
-from deploy.reports.run_tables import health_table
+from deploy.reports.runs.run_pages import run_page
+from deploy.reports.runs.run_tables import health_table
 from deploy.reports.terminal import print_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate

@@ -11,8 +11,8 @@ from rich.console import Console
 
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.html import write_page
-from deploy.reports.margin_pages import margin_page
 from deploy.reports.results import study_page
+from deploy.reports.studies.margin_pages import margin_page
 from deploy.reports.terminal import print_page
 
 HOSTILE = "</script><script>alert(1)</script>"

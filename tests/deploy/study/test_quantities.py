@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.study_tables import margins_by_law
-from deploy.reports.study_texts import margin_figure
+from deploy.reports.studies.study_tables import margins_by_law
+from deploy.reports.studies.study_texts import margin_figure
 from deploy.reports.tables import as_markdown
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup

@@ -12,7 +12,7 @@ import yaml
 from deploy.reports.again import read_study
 from deploy.reports.html import write_page
 from deploy.reports.results import study_page
-from deploy.reports.study_tables import robustness_table
+from deploy.reports.studies.study_tables import robustness_table
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from deploy.judge.metrics import summarise
-from deploy.reports.study_texts import margin_sentences
+from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.follow_ups.theory import SampledLoop, theory_of

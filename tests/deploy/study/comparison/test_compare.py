@@ -16,7 +16,7 @@ from controller.laws.sliding_mode import SlidingMode
 from deploy.cli.common import parse_laws
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_rows import row, write_rows
-from deploy.reports import run_panels
+from deploy.reports.runs import run_panels
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -13,13 +13,13 @@ import pytest
 
 import funnel_hil as interface
 from deploy.judge.recorded_ticks import known_ticks
-from deploy.reports.comparison_tables import (
+from deploy.reports.results import write_run
+from deploy.reports.runs.comparison_tables import (
     difference_table,
     recorded_joint_tables,
     recorded_table,
     recorded_timing_table,
 )
-from deploy.reports.results import write_run
 from deploy.reports.verdict_texts import verdict_on_runs
 from deploy.run.execute import JudgedRun
 from deploy.run.recording import record_failures

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from deploy.reports import study_tables as tables
-from deploy.reports import study_texts as texts
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
 from deploy.reports.page import Cards, Fact, Page, Panel
+from deploy.reports.studies import study_tables as tables
+from deploy.reports.studies import study_texts as texts
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict_texts import ReportHead
 

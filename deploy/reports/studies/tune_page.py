@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.tune_tables import AS_SAID, BEYOND_ALL, tune_sentences, tune_tables
+from deploy.reports.studies.tune_tables import AS_SAID, BEYOND_ALL, tune_sentences, tune_tables
 from deploy.reports.verdict_texts import ReportHead
 
 _HEIGHT_PX = 430

@@ -11,8 +11,8 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.run_rows import Row
 from deploy.reports.again import Again
-from deploy.reports.data_sheet_page import DrawnSheet, data_sheet_page, headline
 from deploy.reports.results import Results, write_results, write_run
+from deploy.reports.studies.data_sheet_page import DrawnSheet, data_sheet_page, headline
 from deploy.run.execute import JudgedRun, execute
 from deploy.run.new_folder import new_folder, resolved_out
 from deploy.run.run_folder import ResultFolder, RunFolder, load_run, provenance, read_summary

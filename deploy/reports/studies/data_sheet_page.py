@@ -8,10 +8,10 @@ import numpy as np
 import plotly.graph_objects as go
 
 from bus_schema.messages.topics import PLANT_TRUTH
-from deploy.reports import study_tables as tables
-from deploy.reports import study_texts as texts
 from deploy.reports.figures import joints, space, style
 from deploy.reports.page import Cards, Fact, Page, Panel
+from deploy.reports.studies import study_tables as tables
+from deploy.reports.studies import study_texts as texts
 from deploy.reports.tables import Cell, Column, Table
 from deploy.reports.verdict_texts import ReportHead
 from deploy.run.execute import JudgedRun

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from deploy.reports import study_texts as texts
+from deploy.reports.studies import study_texts as texts
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, scaled, table_of
 from deploy.study.study import shown_value
 

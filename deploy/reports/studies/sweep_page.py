@@ -9,7 +9,7 @@ from typing import Any
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, Runs, StudyQuantity
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.study_tables import point_table
+from deploy.reports.studies.study_tables import point_table
 from deploy.reports.verdict_texts import ReportHead, level_of
 from deploy.study.statistics import NO_EFFECT
 from deploy.study.study import shown_value

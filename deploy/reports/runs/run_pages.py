@@ -11,12 +11,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from deploy.judge.conditions import Conditions, conditions_of_recording
-from deploy.judge.link_delays import link_sentence, playout_sentence
-from deploy.reports import comparison_tables as of_runs
-from deploy.reports import run_numbers
-from deploy.reports import run_tables as of_run
+from deploy.judge.findings.link_delays import link_sentence, playout_sentence
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.run_numbers import margin_place
+from deploy.reports.runs import comparison_tables as of_runs
+from deploy.reports.runs import run_numbers
+from deploy.reports.runs import run_tables as of_run
+from deploy.reports.runs.run_numbers import margin_place
 from deploy.reports.tables import margin_text, number, percent
 from deploy.reports.verdict_texts import verdict_on_laws, verdict_on_run, verdict_on_runs
 from deploy.run.execute import JudgedRun
@@ -163,7 +163,7 @@ def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRu
 
 
 def _panels(name: str) -> list[Panel[ComparedRuns]]:
-    from deploy.reports import run_panels  # heavy
+    from deploy.reports.runs import run_panels  # heavy
 
     panels: list[Panel[ComparedRuns]] = getattr(run_panels, name)
     return panels

@@ -11,10 +11,10 @@ from importlib import resources
 from typing import Any, TypeAlias, TypeVar
 
 from deploy.judge.run_data import RunData
-from deploy.reports import run_numbers
 from deploy.reports.figures import joints, learned, link, several_runs, space, timeline
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.page import Content, Panel
+from deploy.reports.runs import run_numbers
 from deploy.scenario.yaml_text import values_of
 from deploy.study.comparison.comparison import ComparedRuns
 

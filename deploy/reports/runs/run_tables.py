@@ -8,9 +8,9 @@ from typing import Any
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
+from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.run_data import RunData
-from deploy.judge.stalls import STALL_MS
-from deploy.reports import run_numbers
+from deploy.reports.runs import run_numbers
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, table_of
 from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from bus_schema.configuration import shortened
 from deploy.judge.bounds import bound_usage
 from deploy.judge.conditions import conditions_of_runs
-from deploy.reports import run_numbers
-from deploy.reports.run_numbers import JointQuantity
-from deploy.reports.run_tables import PERCENTILE_NAMES, WALL_TIME, Row, number_rows
+from deploy.reports.runs import run_numbers
+from deploy.reports.runs.run_numbers import JointQuantity
+from deploy.reports.runs.run_tables import PERCENTILE_NAMES, WALL_TIME, Row, number_rows
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, short_names
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns

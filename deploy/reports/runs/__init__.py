@@ -1,0 +1,1 @@
+"""Pages of runs: of one, of several laws, of recorded runs side by side."""

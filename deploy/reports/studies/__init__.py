@@ -1,0 +1,1 @@
+"""Pages of studies: what stands on them, and how it is worded."""
