@@ -141,7 +141,7 @@ _KINDS = {
         ResultKind("tune", GaugedTuning, page_at="deploy.reports.studies.tune_page:tune_page",
                    study_at="deploy.study.tuning.tuning:Tuning"),
         ResultKind("benchmark", GaugedBenchmark,
-                   page_at="deploy.reports.benchmark_page:benchmark_page",
+                   page_at="deploy.reports.studies.benchmark_page:benchmark_page",
                    study_at="deploy.study.benchmark.benchmark:Benchmark"),
         ResultKind("datasheet", GaugedDataSheet,
                    again_at="deploy.reports.studies.data_sheet_results:sheet_again"),
