@@ -27,10 +27,9 @@ from pathlib import Path
 from typing import IO, Any, NoReturn, cast
 from unittest import mock
 
-ROOT = Path(__file__).resolve().parents[1]
-HANG_S = 300.0
-"""Longer than anything here takes on a slow machine; only a hang lasts so long."""
+from tests.waiting import HANG_S
 
+ROOT = Path(__file__).resolve().parents[1]
 IMPORTED = (
     "deploy.cli.processes", "deploy.cli.run_and_simulate", "deploy.cli.study.recorded",
     "deploy.cli.study.studies", "deploy.reports.html", "deploy.reports.run_panels",
@@ -141,6 +140,13 @@ def here(*words: object, **environment: str) -> tuple[int, str]:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     return int(code or 0), out.getvalue() + err.getvalue()
+
+
+def output_of(*words: object, code: int = 0) -> str:
+    """Return the output of a command that has to end with this exit code, see `here`."""
+    found, output = here(*words)
+    assert found == code, output
+    return output
 
 
 def cold(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:

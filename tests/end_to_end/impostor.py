@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from running import PAPER_ARM_JOINTS, Running, await_true
+from running import PAPER_ARM_JOINTS, Running
 
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
@@ -25,6 +25,7 @@ from bus_schema.zenoh.ros_graph import (
     node_token,
 )
 from bus_schema.zenoh.session import Delivery, ZenohSession
+from tests.waiting import await_true
 
 OWN_ID = b"x" * 16
 FORGED_END = RunEvent(

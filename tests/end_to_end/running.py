@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,17 +22,9 @@ from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.runtime.modes import Mode
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.judge.run_data import RunData
-from deploy.run.network.links import free_ports
 from deploy.run.run_folder import load_run
-from tests.warm_process import (
-    FUNNEL_HIL,
-    HANG_S,
-    ROOT,
-    WITHOUT_REPORT,
-    WarmProcess,
-    here,
-    no_report,
-)  # fmt: skip
+from tests.waiting import HANG_S, await_true
+from tests.warm_process import FUNNEL_HIL, ROOT, WITHOUT_REPORT, WarmProcess, here, no_report
 
 PERIOD_S = 0.001
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -100,18 +91,22 @@ WIDE = settings(
 its commands missing for 0.4 s, paper_arm uses 5 % of it."""
 
 
-def funnel_hil(*words: str, out: Path | None, with_report: bool = False) -> Finished:
-    """Run a command to its end, in a process of its own."""
+def funnel_hil(*words: str, out: Path | None, code: int = 0, with_report: bool = False) -> Finished:
+    """Run a command that has to end with this exit code, in a process of its own."""
     process = _process(*words, out=out, with_report=with_report)
     output, _ = process.communicate()
-    return Finished(out or Path(), process.wait(), output)
-
-
-def funnel_hil_here(*words: str, out: Path | None, with_report: bool = False) -> Finished:
-    """Run a command to its end in this process."""
-    with nullcontext() if with_report else no_report():
-        code, output = here(*_command(*words, out=out), **_ENVIRONMENT)
+    assert process.wait() == code, output
     return Finished(out or Path(), code, output)
+
+
+def funnel_hil_here(
+    *words: str, out: Path | None = None, code: int = 0, with_report: bool = False
+) -> Finished:
+    """Run a command that has to end with this exit code, in this process."""
+    with nullcontext() if with_report else no_report():
+        found, output = here(*_command(*words, out=out), **_ENVIRONMENT)
+    assert found == code, output
+    return Finished(out or Path(), found, output)
 
 
 class Running:
@@ -131,9 +126,12 @@ class Running:
         """Send a signal to one of the run's processes, or to the run itself."""
         os.kill(self.process.pid if role is None else processes_of(self.folder)[role], number)
 
-    def end(self) -> Finished:
+    def end(self, code: int | None = None) -> Finished:
+        """Wait for the end of the run, with this exit code if one is given."""
         output, _ = self.process.communicate()
-        return Finished(self.folder, self.process.wait(), output)
+        ended = Finished(self.folder, self.process.wait(), output)
+        assert code in (None, ended.code), output
+        return ended
 
     def end_later(
         self, more_s: float = 1.0, number: signal.Signals = signal.SIGINT
@@ -144,7 +142,7 @@ class Running:
             come_s = watcher.last_stamp_ns * 1e-9 + more_s
             watcher.await_time(come_s, self)
         self.send(number)
-        return self.end(), come_s
+        return self.end(130), come_s
 
 
 @contextmanager
@@ -233,19 +231,6 @@ def outputs_of(processes: Sequence[WarmProcess]) -> list[str]:
     finally:
         for process in processes:
             process.kill()
-
-
-def await_true(condition: Callable[[], bool], meaning: str) -> None:
-    """Wait for a condition."""
-    give_up_s = time.monotonic() + HANG_S
-    while not condition():
-        assert time.monotonic() < give_up_s, f"waited in vain: {meaning}"
-        time.sleep(0.01)
-
-
-def free_endpoint() -> str:
-    """A TCP endpoint that nobody uses."""
-    return f"tcp/127.0.0.1:{free_ports(1)[0]}"
 
 
 def _process(*words: str, out: Path | None, with_report: bool) -> WarmProcess:

@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 from running import (
     ENDLESS,
-    HANG_S,
     PATIENT,
     ROOT,
     WIDE,
@@ -25,8 +24,6 @@ from running import (
     Running,
     Watcher,
     assert_stopped_in_time,
-    await_true,
-    free_endpoint,
     funnel_hil,
     funnel_hil_here,
     processes_of,
@@ -36,6 +33,7 @@ from running import (
 
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.recording.mcap_log import read_log
+from tests.waiting import HANG_S, await_true, free_endpoint
 
 DISRUPTED_AT_S = 0.5
 # In real time a busy machine may well hold up a loop for the 200 ms that are the default.
@@ -73,11 +71,11 @@ class DisruptedRun:
 
 def disrupt(
     tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str,
-    on_disk_b: int = 0, with_report: bool = False,
+    on_disk_b: int = 0, with_report: bool = False, code: int = 1,
 ) -> DisruptedRun:  # fmt: skip
     """Send a signal to a process of a run, or to the run itself, in the middle of it.
 
-    So much of the recording must be on the disk by then.
+    So much of the recording must be on the disk by then. The run has to end with this exit code.
     """
     timeout_ms = 1e3 * COMMAND_TIMEOUT_S[clock]
     plant = settings(clock=clock, plant__command_timeout_ms=timeout_ms)
@@ -91,7 +89,7 @@ def disrupt(
         await_true(lambda: recording.stat().st_size >= on_disk_b, "so much is on the disk")
         disrupted_s = watcher.last_stamp_ns * 1e-9
         run.send(number, role)
-        ended = run.end()
+        ended = run.end(code)
         left_over = processes_of(run.folder)
     assert left_over == {}
     return DisruptedRun(ended, disrupted_s, watcher.last_stamp_ns * 1e-9)
@@ -111,7 +109,6 @@ def test_arm_is_stopped_when_the_controller_falls_silent(
     tmp_path: Path, clock: str, number: signal.Signals, fate: str
 ) -> None:
     disrupted = disrupt(tmp_path, clock, number, "controller", *SOON)
-    assert disrupted.run.code == 1
     assert disrupted.causes == [fate]
     assert fate in disrupted.run.summary["faults"]
     assert not disrupted.run.summary["completed"]
@@ -122,7 +119,6 @@ def test_arm_is_stopped_when_the_controller_falls_silent(
 
 def test_run_ends_when_the_plant_is_killed(tmp_path: Path) -> None:
     disrupted = disrupt(tmp_path, "lockstep", signal.SIGKILL, "plant")
-    assert disrupted.run.code == 1
     assert disrupted.causes == ["the plant was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
     assert disrupted.run.data.complete  # the recorder finished its file
@@ -131,7 +127,6 @@ def test_run_ends_when_the_plant_is_killed(tmp_path: Path) -> None:
 
 def test_run_ends_when_the_recorder_is_killed(tmp_path: Path) -> None:
     disrupted = disrupt(tmp_path, "lockstep", signal.SIGKILL, "recorder", on_disk_b=ON_DISK_B)
-    assert disrupted.run.code == 1
     assert disrupted.causes == ["the recorder was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
     assert not disrupted.run.data.complete
@@ -142,15 +137,13 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path) -> None:
     assert disrupted.run.summary["recorder"]["lost"] is None  # nobody counted to the end
     for command in ("report", "replay"):
         words = command, str(disrupted.run.folder)
-        looked_at = funnel_hil_here(*words, out=None, with_report=True)
-        assert looked_at.code == 0, looked_at.output
+        looked_at = funnel_hil_here(*words, with_report=True)
         assert "The recording is incomplete" in looked_at.output
 
 
 def test_full_disk_ends_the_recording_and_not_the_run(small_disk: Path) -> None:
     words = ["run", "paper_arm", *settings(clock="lockstep", duration_s=2)]
-    run = funnel_hil_here(*words, out=small_disk / "run")
-    assert run.code == 1
+    run = funnel_hil_here(*words, out=small_disk / "run", code=1)
     assert "the recording is partial: No space left on device" in run.output
     assert run.output.count("Traceback") == 0
     assert run.summary["transport"]["uplink"]["sent"] is None  # said at the end, when it was full
@@ -164,8 +157,7 @@ def test_full_disk_ends_the_recording_and_not_the_run(small_disk: Path) -> None:
 
 
 def test_interrupted_run_leaves_complete_files(tmp_path: Path) -> None:
-    disrupted = disrupt(tmp_path, "lockstep", signal.SIGTERM, None, with_report=True)
-    assert disrupted.run.code == 130
+    disrupted = disrupt(tmp_path, "lockstep", signal.SIGTERM, None, with_report=True, code=130)
     assert disrupted.run.summary["completed"] is False
     assert disrupted.run.summary["faults"] == []
     assert disrupted.run.data.complete
@@ -184,10 +176,9 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
     with started(*words, out=tmp_path / "run") as run:
         await_true(lambda: has_come(run), moment)
         run.send(signal.SIGINT)
-        ended = run.end()
+        ended = run.end(130)
         left_over = processes_of(run.folder)
     assert left_over == {}
-    assert ended.code == 130, ended.output
     assert ended.summary["completed"] is False
     assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
 
@@ -274,8 +265,7 @@ def test_process_whose_peer_never_comes_says_so_and_never_runs(
         link__connect_timeout_s=timeout_s,
     )
     out = tmp_path / "out" if alone == "record" else None
-    ended = funnel_hil(alone, "paper_arm", *nowhere, out=out)
-    assert ended.code == 1
+    ended = funnel_hil(alone, "paper_arm", *nowhere, out=out, code=1)
     said = [line for line in ended.output.splitlines() if "is silent" in line]
     assert len(said) == 1
     assert f"the {missed} is silent" in said[0]

@@ -6,8 +6,9 @@ import signal
 import time
 
 import pytest
-from running import ENDLESS, HANG_S, await_true, free_endpoint, outputs_of, settings
+from running import ENDLESS, outputs_of, settings
 
+from tests.waiting import HANG_S, await_true, free_endpoint
 from tests.warm_process import WarmProcess
 
 SHORT = settings(clock="realtime", duration_s=0.3, plant__command_timeout_ms=20_000)

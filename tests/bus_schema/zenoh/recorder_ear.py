@@ -13,13 +13,13 @@ from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
-    await_true,
     controller_on,
     fresh_link,
     plant_on,
     state,
     status,
 )
+from tests.waiting import await_true
 
 MOST_BYTES = 1 << 24
 ENDED = {role: RunEvent(0, role, EventKind.ENDED, "").encode() for role in Role}

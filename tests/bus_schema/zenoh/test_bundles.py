@@ -18,12 +18,12 @@ from bus_schema.zenoh.session import ZenohSession
 from tests.bus_schema.zenoh.recorder_ear import ENDED, assert_heard, ear_on, exchange, recorded_pair
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
-    await_true,
     controller_on,
     foreign_session,
     fresh_link,
     plant_on,
 )
+from tests.waiting import await_true
 
 FOREIGN = Attachment(7, 0, b"f" * 16)
 NAMES = {topic.name.encode(): topic for topic in topics.TOPICS}

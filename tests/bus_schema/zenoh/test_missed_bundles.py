@@ -21,13 +21,8 @@ from bus_schema.zenoh.bundles import MOST_AT_ONCE, Bundler, Span
 from bus_schema.zenoh.link import ZenohControllerLink
 from bus_schema.zenoh.session import ZenohSession
 from tests.bus_schema.zenoh.recorder_ear import Ear, assert_heard, ear_on, exchange
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    await_true,
-    controller_on,
-    fresh_link,
-    plant_on,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, controller_on, fresh_link, plant_on
+from tests.waiting import await_true
 
 SENDER = b"s" * 16
 

@@ -35,14 +35,13 @@ from tests.bus_schema.zenoh.rmw_sessions import rmw_node, rmw_router
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     JOINTS,
-    await_true,
     controller_on,
-    free_endpoint,
     fresh_link,
     plant_on,
     state,
     status,
 )
+from tests.waiting import await_true, free_endpoint
 
 
 @pytest.fixture(scope="module")

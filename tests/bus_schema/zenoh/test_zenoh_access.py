@@ -24,15 +24,9 @@ from bus_schema.zenoh.access import (
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.session import ZenohSession
 from deploy.run.network.keys import issue
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    await_true,
-    foreign_session,
-    free_endpoint,
-    fresh_link,
-    plant_on,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, foreign_session, fresh_link, plant_on
 from tests.security import issued_keys
+from tests.waiting import await_true, free_endpoint
 
 MINUTE_DAYS = 1 / 1440
 

@@ -18,15 +18,8 @@ import pytest
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.zenoh.link import ZenohPlantLink
 from plant_emulator.command_gate import CommandGate
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    JOINTS,
-    await_true,
-    fresh_link,
-    plant_on,
-    state,
-    status,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, JOINTS, fresh_link, plant_on, state, status
+from tests.waiting import await_true
 
 CLIENT = r"""
 import json, sys, time

@@ -34,7 +34,6 @@ from tests.bus_schema.zenoh.recorder_ear import ear_on
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     JOINTS,
-    await_true,
     commanded_pair,
     controller_on,
     fresh_link,
@@ -43,6 +42,7 @@ from tests.bus_schema.zenoh.zenoh_pair import (
     state,
     status,
 )
+from tests.waiting import await_true
 
 
 def test_state_and_reply_cross_the_link_with_their_bytes() -> None:

@@ -14,7 +14,7 @@ import pytest
 from bus_schema.zenoh.bundle_mailbox import Mailbox
 from bus_schema.zenoh.lingering import never_linger
 from bus_schema.zenoh.session import Delivery, ZenohSession
-from tests.bus_schema.zenoh.zenoh_pair import await_true, free_endpoint
+from tests.waiting import await_true, free_endpoint
 
 
 @pytest.mark.parametrize("low_latency", [True, False])

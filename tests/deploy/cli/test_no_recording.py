@@ -28,8 +28,7 @@ COMMANDS = (("view",), ("replay",), ("export", "--csv"))
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_folder_that_is_not_there(funnel_hil, runs, command):
-    code, said = funnel_hil(*command, "runs/papr_arm-1")
-    assert code == 2
+    said = funnel_hil.output(*command, "runs/papr_arm-1", code=2)
     assert "error: runs/papr_arm-1: has no run.mcap: no such folder or file; " in said
     assert "funnel-hil runs list runs shows runs/both, runs/margin-a, runs/paper_arm-1, " in said
     assert said.endswith("; did you mean paper_arm-1?\n")
@@ -45,8 +44,7 @@ def test_folder_that_is_not_there(funnel_hil, runs, command):
     ],
 )
 def test_results_of_another_kind(funnel_hil, runs, name, what):
-    code, said = funnel_hil("view", f"runs/{name}")
-    assert code == 2
+    said = funnel_hil.output("view", f"runs/{name}", code=2)
     told = f"has no run.mcap, because it is not a run but {what}"
     assert said == f"error: runs/{name}: {told}; funnel-hil report runs/{name} shows it\n"
 

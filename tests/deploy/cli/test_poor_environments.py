@@ -12,7 +12,8 @@ import pytest
 
 from bus_schema.configuration import ConfigurationError
 from controller.laws.custom import find_law
-from tests.warm_process import HANG_S, ROOT, cold, cold_python
+from tests.waiting import HANG_S
+from tests.warm_process import ROOT, cold, cold_python
 
 SHORT = ("simulate", "paper_arm", "--set", "duration_s=0.05", "--set", "metrics.from_s=0")
 

@@ -16,7 +16,7 @@ from deploy.cli.terminal import progress as progress_module
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
 from deploy.run.processes.status import StatusMessage
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 
 @pytest.fixture

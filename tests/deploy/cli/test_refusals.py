@@ -84,8 +84,7 @@ def test_settings_that_do_not_fit_together(refuse, scenario: str, settings: str,
 
 @pytest.mark.parametrize(("line", "option"), OUT_OF_RANGE)
 def test_option_out_of_its_range(funnel_hil, line: str, option: str) -> None:
-    code, said = funnel_hil(*line.split())
-    assert code == 2
+    said = funnel_hil.output(*line.split(), code=2)
     assert option in said
 
 
@@ -144,8 +143,7 @@ def test_no_number_may_be_a_boolean() -> None:
 
 def test_last_of_a_key_that_is_set_twice_holds(funnel_hil, tmp_path: Path) -> None:
     twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
-    code, said = funnel_hil("simulate", *twice, "--no-report", "--out", tmp_path / "out")
-    assert code == 0
+    said = funnel_hil.output("simulate", *twice, "--no-report", "--out", tmp_path / "out")
     assert "--set duration_s=2: replaced by a later --set" in said
     assert "set: duration_s=0.1;" in " ".join(said.split())
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100

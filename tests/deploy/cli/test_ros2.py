@@ -25,8 +25,7 @@ DOCUMENTED = {
 
 @pytest.mark.parametrize("scenario", ["paper_arm", "panda"])
 def test_urdf_and_controllers_name_the_joints_that_are_on_the_bus(funnel_hil, tmp_path, scenario):
-    code, said = funnel_hil("ros2-control", scenario, "--out", tmp_path / "out")
-    assert code == 0
+    said = funnel_hil.output("ros2-control", scenario, "--out", tmp_path / "out")
     assert str(tmp_path / "out") in said.replace("\n", "")
     setup = load_setup(scenario)
     names = list(setup.robot.joint_names)
@@ -72,8 +71,7 @@ def test_files_that_were_edited_are_replaced_only_when_asked(funnel_hil, tmp_pat
     file = tmp_path / name
     written = file.read_text()
     file.write_text(f"{written}\n")
-    code, said = funnel_hil(*words)
-    assert code == 2
+    said = funnel_hil.output(*words, code=2)
     assert name in said
     assert "--overwrite" in said
     assert file.read_text() == f"{written}\n"
@@ -83,8 +81,7 @@ def test_files_that_were_edited_are_replaced_only_when_asked(funnel_hil, tmp_pat
 
 def test_types_of_the_package_have_the_hashes_that_we_speak(funnel_hil, tmp_path):
     """Hashes as a ROS 2 distribution has them: rmw_zenoh's keys name them, and must be equal."""
-    code, said = funnel_hil("ros-package", tmp_path)
-    assert code == 0
+    said = funnel_hil.output("ros-package", tmp_path)
     package = tmp_path / PACKAGE
     assert str(package) in said.replace("\n", "")
     store = get_typestore(Stores.ROS2_JAZZY)

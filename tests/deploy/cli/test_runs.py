@@ -49,8 +49,7 @@ def test_version(funnel_hil):
 
 
 def test_scenarios_are_listed_with_what_they_are(funnel_hil):
-    code, said = funnel_hil("scenarios")
-    assert code == 0
+    said = funnel_hil.output("scenarios")
     faults = [f"faults/{file.stem}" for file in SHIPPED.glob("faults/*.yaml")]
     assert "faults/encoder_stuck" in faults
     for name in [file.stem for file in (*SHIPPED.glob("*.yaml"), *STUDIES.glob("*.yaml"))] + faults:
@@ -59,8 +58,7 @@ def test_scenarios_are_listed_with_what_they_are(funnel_hil):
 
 
 def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
-    code, said = funnel_hil("export", recorded, "--csv", "--parquet")
-    assert code == 0
+    said = funnel_hil.output("export", recorded, "--csv", "--parquet")
     assert len(said.split()) == 12
     data, _ = load_run(recorded)
     folder = recorded / "export"
@@ -76,8 +74,7 @@ def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
 
 def test_export_of_a_series_that_is_none_names_one_that_is(funnel_hil, recorded, tmp_path):
     words = ("--csv", "--series", "trcking", "--out", tmp_path / "out")
-    code, said = funnel_hil("export", recorded, *words)
-    assert code == 2
+    said = funnel_hil.output("export", recorded, *words, code=2)
     assert "did you mean tracking?" in said
     assert not (tmp_path / "out").exists()
 
@@ -85,8 +82,7 @@ def test_export_of_a_series_that_is_none_names_one_that_is(funnel_hil, recorded,
 def test_list_and_tags(funnel_hil, shelf):
     assert funnel_hil("runs", "tag", shelf / "old", "paper", "v1")[1] == "paper, v1\n"
     assert funnel_hil("runs", "tag", shelf / "old", "--remove", "v1")[1] == "paper\n"
-    code, said = funnel_hil("runs", "list", shelf)
-    assert code == 0
+    said = funnel_hil.output("runs", "list", shelf)
     rows = said.splitlines()[1:]
     assert [row.split()[0].rpartition("/")[2] for row in rows] == ["old", "broken", "new"]
     assert "2020-01-01" in rows[0]
@@ -99,8 +95,7 @@ def test_list_and_tags(funnel_hil, shelf):
 
 def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shelf):
     (shelf / "broken" / "notes.txt").write_text("mine")
-    code, said = funnel_hil("runs", "prune", shelf, "--older-than", "30")
-    assert code == 0
+    said = funnel_hil.output("runs", "prune", shelf, "--older-than", "30")
     assert "1 would be removed; --yes removes them" in said
     assert names_in(shelf) == ["broken", "new", "old", "somebody_elses"]
     funnel_hil("runs", "tag", shelf / "old", "paper")

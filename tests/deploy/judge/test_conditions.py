@@ -27,8 +27,7 @@ def metadata_of(file):
 
 
 def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_hil):
-    code, said = funnel_hil("simulate", "paper_arm", *SHORT, "--set", "seed=7", "--out", tmp_path)
-    assert code == 0
+    said = funnel_hil.output("simulate", "paper_arm", *SHORT, "--set", "seed=7", "--out", tmp_path)
     page = (tmp_path / "report.html").read_text()
     conditions = conditions_on(page)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
@@ -45,8 +44,7 @@ def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_h
 def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):
     two_seeds = ("--seeds", "2")  # of which one is run, as nothing is random
     words = ("--laws", "smc", *two_seeds, "--limit", "1", "--resolution", "1")
-    code, _ = funnel_hil("margin", "paper_arm", *words, *SHORT, "--workers", "1", "--out", tmp_path)
-    assert code == 0
+    funnel_hil.output("margin", "paper_arm", *words, *SHORT, "--workers", "1", "--out", tmp_path)
     text = (tmp_path / "table.md").read_text()
     table, title, *_ = text.split("\n\n")
     line = text.rstrip().splitlines()[-1]

@@ -15,7 +15,7 @@ from controller.manipulator_model import ManipulatorModel
 from deploy.live.figures import live_figures
 from deploy.live.frames import RunState
 from deploy.live.viewer import Viewer
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 
 @pytest.fixture

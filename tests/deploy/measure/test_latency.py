@@ -99,15 +99,12 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     file = tmp_path / "episodes.parquet"
     parquet.write_table(pa.table(table), file)
     words = ("latency", file, "--time", "timestamp", "--response", "observation.state[0]")
-    code, said = funnel_hil(*words, "--command", "action[1]")
-    assert code == 0, said
+    said = funnel_hil.output(*words, "--command", "action[1]")
     assert "2,000 rows at 100 Hz (the longest of 2 episodes)" in said
     assert "dead time: 2" in said or "dead time: 19.9" in said
-    code, said = funnel_hil(*words, "--command", "actoin[1]")
-    assert code == 2
+    said = funnel_hil.output(*words, "--command", "actoin[1]", code=2)
     assert "did you mean action" in said
-    code, said = funnel_hil(*words, "--command", "action[0]")
-    assert code == 2
+    said = funnel_hil.output(*words, "--command", "action[0]", code=2)
     assert "never changes" in said
 
 
@@ -144,27 +141,23 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
     assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
     words = ("latency", file, "--command", "/wanted.effort[1]", "--response")
-    code, said = funnel_hil(*words, "/found.effort[1]")
-    assert code == 0, said
+    said = funnel_hil.output(*words, "/found.effort[1]")
     assert "307 rows at 76.92 Hz" in said  # responses before the last command, 1000 Hz / 13
     for response_name, complaint in (
         ("/fuond.effort[1]", "did you mean /found"),
         ("/found.effort[2]", "/found.effort[2]: cannot be read as a number"),
         ("/found.effort", "/found.effort: cannot be read as a number"),
     ):
-        code, said = funnel_hil(*words, response_name)
-        assert code == 2
+        said = funnel_hil.output(*words, response_name, code=2)
         assert complaint in said
-    code, said = funnel_hil(*words, "/found.effort[1]", "--unit", "ms")
-    assert code == 2
+    said = funnel_hil.output(*words, "/found.effort[1]", "--unit", "ms", code=2)
     assert "MCAP files have log times" in said
 
 
 def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
     settings = ("duration_s=2", "link.uplink.delay_ms=2", "link.downlink.delay_ms=6")
     words = [word for each in settings for word in ("--set", each)]
-    code, said = funnel_hil("simulate", "paper_arm", *words, "--out", tmp_path / "run")
-    assert code == 0, said
+    funnel_hil.output("simulate", "paper_arm", *words, "--out", tmp_path / "run")
     names = "/joint_commands.effort[0]", "/joint_states.effort[0]"
     rows = read_series(tmp_path / "run" / "run.mcap", *names, is_held=True)
     found = find_latency(*rows, 0.1, is_held=True)
@@ -265,8 +258,7 @@ def write_csv(file: Path, time: str, columns: tuple[np.ndarray, ...]) -> None:
 def test_command_gives_no_intervals_where_the_model_does_not_fit(tmp_path, funnel_hil) -> None:
     file = tmp_path / "sticks.csv"
     write_csv(file, "t", with_stiction(100.0, 0.01))  # the column t is found
-    code, said = funnel_hil("latency", file, "--command", "wanted", "--response", "angle")
-    assert code == 0, said
+    said = funnel_hil.output("latency", file, "--command", "wanted", "--response", "angle")
     assert "the model does not fit, so there are no intervals: what is left depends on" in said
     assert "stiction" in said
     assert "±" not in said
@@ -279,11 +271,9 @@ def test_command_names_the_better_interpolation(tmp_path, funnel_hil, held: bool
         responses = np.interp(times_s - 1 / 60, times_s, commands)
     write_csv(tmp_path / "log.csv", "timestamp", (times_s, commands, responses))
     words = ("latency", tmp_path / "log.csv", "--command", "wanted", "--response", "angle")
-    code, wrong = funnel_hil(*words, *(["--linear"] if held else []))
-    assert code == 0, wrong
+    wrong = funnel_hil.output(*words, *(["--linear"] if held else []))
     assert f"{'without' if held else 'with'} --linear the model fits better" in wrong
-    code, right = funnel_hil(*words, *([] if held else ["--linear"]))
-    assert code == 0, right
+    right = funnel_hil.output(*words, *([] if held else ["--linear"]))
     assert "±" in right
     assert "fits better" not in right
 
@@ -293,12 +283,10 @@ def test_elements_have_names_of_joints(tmp_path: Path, funnel_hil) -> None:
     file = tmp_path / "robot.mcap"
     write_mcap(file, {"/wanted": (times_s, command), "/found": (times_s, response)})
     words = ("latency", file, "--command", "/wanted.effort[elbow]", "--response")
-    code, by_name = funnel_hil(*words, "/found.effort[elbow]")
-    assert code == 0, by_name
-    code, by_number = funnel_hil(*words, "/found.effort[1]")
+    by_name = funnel_hil.output(*words, "/found.effort[elbow]")
+    by_number = funnel_hil.output(*words, "/found.effort[1]")
     assert by_number == by_name
-    code, said = funnel_hil(*words, "/found.effort[elbw]")
-    assert code == 2
+    said = funnel_hil.output(*words, "/found.effort[elbw]", code=2)
     assert "no element 'elbw'; there are shoulder, elbow" in said
 
 
@@ -317,9 +305,7 @@ def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, n
     }
     parquet.write_table(pa.table({"timestamp": times_s, **columns}), folder / "file.parquet")
     words = ("latency", folder / "file.parquet", "--command", "action[elbow.pos]", "--response")
-    code, said = funnel_hil(*words, "observation.state[elbow.pos]")
-    assert code == 0, said
+    said = funnel_hil.output(*words, "observation.state[elbow.pos]")
     assert "dead time: 2" in said or "dead time: 19.9" in said
-    code, said = funnel_hil(*words, "observation.state[wrist.pos]")
-    assert code == 2
+    said = funnel_hil.output(*words, "observation.state[wrist.pos]", code=2)
     assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in said

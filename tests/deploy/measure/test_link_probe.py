@@ -222,6 +222,5 @@ def test_command_serves_and_measures_over_zenoh(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_are_refused(funnel_hil, words: tuple[str, ...], complaint: str) -> None:
-    code, said = funnel_hil("link", *words)
-    assert code == 2
+    said = funnel_hil.output("link", *words, code=2)
     assert complaint in said

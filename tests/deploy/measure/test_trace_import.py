@@ -47,8 +47,7 @@ def imported(tmp_path: Path, funnel_hil):
     def run(name: str, text: str, *words: str) -> list[int]:
         file, out = tmp_path / name, tmp_path / "trace.parquet"
         file.write_text(text)
-        code, said = funnel_hil("trace", "import", words[0], file, *words[1:], "--out", out)
-        assert code == 0, said
+        said = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out)
         assert "trace: {file:" in said
         found = read_trace(out)
         assert found.times_ns[0] == 0
@@ -107,21 +106,18 @@ def test_csv_is_the_difference_of_two_columns_or_one_of_delays(imported) -> None
 
 def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funnel_hil) -> None:
     settings = ["duration_s=0.1", "link.uplink.delay_ms=2", "link.downlink.delay_ms=3"]
-    code, said = funnel_hil(
+    funnel_hil.output(
         "simulate",
         "paper_arm",
         *(w for s in settings for w in ("--set", s)),
         "--out",
         tmp_path / "run",
     )
-    assert code == 0, said
     log, out = tmp_path / "run" / "run.mcap", tmp_path / "trace.csv"
     words = ("trace", "import", "mcap", log, "--from", "/joint_states", "--out", out)
-    code, said = funnel_hil(*words, "--to", "/joint_commands")
-    assert code == 0, said
+    funnel_hil.output(*words, "--to", "/joint_commands")
     assert len(read_trace(out).delays_ns) > 90
-    code, said = funnel_hil(*words, "--to", "/joint_comands")
-    assert code == 2
+    said = funnel_hil.output(*words, "--to", "/joint_comands", code=2)
     assert "did you mean /joint_commands" in said
 
 
@@ -183,8 +179,7 @@ def test_what_is_no_measurement_is_refused(
     file = tmp_path / "file"
     file.write_text(text)
     out = tmp_path / "trace.csv"
-    code, said = funnel_hil("trace", "import", words[0], file, *words[1:], "--out", out)
-    assert code == 2
+    said = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out, code=2)
     assert complaint in said
     assert not out.exists()
 

@@ -89,8 +89,7 @@ def test_sentence_names_what_fell_by_how_much_and_since_when():
 def test_gate_that_fits_no_result_is_refused_before_anything_runs(
     words, said, funnel_hil, tmp_path
 ):
-    code, told = funnel_hil(*words, "--out", tmp_path / "out")
-    assert code == 2
+    told = funnel_hil.output(*words, "--out", tmp_path / "out", code=2)
     assert said in told
     assert not (tmp_path / "out").exists()
 
@@ -101,8 +100,7 @@ def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkey
              "--history", tmp_path / "history"]  # fmt: skip
     simulate = ["simulate", *SHORT, "--no-report", *files]
     assert funnel_hil(*simulate, "--at-least", "10%", "--out", tmp_path / "1")[0] == 0
-    code, said = funnel_hil(*simulate, "--at-least", "99%", "--out", tmp_path / "2")
-    assert code == 3
+    said = funnel_hil.output(*simulate, "--at-least", "99%", "--out", tmp_path / "2", code=3)
     assert "must be at least 99 % of the bound" in said
     suite = ET.parse(tmp_path / "j.xml").getroot()
     assert suite.get("failures") == "1"
@@ -113,11 +111,9 @@ def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkey
     entries = (tmp_path / "history" / "history.jsonl").read_text().splitlines()
     assert [json.loads(entry)["commit"] for entry in entries] == ["01234567"] * 2
     assert "history over commits" not in (tmp_path / "history" / "history.html").read_text()
-    code, said = funnel_hil(
+    said = funnel_hil.output(
         "compare", "--laws", "pid", "--set", "funnel.rate_per_s=200", *SHORT,
-        "--baseline", tmp_path / "1", "--out", tmp_path / "3",
-    )  # fmt: skip
-    assert code == 3
+        "--baseline", tmp_path / "1", "--out", tmp_path / "3", code=3)  # fmt: skip
     assert "paper_arm, fixed_time_neural: is missing" in said
 
 
@@ -136,8 +132,9 @@ def test_numbers_of_studies_are_margins_and_distances_to_the_bound():
 
 def test_damaged_history_is_refused(tmp_path, funnel_hil):
     (tmp_path / "history.jsonl").write_text('{"commit": 1}\n')
-    code, said = funnel_hil("simulate", *SHORT, "--history", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
+    said = funnel_hil.output(
+        "simulate", *SHORT, "--history", tmp_path, "--out", tmp_path / "out", code=2
+    )
     assert "history.jsonl, line 1: must be an entry" in said
 
 
@@ -198,8 +195,7 @@ def test_unusable_baseline_is_refused_with_its_reason(content, said, tmp_path, f
     file = tmp_path / "baseline.json"
     content = json.dumps(content) if isinstance(content, dict) else content
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
-    code, output = funnel_hil("margin", "--baseline", file, "--out", tmp_path / "out")
-    assert code == 2, output
+    output = funnel_hil.output("margin", "--baseline", file, "--out", tmp_path / "out", code=2)
     assert output.startswith("error: --baseline")
     assert said in output
     assert len(output) < 700
@@ -209,8 +205,9 @@ def test_unusable_baseline_is_refused_with_its_reason(content, said, tmp_path, f
 def test_margin_is_not_compared_with_a_sweep_of_the_same_unit(tmp_path, funnel_hil):
     sweep = {"kind": "sweep", "axes": [{"keys": ["seed"]}], "points": [POINT]}
     (tmp_path / "summary.json").write_text(json.dumps(sweep))
-    code, output = funnel_hil("simulate", "--baseline", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
+    output = funnel_hil.output(
+        "simulate", "--baseline", tmp_path, "--out", tmp_path / "out", code=2
+    )
     assert "is a result of sweep: must be of runs" in output
 
 
@@ -232,11 +229,9 @@ def test_nan_passes_no_gate():
 )
 def test_unusable_history_is_refused_before_anything_runs(line, said, tmp_path, funnel_hil):
     (tmp_path / "history.jsonl").write_bytes(line)
-    code, output = funnel_hil("simulate", "--history", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
+    output = funnel_hil.output("simulate", "--history", tmp_path, "--out", tmp_path / "out", code=2)
     assert said in output
-    code, output = funnel_hil("simulate", "--history", tmp_path / "history.jsonl")
-    assert code == 2
+    output = funnel_hil.output("simulate", "--history", tmp_path / "history.jsonl", code=2)
     assert "must be a folder" in output
 
 

@@ -66,8 +66,9 @@ def assert_told_everywhere(told, output, out):
 def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tick, told):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     out = folder / "out"
-    code, output = funnel_hil("simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out)
-    assert code == 1
+    output = funnel_hil.output(
+        "simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out, code=1
+    )
     # of a run without ticks there is nothing to put into tables
     assert [title in output for title in ("Joints, errors", "Timing")] == [at_tick > 0] * 2
     assert_told_everywhere(told, output, out)
@@ -90,8 +91,7 @@ def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, 
 def test_a_law_that_wants_to_exit_only_fails(funnel_hil, folder):
     gains = "controller.gains.custom={at_tick: 1005}"
     words = ["--set", "duration_s=1.2", "--set", gains, "--out", folder / "out"]
-    code, output = funnel_hil("simulate", "mine.yaml", *words)
-    assert code == 1
+    output = funnel_hil.output("simulate", "mine.yaml", *words, code=1)
     assert "failed at tick 1005: SystemExit: enough" in output
 
 
@@ -128,8 +128,7 @@ def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raise
 def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
     out = folder / "out"
     assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
-    code, output = funnel_hil("replay", out, "--allow-custom-law")
-    assert code == 0
+    output = funnel_hil.output("replay", out, "--allow-custom-law")
     assert f"the replay stopped early: {TOLD[0]}" in output
     assert "identical until it failed" in output
 
@@ -139,8 +138,7 @@ def test_a_study_of_which_every_run_failed_says_why_and_ends_with_1(funnel_hil, 
     Path("s.yaml").write_text("{name: s, scenario: mine.yaml, grid: {plant.payload_kg: [0, 1]}}")
     words = ["s.yaml"] if kind == "sweep" else ["mine.yaml", "--laws", NAME, "--offsets", "1"]
     out = folder / "out"
-    code, output = funnel_hil(kind, *words, *SHORT, "--workers", 1, "--out", out)
-    assert code == 1
+    output = funnel_hil.output(kind, *words, *SHORT, "--workers", 1, "--out", out, code=1)
     rows = read_rows(out / f"{kind}.parquet")
     assert rows
     for text in (output, (out / "report.html").read_text(), *(row["error"] for row in rows)):

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import pytest
 from pyarrow import csv, parquet
-from typer.testing import CliRunner
 
-from deploy.cli.commands import app
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import agreement_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError
+from tests.warm_process import output_of
 
 SHORT = ["duration_s=0.3", "metrics.from_s=0"]
 SINUSOIDS = (
@@ -30,9 +29,7 @@ def words_of(*changes: str) -> list[str]:
 
 def exported(folder: Path, name: str = "paper_arm", kind: str = "csv", *changes: str) -> Path:
     path = folder / f"ref.{kind}"
-    words = ["reference", name, *words_of(*changes), f"--{kind}", "--out", str(path)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    output_of("reference", name, *words_of(*changes), f"--{kind}", "--out", path)
     return path
 
 
@@ -66,13 +63,10 @@ def test_what_was_exported_gives_the_same_run_to_the_bit(name: str, tmp_path: Pa
 def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
     path = exported(tmp_path)
     out, again = tmp_path / "run", tmp_path / "again"
-    words = ["simulate", "paper_arm", *words_of(from_file(path)), "--out", str(out)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    output_of("simulate", "paper_arm", *words_of(from_file(path)), "--out", out)
     path.unlink()
     assert "cannot" not in (out / "scenario.yaml").read_text()
-    result = CliRunner().invoke(app, ["simulate", str(out / "scenario.yaml"), "--out", str(again)])
-    assert result.exit_code == 0, result.output
+    output_of("simulate", out / "scenario.yaml", "--out", again)
     data, _ = load_run(out)
     assert data.digest == load_run(again)[0].digest
     for file in out.glob("ref-*.csv"):
@@ -133,10 +127,8 @@ def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> Non
     cells = lines[7].split(",")
     cells[4] = "NaN"
     path.write_text("\n".join([*lines[:7], ",".join(cells), *lines[8:]]))
-    words = ["run", "paper_arm", *words_of(from_file(path)), "--out", str(tmp_path / "o")]
-    result = CliRunner().invoke(app, words)
-    assert isinstance(result.exception, ScenarioError)
-    said = str(result.exception)
+    words = ["run", "paper_arm", *words_of(from_file(path)), "--out", tmp_path / "o"]
+    said = output_of(*words, code=2)
     assert "ref.csv" in said
     assert "line 8, column shoulder.position_rad = NaN: must be a finite number" in said
     assert not (tmp_path / "o").exists()

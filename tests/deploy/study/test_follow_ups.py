@@ -19,8 +19,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
-from deploy.study.runner import retrace
-from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
+from tests.deploy.study.studies import Here, conduct, made_up, margin_of
 
 PLAIN = {"set": {}, "laws": ["pid"], "seeds": 1, "offsets": [1.0, 0.5], "resolution": 4}
 LOST = {"violation_fraction": 0.1, "margin_min": -0.2}
@@ -111,21 +110,6 @@ def test_what_never_fails_needs_no_help(tmp_path):
     _, folder = conduct(study, tmp_path / "out", Here(made_up))
     assert case_of(study, folder)["what_helps"] is None
     assert study.summary(folder.rows)["completed"]
-
-
-def test_the_remedies_go_on_where_they_stopped_and_are_reproducible(tmp_path):
-    _, folder = conduct(helped(), tmp_path / "a", Here(below_six, seed=1))
-    stopped = len(folder.rows) - 3
-    first, workers = Here(below_six, seed=2, at_most=stopped), Here(below_six, seed=3)
-    first.count = workers.count = 1  # a second worker would try what may not be needed
-    assert not conduct(helped(), tmp_path / "b", first)[0]
-    assert conduct(helped(), tmp_path / "b", workers)[0]
-    assert len(workers.submitted) == 3
-    rows = [(tmp_path / name / "margin.parquet").read_bytes() for name in "ab"]
-    assert rows[0] == rows[1]
-    again = helped()
-    retrace(again, folder := folder_of(again, tmp_path / "b"))
-    assert case_of(again, folder)["what_helps"]["best"]["change"] == "drive loop"
 
 
 def test_a_gate_after_a_margin_does_no_run_again(tmp_path):
@@ -267,12 +251,12 @@ def test_gate_of_every_pattern_ends_the_command_and_compares_with_its_like(funne
     words = ["margin", "--study", file, "--seeds", "1", "--workers", "1", "--at-least", "1ms"]
     words = [*words, "--set", "funnel.rate_per_s=10"]  # else runs of 1 s are too short
     assert funnel_hil(*words, "--out", tmp_path / "out")[0] == 0
-    code, output = funnel_hil(*words, "--pattern", "any", "--out", tmp_path / "out")
-    assert code == 3
+    output = funnel_hil.output(*words, "--pattern", "any", "--out", tmp_path / "out", code=3)
     assert "with compensation, every pattern of delays: 0 ms, must be at least 1 ms" in output
     assert len(list(Path(tmp_path / "out").glob("worst_pattern-000-*.csv"))) == 2
-    code, output = funnel_hil(*words, "--baseline", tmp_path / "out", "--out", tmp_path / "new")
-    assert code == 2
+    output = funnel_hil.output(
+        *words, "--baseline", tmp_path / "out", "--out", tmp_path / "new", code=2
+    )
     assert "is a result of margin of delay, every pattern of delays: must be of" in output
 
 

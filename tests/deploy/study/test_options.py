@@ -111,8 +111,7 @@ def test_who_is_refused_is_told_the_option_to_use(funnel_hil, tmp_path, key, opt
     if option is None:  # an empty section sets nothing
         margin([key])
         return
-    code, output = funnel_hil("margin", *words, "--out", tmp_path / "out")
-    assert code == 2
+    output = funnel_hil.output("margin", *words, "--out", tmp_path / "out", code=2)
     assert key.partition("=")[0] in output
     assert option in output
     assert not (tmp_path / "out").exists()
@@ -227,11 +226,9 @@ def test_sweep_takes_what_is_set_beside_its_file(funnel_hil, tmp_path):
     )
     out = tmp_path / "out"
     words = ["sweep", file, "--workers", 1, "--out", out]
-    code, output = funnel_hil(*words, "--set", "controller.model_scale=2")
-    assert code == 2
+    output = funnel_hil.output(*words, "--set", "controller.model_scale=2", code=2)
     assert "given once" in output
-    code, _ = funnel_hil(*words, "--set", "duration_s=0.05", "--set", "metrics.from_s=0.01")
-    assert code == 0
+    funnel_hil.output(*words, "--set", "duration_s=0.05", "--set", "metrics.from_s=0.01")
     scenario = load_setup(str(out / "scenarios" / "00000.yaml")).scenario
     assert (scenario.duration_s, scenario.plant.payload_kg) == (0.05, 1.0)
 

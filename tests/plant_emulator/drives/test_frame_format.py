@@ -16,8 +16,8 @@ from bus_schema.link.can_configuration import CanConfiguration
 from deploy.cli.rig import examine_rig
 from deploy.scenario.scenario import load_setup
 from tests.multicast import own_place
-from tests.plant_emulator.drives.test_clients import until
 from tests.plant_emulator.drives.test_damiao_clients import FD, rig_of
+from tests.waiting import await_true
 
 CLASSICAL = {"fd": False, "fd_process_data": False}
 ASK = RegisterFrame(1, Request.REFRESH).packed()
@@ -70,7 +70,7 @@ def test_dry_run_names_the_frame_format(place: dict) -> None:
     words = [f"link.can.{key}={value}" for key, value in (place | CLASSICAL).items()]
     words.append("rate_hz=250")
     with rig_of(**place, **FD) as rig:
-        until(lambda: rig.events)
+        await_true(lambda: rig.events)
         found = {each.name: each.found for each in examine_rig(load_setup("openarm", words))}
         assert found["joint1, drive 1"] == "CAN FD is 1, not 0"
     with rig_of(**place):

@@ -154,8 +154,7 @@ def test_cli_makes_issues_and_lists(funnel_hil, tmp_path: Path) -> None:
     before = read(folder / "recorder.crt").serial_number
     assert funnel_hil("keys", "issue", "plant", "--days", "2", *where)[0] == 0
     assert read(folder / "recorder.crt").serial_number == before
-    code, said = funnel_hil("keys", "list", *where)
-    assert code == 0
+    said = funnel_hil.output("keys", "list", *where)
     for role in Role:
         assert f"{read(folder / f'{role}.crt').serial_number:x}"[:16] in said
     assert funnel_hil("keys", "init", *where)[0] == 2  # there is one already

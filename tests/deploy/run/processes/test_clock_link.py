@@ -11,15 +11,8 @@ from bus_schema.messages.types import type_hash
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.run.network.more_topics import with_clock
 from plant_emulator.command_gate import CommandGate
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    JOINTS,
-    await_true,
-    fresh_link,
-    plant_on,
-    state,
-    status,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, JOINTS, fresh_link, plant_on, state, status
+from tests.waiting import await_true
 
 ROS = get_typestore(Stores.ROS2_JAZZY)
 

@@ -23,7 +23,8 @@ from deploy.run.processes import recorder as recorder_module
 from deploy.run.processes.recorder import EventBudget, GapCounter, PlantSenders, Recorder
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, state
+from tests.waiting import await_true, free_endpoint
 
 OURS, FOREIGN = b"o" * 16, b"f" * 16
 

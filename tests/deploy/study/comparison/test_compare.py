@@ -65,8 +65,7 @@ def test_no_law_at_all_is_refused_with_the_names_of_all(text):
 def test_faults_that_no_simulation_has_are_refused_before_anything_is_written(
     command, funnel_hil, tmp_path
 ):
-    code, output = funnel_hil(command, "faults/plant_frozen", "--out", tmp_path / "out")
-    assert code == 2
+    output = funnel_hil.output(command, "faults/plant_frozen", "--out", tmp_path / "out", code=2)
     assert "faults: target = 'plant'" in output
     assert not (tmp_path / "out").exists()
 
@@ -98,8 +97,7 @@ def test_report_renders_a_comparison_again_from_its_recordings(compared, funnel_
     manifest = (folder / "manifest.json").read_bytes()
     (folder / "report.html").unlink()
     (folder / "comparison.parquet").unlink()
-    code, output = funnel_hil("report", folder)
-    assert code == 0
+    output = funnel_hil.output("report", folder)
     assert "fixed_time_neural" in output
     assert json.loads((folder / "summary.json").read_text()) == before
     assert (folder / "manifest.json").read_bytes() == manifest
@@ -129,8 +127,7 @@ def test_damaged_recording_is_reported_with_its_missing_parts(compared, funnel_h
 def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
     _, _, folder = compared
     (folder / "pid" / "run.mcap").unlink()
-    code, output = funnel_hil("report", folder)
-    assert code == 2
+    output = funnel_hil.output("report", folder, code=2)
     assert "has no run.mcap" in output
 
 
@@ -162,8 +159,7 @@ def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_pat
     monkeypatch.setattr(run_panels, "LAW_PANELS", panels)
     short = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
     words = ["compare", "--laws", "pid", "--settling", *short, "--out", tmp_path]
-    code, output = funnel_hil(*words)
-    assert code == 0
+    output = funnel_hil.output(*words)
     assert "of 9 starts of up to 1 rad" in output
     starts = json.loads((tmp_path / "summary.json").read_text())["settling"]
     assert [len(test["starts"]) for test in starts] == [9]
@@ -175,8 +171,7 @@ def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_pat
 def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path, monkeypatch):
     monkeypatch.setattr(run_panels, "LAW_PANELS", [])
     narrow = ["--set", "funnel.rate_per_s=200", "--require-bounds"]
-    code, _ = funnel_hil("compare", "--laws", "pid", *SHORT, *narrow, "--out", tmp_path)
-    assert code == 3
+    funnel_hil.output("compare", "--laws", "pid", *SHORT, *narrow, "--out", tmp_path, code=3)
 
 
 def test_rows_of_runs_with_and_without_bounds_share_their_columns(tmp_path):

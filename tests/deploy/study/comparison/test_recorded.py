@@ -103,8 +103,7 @@ def test_clocks_are_told_by_what_the_runs_were(folder, tmp_path, funnel_hil):
     """A simulation is never in real time, whatever its scenario says."""
     changes = [word for change in (*SHORT, "clock=lockstep") for word in ("--set", change)]
     out = tmp_path / "lockstep"
-    code, said = funnel_hil("run", "paper_arm", *changes, "--out", out, "--no-report")
-    assert code == 0, said
+    funnel_hil.output("run", "paper_arm", *changes, "--out", out, "--no-report")
     compared = recorded_runs([tmp_path / "lockstep", folder / "first"])
     assert compared.partings == [None, None]
     clocks = rows_of(recorded_table(compared))["Clock"]
@@ -119,8 +118,7 @@ def test_ticks_that_are_missing_are_no_parting(folder, tmp_path, funnel_hil, ord
     damage_at(tmp_path / "gap" / "run.mcap", 250_000_000)
     compared = recorded_runs([tmp_path / name for name in order])
     assert compared.partings == [None, None]
-    code, said = funnel_hil("diff", *compared.paths, "--out", tmp_path / "diff", "--no-report")
-    assert code == 0, said
+    said = funnel_hil.output("diff", *compared.paths, "--out", tmp_path / "diff", "--no-report")
     said = " ".join(said.split())
     assert "leaves" not in said
     assert "they are the same at every tick that is known of both" in said
@@ -190,8 +188,7 @@ def test_numbers_are_those_of_each_summary(folder):
 
 def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil):
     out = tmp_path / "diff"
-    code, said = funnel_hil("diff", folder / "first", folder / "pushed", "--out", out)
-    assert code == 0, said
+    said = funnel_hil.output("diff", folder / "first", folder / "pushed", "--out", out)
     for part in ("First tick that differs", "Worst error in % of its bound", "faults", "Timing"):
         assert part in said
     summary = json.loads((out / "summary.json").read_text())
@@ -203,10 +200,9 @@ def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil
         assert f'id="{panel}"' in page
     assert 'id="round-trip"' not in page  # always 0: there is nothing to draw
     (out / "report.html").unlink()
-    code, said = funnel_hil("report", out)
-    assert code == 0, said
+    funnel_hil.output("report", out)
     assert (out / "report.html").read_text() == page
-    code, said = funnel_hil("runs", "list", tmp_path)
+    said = funnel_hil.output("runs", "list", tmp_path)
     assert "first pushed" in said
 
 
@@ -226,8 +222,7 @@ def test_files_are_compared_as_they_were_recorded(tmp_path, funnel_hil):
         )
     (tmp_path / "reference.csv").unlink()
     delays.unlink()
-    code, said = funnel_hil("diff", *(tmp_path / run for run in "ab"), "--out", tmp_path / "diff")
-    assert code == 0, said
+    funnel_hil.output("diff", *(tmp_path / run for run in "ab"), "--out", tmp_path / "diff")
     assert recorded_runs([tmp_path / "a", tmp_path / "b"]).differing == {}
     other = recorded_runs([tmp_path / "a", tmp_path / "c"])
     assert other.differing == {"reference.file": ["file 1", "file 2"]}
@@ -250,8 +245,7 @@ def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
 )
 def test_what_cannot_be_compared_is_refused(names, said, folder, tmp_path, funnel_hil):
     out = tmp_path / "diff"
-    code, told = funnel_hil("diff", *(folder / name for name in names), "--out", out)
-    assert code == 2
+    told = funnel_hil.output("diff", *(folder / name for name in names), "--out", out, code=2)
     assert said in told
     assert not out.exists()
 
@@ -259,8 +253,7 @@ def test_what_cannot_be_compared_is_refused(names, said, folder, tmp_path, funne
 def test_a_comparison_is_no_run(folder, tmp_path, funnel_hil):
     changes = [word for change in SHORT for word in ("--set", change)]
     funnel_hil("compare", "--laws", "smc,pid", *changes, "--out", tmp_path / "laws")
-    code, told = funnel_hil("diff", folder / "first", tmp_path / "laws")
-    assert code == 2
+    told = funnel_hil.output("diff", folder / "first", tmp_path / "laws", code=2)
     assert "is not a run but a comparison, with runs in" in told
     compared = recorded_runs([tmp_path / "laws" / "smc", tmp_path / "laws" / "pid"])
     assert compared.labels == ["smc", "pid"]
@@ -284,8 +277,7 @@ def test_from_python_it_is_arrays_rows_and_figures(folder, tmp_path):
 def test_what_no_recording_knows_is_kept_when_it_is_judged_again(folder, tmp_path, funnel_hil):
     path = record(tmp_path / "killed", faults=("the controller was killed by SIGKILL",))
     before = read_summary(path)
-    code, said = funnel_hil("report", path)
-    assert code == 0, said
+    funnel_hil.output("report", path)
     assert read_summary(path)["faults"] == before["faults"]
     assert not read_summary(path)["completed"]
     assert interface.load_run(path).faults == before["faults"]
@@ -297,8 +289,7 @@ def test_a_comparison_reported_later_keeps_how_the_process_ended(tmp_path, funne
     out = tmp_path / "laws"
     words = ["--set", "controller.process=[sh, -c, 'echo no such robot >&2; exit 3']"]
     words += [word for change in SHORT for word in ("--set", change)]
-    code, said = funnel_hil("compare", "--laws", "process", *words, "--out", out)
-    assert code == 1, said
+    funnel_hil.output("compare", "--laws", "process", *words, "--out", out, code=1)
     (faults,) = (run["faults"] for run in read_summary(out)["laws"].values())
     assert "no such robot" in faults[0]
     funnel_hil("report", out)
