@@ -78,15 +78,15 @@ class WarmProcess:
             raise TimeoutError(f"process {self.pid} takes longer than {timeout} s")
         return code
 
-    def said(self) -> str:
-        """What it has said so far to stdout and stderr."""
+    def output(self) -> str:
+        """What it has written so far to stdout and stderr."""
         handle = self._output.fileno()
         return os.pread(handle, os.fstat(handle).st_size, 0).decode()
 
     def communicate(self, timeout: float = HANG_S) -> tuple[str, None]:
-        """Wait for its end; what it said."""
+        """Wait for its end; its output."""
         self.wait(timeout)
-        return self.said(), None
+        return self.output(), None
 
     def send_signal(self, number: signal.Signals) -> None:
         if self.poll() is None:
@@ -200,7 +200,7 @@ def _server() -> socket.socket:
 
 
 def _serve(requests: socket.socket) -> None:
-    """Fork a process for each request, until nobody is left to ask."""
+    """Fork a process for each request, until its clients are gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for module in IMPORTED:
         import_module(module)

@@ -55,10 +55,10 @@ def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) 
 
     lines = (f"{ENTRY.dump_json(entry).decode()}\n" for entry in entries)
     write_whole(folder / ENTRIES, "".join(lines))
-    said = f"The last is of {entries[-1].commit}."
+    sentence = f"The last is of {entries[-1].commit}."
     page = Page(
         "history", name,
-        ReportHead("good", f"{len(entries)} results", [said]),
+        ReportHead("good", f"{len(entries)} results", [sentence]),
         [Fact("Unit", unit or "none")],
         lambda: [Panel("History", "history", f"{name} over commits",
                        lambda all_: _figure(all_, unit),

@@ -61,7 +61,7 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
 def timing_table(summary: dict[str, Any]) -> Table:
     """Percentiles of every timing quantity; the longest stall too, where it was a long one.
 
-    What was always 0, as in virtual time, is told in a word.
+    Quantities that were always 0, as in virtual time, are named in the note.
     """
     stall_ms = summary["timing"]["longest_stall_ms"]
     stalls: list[list[Value]] = (

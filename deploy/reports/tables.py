@@ -16,7 +16,7 @@ from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
 _FAR_OUTSIDE = -1.0
-"""Margin below which an error is told as a multiple of its bound."""
+"""Margin below which an error is shown as a multiple of its bound."""
 _NEARLY_ALL = 0.99
 _ALL_DIGITS_FROM = 999.5
 _EXPONENT = re.compile(r"e-0*(\d+)")
@@ -109,7 +109,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A value with what is to be said of it.
+    """A value with its judgement.
 
     Attributes:
         value: text, or number in the unit of the column.

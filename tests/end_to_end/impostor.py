@@ -67,7 +67,7 @@ class Impostor(AbstractContextManager["Impostor"]):
         await_true(is_known, "the plant speaks")
 
     def speak_as_plant(self, truth: Delivery | None, sender: bytes, number: int) -> None:
-        """Send a truth that was heard once more, and an end; in a bundle, and by themselves."""
+        """Send a received truth again, and an end; in a bundle, and by themselves."""
         truth = truth or Delivery(b"made up", b"")
         known = Attachment.decode(truth.attachment)
         gid = known.gid if known is not None and sender != OWN_ID else OWN_ID

@@ -147,7 +147,7 @@ class Running:
 
 @contextmanager
 def started(*words: str, out: Path, with_report: bool = False) -> Iterator[Running]:
-    """A command under way; whatever is left of it at the end is killed."""
+    """A command under way; its remaining processes are killed at the end."""
     process = _process(*words, out=out, with_report=with_report)
     try:
         yield Running(out, process)
@@ -188,7 +188,7 @@ class Watcher:
 
 
 def assert_as_simulated(run: Finished, until_s: float, out: Path, *names: str) -> None:
-    """Up to then a run in lockstep that somebody ended is its simulation, bit for bit."""
+    """Until its interruption a run in lockstep is its simulation, bit for bit."""
     so_long = settings(duration_s=round(until_s, 3), metrics__from_s=0)
     scenario = str(run.folder / "scenario.yaml")
     alone = funnel_hil_here("simulate", scenario, *so_long, out=out)
@@ -225,7 +225,7 @@ def processes_of(folder: Path) -> dict[str, int]:
 
 
 def outputs_of(processes: Sequence[WarmProcess]) -> list[str]:
-    """What processes said, once all have ended; whatever is left of them is killed."""
+    """Return the output of processes, once all have ended; remaining ones are killed."""
     try:
         return [process.communicate()[0] for process in processes]
     finally:

@@ -1,4 +1,4 @@
-"""The same bits whatever the CPU: its kernels of OpenBLAS and NumPy are chosen by environment."""
+"""The same bits on any CPU: its kernels of OpenBLAS and NumPy are chosen by environment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whoever dies or freezes in the middle of a run: the arm stops, the file is there, nobody stays.
+"""A process dies or freezes in the middle of a run: the arm stops, and no process is left over.
 
 Every run is watched by a stranger on the bus, so that the disruption comes at a known time of the
 run and the end of the plant is known from outside the recording.
@@ -134,7 +134,7 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path) -> None:
     # decides, where virtual time goes several times as fast as the wall's.
     assert disrupted.run.data.times_s(PLANT_TRUTH)[-1] > 0.0
     assert not (disrupted.run.folder / "run.mcap").exists()  # there is no whole recording
-    assert disrupted.run.summary["recorder"]["lost"] is None  # nobody counted to the end
+    assert disrupted.run.summary["recorder"]["lost"] is None  # it was not counted to the end
     for command in ("report", "replay"):
         words = command, str(disrupted.run.folder)
         looked_at = funnel_hil_here(*words, with_report=True)
@@ -146,7 +146,9 @@ def test_full_disk_ends_the_recording_and_not_the_run(small_disk: Path) -> None:
     run = funnel_hil_here(*words, out=small_disk / "run", code=1)
     assert "the recording is partial: No space left on device" in run.output
     assert run.output.count("Traceback") == 0
-    assert run.summary["transport"]["uplink"]["sent"] is None  # said at the end, when it was full
+    assert (
+        run.summary["transport"]["uplink"]["sent"] is None
+    )  # reported at the end, when it was full
     assert not run.data.complete
     recorder, ticks = run.summary["recorder"], 2000
     for topic in ("joint_states", "joint_commands", "plant_status"):
@@ -180,7 +182,7 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
         left_over = processes_of(run.folder)
     assert left_over == {}
     assert ended.summary["completed"] is False
-    assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
+    assert ended.summary["faults"] == []  # an interruption is no fault
 
 
 def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path) -> None:
@@ -266,9 +268,9 @@ def test_process_whose_peer_never_comes_says_so_and_never_runs(
     )
     out = tmp_path / "out" if alone == "record" else None
     ended = funnel_hil(alone, "paper_arm", *nowhere, out=out, code=1)
-    said = [line for line in ended.output.splitlines() if "is silent" in line]
-    assert len(said) == 1
-    assert f"the {missed} is silent" in said[0]
-    assert f"within {timeout_s} s" in said[0]
+    output = [line for line in ended.output.splitlines() if "is silent" in line]
+    assert len(output) == 1
+    assert f"the {missed} is silent" in output[0]
+    assert f"within {timeout_s} s" in output[0]
     assert "safe stop" not in ended.output
     assert "no valid command" not in ended.output

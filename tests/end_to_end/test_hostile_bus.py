@@ -117,9 +117,7 @@ def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Pat
 
 
 @pytest.mark.parametrize("ids", ["own", "copied"])
-def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
-    tmp_path: Path, ids: str
-) -> None:
+def test_false_plant_is_reported_and_leaves_the_verdict_unknown(tmp_path: Path, ids: str) -> None:
     """But for them, a run that is stopped is one that was interrupted."""
     words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
     with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
@@ -259,7 +257,7 @@ def test_frozen_subscriber_changes_nothing(tmp_path: Path, clock: str, mode: str
         frozen_subscriber(endpoint, mode) as stranger,
         started("run", "paper_arm", *ENDLESS, *patient, out=tmp_path / "run") as run,
     ):
-        await_true(lambda: is_frozen(stranger), "it has heard something")
+        await_true(lambda: is_frozen(stranger), "it has received something")
         ended, come_s = run.end_later(LONG_S)
         assert stranger.returncode is None
     assert ended.summary["faults"] == [], ended.output

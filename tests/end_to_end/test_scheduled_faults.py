@@ -18,14 +18,16 @@ from scripts.experiments.fault_table import to_safe_state_ms
 
 
 def run(tmp_path: Path, name: str, **values: object) -> Finished:
-    """Run a shipped fault; nobody is left over, and the recording tells when the fault began."""
+    """Run a shipped fault; no process is left over, and the recording has the time of the fault."""
     ended = funnel_hil_here(
         "run", f"faults/{name}", *settings(**values), out=tmp_path / "run", code=1
     )
     assert processes_of(ended.folder) == {}
     assert "Traceback" not in ended.output
-    told = [event.stamp_ns for event in ended.data.events if event.kind == EventKind.INJECTED]
-    assert all(at_ns >= 1_000_000_000 for at_ns in told)  # in real time a busy plant comes later
+    reported = [event.stamp_ns for event in ended.data.events if event.kind == EventKind.INJECTED]
+    assert all(
+        at_ns >= 1_000_000_000 for at_ns in reported
+    )  # in real time a busy plant comes later
     return ended
 
 

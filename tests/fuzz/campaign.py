@@ -46,7 +46,7 @@ def main(
             for _ in range(frames):
                 drives.attack()
             print(f"{protocol}: {frames} mutated frames, {drives.commanded} of them torques that")
-            print(f"  acted as what they said; rejected: {dict(drives.reasons)}")
+            print(f"  acted as their torque; rejected: {dict(drives.reasons)}")
         print(f"damaged recordings: {dict(try_recordings(recordings, 3, folder))}")
         for kind in ("scenario", "urdf"):
             found += try_and_tell(kind, files // 2, folder)

@@ -130,7 +130,7 @@ def fresh(file: Path) -> ModuleType:
     return module
 
 
-def test_compiling_is_said_once_and_only_when_it_is_done(
+def test_compilation_is_reported_once_and_only_when_it_happens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = tmp_path / "kernels.py"

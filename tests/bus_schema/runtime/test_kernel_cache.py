@@ -32,7 +32,7 @@ if len(sys.argv) == 1:
 
 
 def ran(tmp_path: Path, preamble: str = "", **environment: str | None) -> tuple[str, list[str]]:
-    """What a process and its child print, and what is said, with these variables."""
+    """What a process and its child print with these variables."""
     script = tmp_path / "script.py"
     script.write_text(preamble + KERNEL)
     temporary = tmp_path / "temporary"

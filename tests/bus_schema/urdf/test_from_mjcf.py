@@ -216,7 +216,7 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
 
 
 @pytest.mark.parametrize(
-    ("inside", "said"),
+    ("inside", "message"),
     [
         (BODY.format('<joint name="j" type="ball"/>'), "joint j must be hinge or slide"),
         (BODY.format("<freejoint/>"), "body b has a free joint"),
@@ -243,9 +243,9 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
     ],
 )  # fmt: skip
 def test_what_cannot_be_taken_is_refused_with_file_and_element(
-    tmp_path: Path, inside: str, said: str
+    tmp_path: Path, inside: str, message: str
 ) -> None:
-    assert said in refusal(tmp_path, f"<mujoco>{inside.replace('{}', '')}</mujoco>")
+    assert message in refusal(tmp_path, f"<mujoco>{inside.replace('{}', '')}</mujoco>")
 
 
 def test_warnings_of_mujoco_leave_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

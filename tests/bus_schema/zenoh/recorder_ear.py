@@ -34,15 +34,15 @@ class Ear:
         self.mailbox = self.node.listen_to_all(MOST_BYTES, lossless=True)
         self.node.announce()
         recorded = (*topics.TOPICS, topics.REJECTED_COMMANDS)
-        self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in recorded}
+        self.received: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in recorded}
 
     def take_all(self) -> None:
         for messages in iter(self.mailbox.take, None):
             for topic, payload, number, _, _ in messages:
-                self.heard[topic.name].append((number, payload))
+                self.received[topic.name].append((number, payload))
 
-    def await_heard(self, topic: Topic, count: int) -> None:
-        self.await_true(lambda: len(self.heard[topic.name]) >= count)
+    def await_received(self, topic: Topic, count: int) -> None:
+        self.await_true(lambda: len(self.received[topic.name]) >= count)
 
     def await_true(self, condition: Callable[[], bool]) -> None:
         def holds() -> bool:
@@ -103,6 +103,6 @@ def exchange(
     }
 
 
-def assert_heard(ear: Ear, *sent: dict[str, list[tuple[int, bytes]]]) -> None:
+def assert_received(ear: Ear, *sent: dict[str, list[tuple[int, bytes]]]) -> None:
     for name in sent[0]:
-        assert ear.heard[name] == [message for part in sent for message in part[name]], name
+        assert ear.received[name] == [message for part in sent for message in part[name]], name

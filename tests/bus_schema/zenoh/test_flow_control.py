@@ -42,7 +42,7 @@ def test_a_recorder_far_behind_is_waited_for() -> None:
     assert must_wait(flow)
 
 
-def test_recorder_that_never_said_anything_is_not_waited_for_as_long(
+def test_recorder_that_never_reported_is_awaited_for_less_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(outbox, "_FIRST_PATIENCE_S", NEVER_S)
@@ -127,7 +127,7 @@ def test_recorder_that_joined_just_now_is_not_abandoned_with_others() -> None:
     assert flow._recorders.keys() == {"genuine"}
 
 
-def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
+def test_plant_waits_until_a_recorder_confirms_the_messages() -> None:
     link, payload, batch, batches = fresh_link(), bytes(20_000), 32, 5
     assert batch * len(payload) > LARGEST_LEAD_BYTES
     with plant_on(link) as plant, ear_on(link, plant) as ear:
@@ -141,7 +141,7 @@ def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
         gid = plant._outbox.gid_of(PLANT_TRUTH)
         assert gid is not None
         for number in range(1, batches + 1):
-            ear.await_heard(PLANT_TRUTH, number * batch)
+            ear.await_received(PLANT_TRUTH, number * batch)
             assert sender.is_alive()
             ear.node.tell_progress(gid, number * batch)
         sender.join(HANG_S)

@@ -1,4 +1,4 @@
-"""A sender of commands that has left is known as gone, whatever made its id."""
+"""A sender of commands that has left is known to be gone, for any kind of id."""
 
 from __future__ import annotations
 

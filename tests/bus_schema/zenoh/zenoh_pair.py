@@ -86,7 +86,7 @@ def status() -> bytes:
 
 
 def foreign_session(settings: Mapping[str, Any]) -> zenoh.Session:
-    """A session of somebody else's, with Zenoh's own settings but for these."""
+    """A foreign session with the default settings of Zenoh and these."""
     configuration = zenoh.Config()
     for path, value in settings.items():
         configuration.insert_json5(path, json.dumps(value))

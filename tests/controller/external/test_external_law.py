@@ -134,7 +134,7 @@ def test_reset_is_asked_once_there_is_something_to_forget(tmp_path):
          "sent b'this is a law. this is a"),
     ],
 )  # fmt: skip
-def test_what_a_program_does_wrong_is_said(tmp_path, body, reason):
+def test_error_of_a_program_is_reported(tmp_path, body, reason):
     law = program(tmp_path, body)
     tracking = situation()
     answers = (law.torque(tracking) for _ in range(2))

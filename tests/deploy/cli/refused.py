@@ -1,4 +1,4 @@
-"""The table of what is refused, and what is said of it.
+"""Refused input and the messages about it.
 
 A row is a command line, how the message begins, and what else is in it. The files that commands
 name lie in the current folder, which messages are shown without; HERE stands for it where a command
@@ -91,8 +91,8 @@ REFUSED = [
     # over a real delay, and confirmed
     *[(f"run paper_arm --real-delay {given}", "--real-delay ", "must be a round trip of 0 to 1000")
       for given in ("1000.1", "nan")],
-    *[(f"run {scenario} --real-delay 5 --set {setting}", "", said)
-      for scenario, setting, said in (
+    *[(f"run {scenario} --real-delay 5 --set {setting}", "", text)
+      for scenario, setting, text in (
           ("paper_arm", "clock=lockstep", "clock = 'lockstep': must be realtime"),
           ("paper_arm_can", "clock=realtime", "link.kind = 'can': must be zenoh"),
           ("paper_arm", "link.plant_endpoint=udp/127.0.0.1:7451", "must be tcp/ or"),
@@ -160,8 +160,8 @@ REFUSED = [
     ("simulate iiwa_can --set seed=3 --set link.can.fd=false",
      "--set link.can.fd=false: link.can.fd = False"),
     *[(f"simulate {scenario} --set seed=3 --set {given}",
-       f"{SHIPPED / scenario}.yaml, with --set {given}: {said}")
-      for scenario, given, said in (  # said with both, as either may be meant
+       f"{SHIPPED / scenario}.yaml, with --set {given}: {text}")
+      for scenario, given, text in (  # names both, as either may be meant
           ("iiwa_can", "link.can.protocol=cansimple", "link.can.fd_process_data = True"),
           ("paper_arm_can", "link.can.bitrate=125000", "rate_hz = 500.0"),
           ("paper_arm", "duration_s=600", "reference = "))],
@@ -173,7 +173,7 @@ OUT_OF_RANGE = [
 ]  # fmt: skip
 DEEPER = "must not be nested deeper than 50 levels"
 NO_YAML = [
-    # what is written under seed, what is said of it
+    # value of seed, message
     ("2024-13-45", "seed = '2024-13-45': must be a valid date"),
     ("!!int z", "seed = 'z': must be a whole number"),
     ("!!float z", "seed = 'z': must be a number"),

@@ -46,14 +46,14 @@ def test_run_and_its_processes_load_nothing_that_only_others_need():
 
 
 def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil):
-    said = funnel_hil.output("--help")
+    output = funnel_hil.output("--help")
     for name in COMMANDS:
-        is_shown = re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE) is not None
+        is_shown = re.search(rf"^. {name} +[A-Z]", output, re.MULTILINE) is not None
         assert is_shown is (name not in EARLIER), name
-    shown = re.findall(r"^╭─ ([A-Z][a-z ]+?) ─", said, re.MULTILINE)
+    shown = re.findall(r"^╭─ ([A-Z][a-z ]+?) ─", output, re.MULTILINE)
     assert shown == ["Options", *PANELS]
-    said = funnel_hil.output("smulate", code=2)
-    assert "Did you mean 'simulate'" in said
+    output = funnel_hil.output("smulate", code=2)
+    assert "Did you mean 'simulate'" in output
 
 
 def test_earlier_names_do_what_their_successors_do(funnel_hil, tmp_path):

@@ -75,7 +75,7 @@ def test_processes_that_get_our_path_find_our_packages_before_those_files(folder
     del sys.modules["law_beside_them"]
 
 
-def test_law_in_a_file_called_like_a_package_of_ours_is_told_to_be_renamed(folder):
+def test_law_with_the_name_of_a_product_package_is_refused_with_advice(folder):
     with pytest.raises(ConfigurationError, match="funnel-hil has a module of that name: rename"):
         find_law("controller:Law")
 
@@ -97,7 +97,7 @@ def test_terminal_of_size_zero_shows_the_same_as_one_of_unknown_size() -> None:
     )
 
 
-def test_kernels_are_compiled_where_numba_is_told_not_to_compile(tmp_path: Path) -> None:
+def test_kernels_are_compiled_although_numba_is_disabled(tmp_path: Path) -> None:
     found = []
     for disabled in ("0", "1"):
         out = tmp_path / disabled

@@ -63,25 +63,25 @@ def test_a_xacro_file_is_an_arm_like_any_other(folder):
 def test_urdf_instead_of_a_study_is_refused_with_a_hint(folder, funnel_hil, before):
     arm = folder / "arm.urdf"
     arm.write_text(before + XACRO)
-    said = funnel_hil.output("sweep", arm, code=2)
-    assert f"{arm}: must be a mapping of keys to values in YAML, but is XML. " in said
-    assert "belongs under robot.urdf of a scenario; " in said
-    assert said.endswith(f"funnel-hil robot {arm} shows it\n")
+    output = funnel_hil.output("sweep", arm, code=2)
+    assert f"{arm}: must be a mapping of keys to values in YAML, but is XML. " in output
+    assert "belongs under robot.urdf of a scenario; " in output
+    assert output.endswith(f"funnel-hil robot {arm} shows it\n")
 
 
 def test_an_arm_is_a_scenario_and_can_be_written_as_one(folder, funnel_hil, monkeypatch):
     monkeypatch.chdir(folder)
-    said = funnel_hil.output("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
-    assert "funnel-hil margin mine.yaml" in said
+    output = funnel_hil.output("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
+    assert "funnel-hil margin mine.yaml" in output
     of_file, of_arm = (load_setup(str(each)) for each in ("mine.yaml", PAPER_ARM.path))
     assert of_file.gains.k_1.tolist() == of_arm.gains.k_1.tolist()
     rotors = of_file.scenario.plant.actuator.rotor_inertia_kg_m2
     np.testing.assert_allclose(rotors, 0.008 * PAPER_ARM.effort_limits_nm, rtol=1e-3)
-    said = funnel_hil.output("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml", code=2)
-    assert "mine.yaml: cannot be written: File exists; --out names another" in said
+    output = funnel_hil.output("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml", code=2)
+    assert "mine.yaml: cannot be written: File exists; --out names another" in output
 
 
-def test_what_xacro_refuses_is_told_by_file(folder):
+def test_error_of_xacro_names_the_file(folder):
     path = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
     path.write_text(path.read_text().replace("2 * 1.5", "twice"))
     with pytest.raises(ScenarioError, match=r"arm\.urdf\.xacro: xacro: .*twice"):
@@ -110,8 +110,8 @@ def test_arguments_and_folders_are_kept_in_the_scenario_that_is_written(
 ):
     monkeypatch.chdir(folder)
     include = ["--include", folder / "elsewhere"]
-    said = funnel_hil.output("robot", two_kinds, *include, code=2)
-    assert "kind:=… gives it" in said
+    output = funnel_hil.output("robot", two_kinds, *include, code=2)
+    assert "kind:=… gives it" in output
     written = ["--scenario", "--out", "a.yaml"]
     funnel_hil.output("robot", two_kinds, "kind:=heavy", *include, *written)
     setup = load_setup("a.yaml", ["duration_s=0.05"])
@@ -166,13 +166,13 @@ def test_one_chain_of_a_robot_is_driven_and_written(folder, funnel_hil, monkeypa
     monkeypatch.chdir(folder)
     (folder / "robot.urdf").write_text(TWO_ARMS)
     funnel_hil.output("robot", "robot.urdf", "--chain", "left")
-    said = funnel_hil.output("robot", "robot.urdf")
-    assert "Chains: --chain TIP drives one and holds the rest" in said
+    output = funnel_hil.output("robot", "robot.urdf")
+    assert "Chains: --chain TIP drives one and holds the rest" in output
     written = ["--chain", "right_two_link", "--scenario", "--out", "right.yaml"]
     funnel_hil.output("robot", "robot.urdf", *written)
     assert load_setup("right.yaml").robot.joint_names == ("right_one", "right_two")
-    said = funnel_hil.output("robot", "robot.urdf", "--chain", "foot", code=2)
-    assert "--chain foot: must be a link" in said
+    output = funnel_hil.output("robot", "robot.urdf", "--chain", "foot", code=2)
+    assert "--chain foot: must be a link" in output
 
 
 @needs_bullet
@@ -186,11 +186,13 @@ def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil
         '<xacro:include filename="$(find some_robot)/links.xacro"/>', f"<xacro:macro{links}"
     ).replace('<link name="base"/>', f'<link name="base">{shape}</link>')
     (tmp_path / "arm.xacro").write_text(arm)
-    said = funnel_hil.output(
+    output = funnel_hil.output(
         "robot", tmp_path / "arm.xacro", "--picture", tmp_path / "a.png", code=2
     )
-    assert "Bullet cannot draw the arm: a mesh file is damaged or too large (killed by SIG" in said
+    assert (
+        "Bullet cannot draw the arm: a mesh file is damaged or too large (killed by SIG" in output
+    )
     (tmp_path / "test.yaml").write_text(SCENARIO.replace("some_robot/urdf/arm.urdf", "arm"))
-    said = funnel_hil.output("simulate", tmp_path / "test.yaml", "--out", tmp_path / "run")
-    assert "warning: the report has no pictures of the arm: Bullet cannot draw" in said
+    output = funnel_hil.output("simulate", tmp_path / "test.yaml", "--out", tmp_path / "run")
+    assert "warning: the report has no pictures of the arm: Bullet cannot draw" in output
     assert (tmp_path / "run" / "report.html").exists()

@@ -62,10 +62,10 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     assert tracking["settling_time_s"] == pytest.approx([0.010] * 3)
     assert summary["recording"]["settling_is_latest"] == [True] * 3
     assert tracking["rms_rad"] == pytest.approx([np.sqrt(5 / 8) * 0.1] * 3)
-    said = " ".join(verdict_on_run(JudgedRun("", run, summary)).reasons)
-    assert "known at 7 of 12 ticks" in said
-    assert "because ticks are missing: base_yaw, shoulder, elbow." in said
-    assert "leave out 0.006 s around the gaps" in said
+    text = " ".join(verdict_on_run(JudgedRun("", run, summary)).reasons)
+    assert "known at 7 of 12 ticks" in text
+    assert "because ticks are missing: base_yaw, shoulder, elbow." in text
+    assert "leave out 0.006 s around the gaps" in text
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     ],
     ids=["command before its truth", "on both sides", "fewer commands"],
 )
-def test_torques_stop_at_a_gap_whatever_came_first_behind_it(
+def test_torques_stop_at_a_gap_for_any_first_message_after_it(
     ticks: list[int], commanded: list[int]
 ) -> None:
     """A loop sends the truth of a tick after what it has of the command for it."""

@@ -195,7 +195,7 @@ def test_misses_and_the_longest_run_of_them(
     assert (timing["deadline_misses"], timing["deadline_miss_longest_run"]) == (misses, longest)
 
 
-def test_events_tell_how_it_ended(setup: Setup) -> None:
+def test_events_determine_how_a_run_ended(setup: Setup) -> None:
     counts = {"sent": 9, "delivered": 8, "lost": 1, "duplicated": 0, "reordered": 0,
               "rejected": {"stale": 2}}  # fmt: skip
     events = [
@@ -291,15 +291,15 @@ def test_digest_does_not_count_how_often_the_first_state_was_sent() -> None:
 
 
 @pytest.mark.parametrize(
-    "told", [{"kernel": 7, "cycles": 10}, {"kernel": 7, "cycles": 2**52, "newest_cycle_s": 1.0}]
+    "message", [{"kernel": 7, "cycles": 10}, {"kernel": 7, "cycles": 2**52, "newest_cycle_s": 1.0}]
 )
-def test_ends_that_lack_values_or_exaggerate_measure_no_link(told: dict[str, float]) -> None:
+def test_ends_that_lack_values_or_exaggerate_measure_no_link(message: dict[str, float]) -> None:
     """Any program on the bus may send them."""
     run = simulate(load_setup("paper_arm", ["duration_s=0.01"])).data()
     others = [event for event in run.events if event.kind != EventKind.ENDED]
     ends = [
         RunEvent(10**7, "plant", EventKind.ENDED, json.dumps({"kernel": 7, "start_s": 0.0})),
-        RunEvent(10**7, "controller", EventKind.ENDED, json.dumps(told)),
+        RunEvent(10**7, "controller", EventKind.ENDED, json.dumps(message)),
     ]
     found = measured_link(replace(run, clock="realtime", events=[*others, *ends]))
     assert [len(each.delays_ms) for each in found.values()] == [0, 0]

@@ -68,7 +68,7 @@ def test_intervals_grow_with_noise() -> None:
     assert halves[2] > 20 * halves[0]
 
 
-def test_one_sine_does_not_tell_dead_time_from_lag() -> None:
+def test_one_sine_does_not_distinguish_dead_time_from_lag() -> None:
     times_s = np.arange(0.0, 20.0, 0.01)
     random = np.random.default_rng(1)
     response = np.sin(3.0 * (times_s - 0.05)) + 0.01 * random.standard_normal(len(times_s))
@@ -99,13 +99,13 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     file = tmp_path / "episodes.parquet"
     parquet.write_table(pa.table(table), file)
     words = ("latency", file, "--time", "timestamp", "--response", "observation.state[0]")
-    said = funnel_hil.output(*words, "--command", "action[1]")
-    assert "2,000 rows at 100 Hz (the longest of 2 episodes)" in said
-    assert "dead time: 2" in said or "dead time: 19.9" in said
-    said = funnel_hil.output(*words, "--command", "actoin[1]", code=2)
-    assert "did you mean action" in said
-    said = funnel_hil.output(*words, "--command", "action[0]", code=2)
-    assert "never changes" in said
+    output = funnel_hil.output(*words, "--command", "action[1]")
+    assert "2,000 rows at 100 Hz (the longest of 2 episodes)" in output
+    assert "dead time: 2" in output or "dead time: 19.9" in output
+    output = funnel_hil.output(*words, "--command", "actoin[1]", code=2)
+    assert "did you mean action" in output
+    output = funnel_hil.output(*words, "--command", "action[0]", code=2)
+    assert "never changes" in output
 
 
 def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
@@ -141,17 +141,17 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
     assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
     words = ("latency", file, "--command", "/wanted.effort[1]", "--response")
-    said = funnel_hil.output(*words, "/found.effort[1]")
-    assert "307 rows at 76.92 Hz" in said  # responses before the last command, 1000 Hz / 13
+    output = funnel_hil.output(*words, "/found.effort[1]")
+    assert "307 rows at 76.92 Hz" in output  # responses before the last command, 1000 Hz / 13
     for response_name, complaint in (
         ("/fuond.effort[1]", "did you mean /found"),
         ("/found.effort[2]", "/found.effort[2]: cannot be read as a number"),
         ("/found.effort", "/found.effort: cannot be read as a number"),
     ):
-        said = funnel_hil.output(*words, response_name, code=2)
-        assert complaint in said
-    said = funnel_hil.output(*words, "/found.effort[1]", "--unit", "ms", code=2)
-    assert "MCAP files have log times" in said
+        output = funnel_hil.output(*words, response_name, code=2)
+        assert complaint in output
+    output = funnel_hil.output(*words, "/found.effort[1]", "--unit", "ms", code=2)
+    assert "MCAP files have log times" in output
 
 
 def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
@@ -258,10 +258,10 @@ def write_csv(file: Path, time: str, columns: tuple[np.ndarray, ...]) -> None:
 def test_command_gives_no_intervals_where_the_model_does_not_fit(tmp_path, funnel_hil) -> None:
     file = tmp_path / "sticks.csv"
     write_csv(file, "t", with_stiction(100.0, 0.01))  # the column t is found
-    said = funnel_hil.output("latency", file, "--command", "wanted", "--response", "angle")
-    assert "the model does not fit, so there are no intervals: what is left depends on" in said
-    assert "stiction" in said
-    assert "±" not in said
+    output = funnel_hil.output("latency", file, "--command", "wanted", "--response", "angle")
+    assert "the model does not fit, so there are no intervals: what is left depends on" in output
+    assert "stiction" in output
+    assert "±" not in output
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -286,17 +286,17 @@ def test_elements_have_names_of_joints(tmp_path: Path, funnel_hil) -> None:
     by_name = funnel_hil.output(*words, "/found.effort[elbow]")
     by_number = funnel_hil.output(*words, "/found.effort[1]")
     assert by_number == by_name
-    said = funnel_hil.output(*words, "/found.effort[elbw]", code=2)
-    assert "no element 'elbw'; there are shoulder, elbow" in said
+    output = funnel_hil.output(*words, "/found.effort[elbw]", code=2)
+    assert "no element 'elbw'; there are shoulder, elbow" in output
 
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, nested) -> None:
     times_s, command, response = recorded(100.0, 20.0, 30.0, 0.001)
     names = ["shoulder.pos", "elbow.pos"]
-    told = {"motors": names} if nested else names
+    reported = {"motors": names} if nested else names
     (tmp_path / "meta").mkdir()
-    info = {"features": {"action": {"names": told}, "observation.state": {"names": told}}}
+    info = {"features": {"action": {"names": reported}, "observation.state": {"names": reported}}}
     (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
     (folder := tmp_path / "data" / "chunk-000").mkdir(parents=True)
     columns = {
@@ -305,7 +305,7 @@ def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, n
     }
     parquet.write_table(pa.table({"timestamp": times_s, **columns}), folder / "file.parquet")
     words = ("latency", folder / "file.parquet", "--command", "action[elbow.pos]", "--response")
-    said = funnel_hil.output(*words, "observation.state[elbow.pos]")
-    assert "dead time: 2" in said or "dead time: 19.9" in said
-    said = funnel_hil.output(*words, "observation.state[wrist.pos]", code=2)
-    assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in said
+    output = funnel_hil.output(*words, "observation.state[elbow.pos]")
+    assert "dead time: 2" in output or "dead time: 19.9" in output
+    output = funnel_hil.output(*words, "observation.state[wrist.pos]", code=2)
+    assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in output

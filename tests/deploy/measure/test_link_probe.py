@@ -62,15 +62,15 @@ def test_known_link_is_recovered(protocol: str) -> None:
         with in_thread(relay.run), socket.socket(type=KINDS[protocol]) as way:
             way.connect(listener.getsockname())
             times = probe(way, 200.0, 150, 1.5, lambda: False, lambda *_: None)
-    measured, told = evaluate(times), relay.counts()
+    measured, reported = evaluate(times), relay.counts()
     assert times.has_one_clock
     assert measured.uncertainty_ms == 0.0
     assert np.nanmin(measured.there.delays_ms) >= 3.0
     assert np.nanmin(measured.back.delays_ms) >= 7.0
     assert len(measured.there.sent_s) == 300
     if protocol == "udp":
-        assert measured.there.lost == told["downlink"]["lost"] > 0
-        assert measured.back.lost == told["uplink"]["lost"] > 0
+        assert measured.there.lost == reported["downlink"]["lost"] > 0
+        assert measured.back.lost == reported["uplink"]["lost"] > 0
     else:
         assert measured.there.lost == measured.back.lost == 0
         assert np.nanmax(measured.there.delays_ms) >= 10.0  # what was sent again
@@ -131,7 +131,7 @@ def test_uncertainty_covers_a_link_that_is_not_symmetric() -> None:
     assert uncertainty_ns == pytest.approx(5 * MS)
 
 
-def test_losses_are_told_by_direction_and_order_is_counted() -> None:
+def test_losses_are_counted_by_direction_and_order_is_kept() -> None:
     given, _ = times(0.0, 0.0, seconds=1.0, rate_hz=100.0)
     given.received_ns[[10, 20]] = 0  # lost there
     given.returned_ns[[10, 20, 30, 31, 32]] = 0  # the others on the way back
@@ -222,5 +222,5 @@ def test_command_serves_and_measures_over_zenoh(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_are_refused(funnel_hil, words: tuple[str, ...], complaint: str) -> None:
-    said = funnel_hil.output("link", *words, code=2)
-    assert complaint in said
+    output = funnel_hil.output("link", *words, code=2)
+    assert complaint in output

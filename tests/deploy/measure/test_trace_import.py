@@ -47,8 +47,8 @@ def imported(tmp_path: Path, funnel_hil):
     def run(name: str, text: str, *words: str) -> list[int]:
         file, out = tmp_path / name, tmp_path / "trace.parquet"
         file.write_text(text)
-        said = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out)
-        assert "trace: {file:" in said
+        output = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out)
+        assert "trace: {file:" in output
         found = read_trace(out)
         assert found.times_ns[0] == 0
         return np.where(found.delays_ns < 0, LOST_NS, (found.delays_ns + 500) // 1000).tolist()
@@ -117,8 +117,8 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
     words = ("trace", "import", "mcap", log, "--from", "/joint_states", "--out", out)
     funnel_hil.output(*words, "--to", "/joint_commands")
     assert len(read_trace(out).delays_ns) > 90
-    said = funnel_hil.output(*words, "--to", "/joint_comands", code=2)
-    assert "did you mean /joint_commands" in said
+    output = funnel_hil.output(*words, "--to", "/joint_comands", code=2)
+    assert "did you mean /joint_commands" in output
 
 
 @pytest.mark.parametrize(
@@ -179,8 +179,8 @@ def test_what_is_no_measurement_is_refused(
     file = tmp_path / "file"
     file.write_text(text)
     out = tmp_path / "trace.csv"
-    said = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out, code=2)
-    assert complaint in said
+    output = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out, code=2)
+    assert complaint in output
     assert not out.exists()
 
 

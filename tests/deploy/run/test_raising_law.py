@@ -1,4 +1,4 @@
-"""A law that raises is the first cause, and is told with its place, whatever command ran it."""
+"""A law that raises is the first cause, reported with its place by every command."""
 
 from __future__ import annotations
 
@@ -49,21 +49,21 @@ def folder(import_folder):
     return import_folder
 
 
-def missing(told, text):
-    return [words for words in told if words not in text]
+def missing(message, text):
+    return [words for words in message if words not in text]
 
 
-def assert_told_everywhere(told, output, out):
+def assert_reported_everywhere(message, output, out):
     fault = json.loads((out / "fault.json").read_text())
     assert fault["source"] == "controller"
     for text in (output, fault["detail"], (out / "report.html").read_text()):
-        assert missing(told, text) == []
+        assert missing(message, text) == []
     first = json.loads((out / "summary.json").read_text())["faults"][0]
-    assert missing(told, first) == []
+    assert missing(message, first) == []
 
 
-@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
-def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tick, told):
+@pytest.mark.parametrize(("at_tick", "message"), [(20, TOLD), (0, EARLY)])
+def test_simulate_reports_what_the_law_raised_and_where(funnel_hil, folder, at_tick, message):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     out = folder / "out"
     output = funnel_hil.output(
@@ -71,7 +71,7 @@ def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tic
     )
     # of a run without ticks there is nothing to put into tables
     assert [title in output for title in ("Joints, errors", "Timing")] == [at_tick > 0] * 2
-    assert_told_everywhere(told, output, out)
+    assert_reported_everywhere(message, output, out)
 
 
 def in_lockstep(command, *words):
@@ -79,13 +79,13 @@ def in_lockstep(command, *words):
     return cold(command, "mine.yaml", "--set", "clock=lockstep", "--out", "out", *words)
 
 
-@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
-def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, told):
+@pytest.mark.parametrize(("at_tick", "message"), [(20, TOLD), (0, EARLY)])
+def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, message):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     words = [*SHORT, "--set", gains, "--set", "link.reply_timeout_s=60"]
     done = in_lockstep("run", *words)
     assert done.returncode == 1, done.stderr
-    assert_told_everywhere(told, done.stdout, folder / "out")
+    assert_reported_everywhere(message, done.stdout, folder / "out")
 
 
 def test_a_law_that_wants_to_exit_only_fails(funnel_hil, folder):
@@ -106,14 +106,14 @@ HOSTILE = """
 
 
 @pytest.mark.parametrize(
-    ("command", "raised", "told"),
+    ("command", "raised", "message"),
     [
         ("simulate", "KeyboardInterrupt", "KeyboardInterrupt"),
         ("run", 'type("Own", (BaseException,), {})("x")', "raising_law.Own: x"),
         ("run", 'ValueError("a\\0b\\ud800c")', "ValueError: a\ufffdb\ufffdc"),
     ],
 )
-def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raised, told):
+def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raised, message):
     law = LAW.replace('SystemExit("enough")', raised).replace("calls > 1000", "calls > 30")
     (folder / "raising_law.py").write_text(law + HOSTILE)
     gains = "controller.gains.custom={at_tick: 30}"
@@ -121,7 +121,7 @@ def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raise
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     faults = " ".join(json.loads((folder / "out" / "summary.json").read_text())["faults"])
-    raising, closing = f"failed at tick 30: {told} (", "GeneratorExit: cannot close ("
+    raising, closing = f"failed at tick 30: {message} (", "GeneratorExit: cannot close ("
     assert 0 <= faults.find(raising) < faults.find(closing)
 
 

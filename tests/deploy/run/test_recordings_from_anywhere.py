@@ -1,4 +1,4 @@
-"""Recordings that are damaged, or come from somebody else: judged, not believed."""
+"""Recordings that are damaged or foreign are judged, not trusted."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_an_export_of_a_damaged_recording_says_what_is_missing(lost_in_the_middl
 
 
 def test_what_is_known_counts_also_without_an_end(lost_in_the_middle):
-    """Where nobody told the end, the ticks are those up to the last that is known."""
+    """Without a reported end, the ticks are those up to the last known one."""
     data, _ = load_run(lost_in_the_middle)
     whole = known_ticks(data)
     assert whole.missing > 0
@@ -135,11 +135,11 @@ MALFORMED = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "said", "named"), MALFORMED)
-def test_malformed_last_words_spoil_nothing(kind, said, named):
+@pytest.mark.parametrize(("kind", "message", "named"), MALFORMED)
+def test_malformed_last_words_spoil_nothing(kind, message, named):
     clean = summarise(short_run().data())
     for source in (Role.PLANT, Role.CONTROLLER):
-        summary = summarise(with_events((source, kind, json.dumps(said))).data())
+        summary = summarise(with_events((source, kind, json.dumps(message))).data())
         notes = summary["recording"]["notes"]
         assert any(named in note and source in note for note in notes), notes
         for same in ("ticks", "completed", "digest", "bounds", "transport", "limits"):
@@ -196,15 +196,15 @@ REWRITTEN = {
 }
 
 
-@pytest.mark.parametrize(("change", "said"), REWRITTEN.values(), ids=REWRITTEN)
-def test_rewritten_recording_is_damaged_in_every_command(change, said, sound, folder):
+@pytest.mark.parametrize(("change", "message"), REWRITTEN.values(), ids=REWRITTEN)
+def test_rewritten_recording_is_damaged_in_every_command(change, message, sound, folder):
     rewrite(sound, folder / "run.mcap", **change)
     output = output_of("report", folder, code=1)
-    assert said in " ".join(output.split())
+    assert message in " ".join(output.split())
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] in ("unknown", "nothing")
     assert not summary["completed"]
-    assert any(said in each for each in summary["recording"]["damage"])
+    assert any(message in each for each in summary["recording"]["damage"])
     assert (folder / "report.html").is_file()
     output_of("replay", folder, code=1)
     output_of("export", folder, "--csv", code=1)

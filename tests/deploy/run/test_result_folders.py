@@ -137,9 +137,9 @@ def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path,
 
 def test_no_report_leaves_it_for_later(funnel_hil, tmp_path):
     out = tmp_path / "out"
-    said = funnel_hil.output("simulate", "--set", "duration_s=0.1", "--no-report", "--out", out)
+    output = funnel_hil.output("simulate", "--set", "duration_s=0.1", "--no-report", "--out", out)
     assert not (out / "report.html").exists()
-    assert f"funnel-hil report {out} writes the report" in said
+    assert f"funnel-hil report {out} writes the report" in output
     before = (out / "summary.json").read_text()
     assert funnel_hil("report", out)[0] == 0
     assert (out / "report.html").stat().st_size > 100_000

@@ -1,4 +1,4 @@
-"""A scenario in a folder of results gives the same run again, whatever happens to its sources."""
+"""A scenario in a folder of results gives the same run again, also when its sources change."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
         load_setup("paper_arm", [*longer, from_file(path)])
     assert "duration_s = 0.4: must be within the 0 to 0.3 s of reference.file" in str(refused.value)
     held = load_setup("paper_arm", [*longer, from_file(path, beyond="hold")])
-    assert any("but the arm rests there" in said for said in scenario_warnings(held))
+    assert any("but the arm rests there" in text for text in scenario_warnings(held))
     late = tmp_path / "late.csv"
     lines = path.read_text().splitlines()
     late.write_text("\n".join([lines[0], *lines[100:]]))
@@ -109,13 +109,13 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
 def test_hosts_agree_on_what_the_file_holds(tmp_path: Path) -> None:
     path = exported(tmp_path)
     setup = load_setup("paper_arm", [*SHORT, from_file(path)])
-    told = agreement_of(setup).encode()
+    reported = agreement_of(setup).encode()
     copy = tmp_path / "copy.csv"
 
     def differences(text: str) -> list[str]:
         copy.write_text(text)
         theirs = agreement_of(load_setup("paper_arm", [*SHORT, from_file(copy)]))
-        return theirs.differences(told)
+        return theirs.differences(reported)
 
     assert differences(path.read_text()) == []
     assert differences(path.read_text().replace("\n0,", "\n-0.001,")) == ["reference.file"]
@@ -128,9 +128,9 @@ def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> Non
     cells[4] = "NaN"
     path.write_text("\n".join([*lines[:7], ",".join(cells), *lines[8:]]))
     words = ["run", "paper_arm", *words_of(from_file(path)), "--out", tmp_path / "o"]
-    said = output_of(*words, code=2)
-    assert "ref.csv" in said
-    assert "line 8, column shoulder.position_rad = NaN: must be a finite number" in said
+    output = output_of(*words, code=2)
+    assert "ref.csv" in output
+    assert "line 8, column shoulder.position_rad = NaN: must be a finite number" in output
     assert not (tmp_path / "o").exists()
 
 

@@ -1,4 +1,4 @@
-"""Studies of every kind that are interrupted: they continue, and the table is that of a whole one."""
+"""Interrupted studies of every kind continue, with the table of one that was not interrupted."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ EVERY = 10**6
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
     """A scheduler and two workers, each a process of its own: its address, and the worker that
-    nobody starts again when it dies.
+    is not restarted when it dies.
     """
     folder = tmp_path_factory.mktemp("cluster")
     own_law(folder, DEADLY, "deadly")
@@ -231,7 +231,7 @@ def test_workers_of_our_own_leave_no_files(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_workers_compile_is_said_once_and_by_the_command(monkeypatch, caplog, capfd):
+def test_compilation_in_workers_is_reported_once_by_the_command(monkeypatch, caplog, capfd):
     monkeypatch.delenv(compiled.HAS_SAID)
     with DaskWorkers(2) as team:
         team._client.run(compile_something)

@@ -96,7 +96,7 @@ def test_a_law_that_fails_in_every_run_is_an_error(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--network", "nowhere"], "nowhere"),
         (["--law", "smcc"], "did you mean smc?"),
@@ -105,9 +105,9 @@ def test_a_law_that_fails_in_every_run_is_an_error(tmp_path, monkeypatch):
         (["--set", "duration_s=abc"], "duration_s"),
     ],
 )
-def test_unusable_options_end_it_with_2(words, said, tmp_path):
+def test_unusable_options_end_it_with_2(words, message, tmp_path):
     output = output_of(
         "datasheet", "paper_arm", "--quick", "--out", tmp_path / "out", *words, code=2
     )
-    assert said in output
+    assert message in output
     assert not (tmp_path / "out").exists()

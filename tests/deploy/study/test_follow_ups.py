@@ -60,10 +60,10 @@ def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_pat
     best = helps["best"]
     assert (best["change"], best["margin_min"]) == ("drive loop", 0.42)
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
-    (said,) = [
+    (text,) = [
         each for each in margin_sentences(study.summary(folder.rows)) if "what helps" in each
     ]
-    assert said.startswith(
+    assert text.startswith(
         "paper_arm, pid, 8 ms: what helps: compensation (31 % of the bound left), drive loop (42 %"
         " of the bound left), not twice the rate and not half the gains. The best, drive loop:"
         " funnel-hil simulate"
@@ -78,8 +78,8 @@ def test_where_nothing_helps_the_result_says_so(tmp_path):
     assert helps["best"] is None
     # What is in force already is not tried again.
     assert [each["change"] for each in helps["tried"]] == ["twice the rate", "half the gains"]
-    said = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
-    assert said in " ".join(margin_sentences(study.summary(folder.rows)))
+    text = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
+    assert text in " ".join(margin_sentences(study.summary(folder.rows)))
 
 
 @pytest.mark.parametrize(
@@ -214,11 +214,11 @@ def test_losses_late_messages_and_overtaking_have_their_stated_size():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "said"),
+    ("sizes", "message"),
     [({"late_share": 2}, "disturbances.late_share"), ({"lost": 2}, "disturbances.lost")],
 )
-def test_impossible_sizes_of_disturbances_are_refused(sizes, said):
-    with pytest.raises(ScenarioError, match=said):
+def test_impossible_sizes_of_disturbances_are_refused(sizes, message):
+    with pytest.raises(ScenarioError, match=message):
         disturbed(disturbances=sizes)
 
 
@@ -334,5 +334,5 @@ def test_known_rotors_are_not_varied(tmp_path, values):
     [({}, True), ({"at_least": "40 ms"}, None), ({"plants": 20}, None), ({"study": "a"}, None),
      ({"at_least": "40 ms", "smaller_rotors": True}, True)],
 )  # fmt: skip
-def test_a_gate_asks_for_smaller_rotors_only_if_told(given, is_tried):
+def test_gate_varies_rotors_only_on_request(given, is_tried):
     assert MarginOptions(**given).definition().get("smaller_rotors") is is_tried

@@ -1,4 +1,4 @@
-"""Margins: those of the worst start and seed, in whatever order workers deliver."""
+"""Margins are those of the worst start and seed, in any order of the workers' rows."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     assert all(f'id="{name}-paper_arm"' in page for name in ("margins", "outside", "rms"))
 
 
-def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp_path):
+def test_table_is_readable_without_a_terminal_width(funnel_hil, tmp_path):
     margin = margin_of(laws=["fixed_time_model_based"], compensation=[False, True], limit=128)
     path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))

@@ -112,8 +112,8 @@ def test_with_a_playout_above_the_margin_four_patterns_confirm_the_guarantee(
     assert (case["patterns"]["tried"] == len(HANDFUL)) == is_levelled
     assert (case["worst_pattern"] is None) == is_levelled
     assert case["patterns"]["motions"] == (1 if is_levelled else None)
-    said = "holds for every delay up to 8 ms that arrives in order and is not lost"
-    assert (said in " ".join(margin_sentences(margin.summary(folder.rows)))) == is_levelled
+    text = "holds for every delay up to 8 ms that arrives in order and is not lost"
+    assert (text in " ".join(margin_sentences(margin.summary(folder.rows)))) == is_levelled
 
 
 def test_patterns_with_another_motion_give_no_guarantee(tmp_path):

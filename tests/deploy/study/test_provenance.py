@@ -84,27 +84,27 @@ def margin(*more):
 
 def test_study_refuses_its_folder_after_any_change_of_its_law(folder):
     gate = ("--at-least", "0ms", "--junit", "gate.xml")
-    said = command(*margin(*gate))
-    assert "from before" not in said
+    output = command(*margin(*gate))
+    assert "from before" not in output
     used = [name for name in FILES if name != "unrelated.py"]
     for name in [*used, "unrelated.py"]:
         before = (folder / name).read_text()
         (folder / name).write_text(f"{before}\n")
-        said = command(*margin(*gate), codes=[2 if name in used else 0])
+        output = command(*margin(*gate), codes=[2 if name in used else 0])
         if name in used:
-            assert f"{folder / name}: " in said
-            assert " before, " in said
-            assert said.count(" before, ") == 1
+            assert f"{folder / name}: " in output
+            assert " before, " in output
+            assert output.count(" before, ") == 1
             (folder / name).write_text(before)
-    said = command(*margin(*gate))
+    output = command(*margin(*gate))
     count = "4 of 4 runs are from before, with the same inputs"
-    assert f"gate: passed; {count}" in said
+    assert f"gate: passed; {count}" in output
     assert count in [each.text for each in ET.parse("gate.xml").getroot().iter("system-out")]
     (folder / "edited_law.py").write_text(LAW.replace("- self.stiffness", "+ self.stiffness"))
-    said = command(*margin(*gate, "--overwrite"), codes=(0, 3))
-    assert "from before" not in said
-    said = command(*margin("--at-least", "100ms"), codes=[3])
-    assert "gate: failed; " in said
+    output = command(*margin(*gate, "--overwrite"), codes=(0, 3))
+    assert "from before" not in output
+    output = command(*margin("--at-least", "100ms"), codes=[3])
+    assert "gate: failed; " in output
 
 
 def test_program_of_an_external_law_and_files_among_its_arguments_count(folder):
@@ -124,19 +124,19 @@ def test_program_of_an_external_law_and_files_among_its_arguments_count(folder):
     for name in ("law.sh", "stiff.py"):
         before = (folder / name).read_text()
         (folder / name).write_text(f"{before}\n")
-        said = command(*words, codes=[2])
-        assert f"{folder / name}: " in said
+        output = command(*words, codes=[2])
+        assert f"{folder / name}: " in output
         (folder / name).write_text(before)
 
 
 def test_comparison_reuses_a_custom_law_until_it_changes(folder):
     words = ("compare", "--laws", "edited_law:Law,smc", *SHORT, "--out", "out")
     command(*words)
-    said = command(*words)
-    assert "2 runs were there from before" in said
+    output = command(*words)
+    assert "2 runs were there from before" in output
     (folder / "edited_law.py").write_text(f"{LAW}\n")
-    said = command(*words, codes=[2])
-    assert f"{folder / 'edited_law.py'}: " in said
+    output = command(*words, codes=[2])
+    assert f"{folder / 'edited_law.py'}: " in output
 
 
 def carried_out(tmp_path, path, workers, **more):

@@ -122,7 +122,7 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"quantity": "plant.nothing"}, ["quantity", "'plant.nothing'", "loss, or the dotted"]),
         ({"quantity": "plant.friction.coulomb_nm"}, ["one number of the scenario"]),
@@ -139,11 +139,11 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
         ({"duration_s": 8, "set": {"duration_s": 20}}, ["duration_s", "given once"]),
     ],
 )  # fmt: skip
-def test_impossible_quantities_are_refused_with_the_reason(values, said):
+def test_impossible_quantities_are_refused_with_the_reason(values, message):
     with pytest.raises(ScenarioError) as refusal:
         margin_of(**values)
     assert str(refusal.value).startswith("margin: ")
-    assert [word for word in said if word not in str(refusal.value)] == []
+    assert [word for word in message if word not in str(refusal.value)] == []
 
 
 def test_runs_are_as_long_as_the_scenario_says_or_as_is_set(funnel_hil, tmp_path):

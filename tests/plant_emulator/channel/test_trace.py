@@ -56,7 +56,7 @@ def test_scale_and_offset_come_on_top_of_the_delay_of_the_channel(file: Path) ->
     assert found == [0, 0, 3.5, 3.5, None, None, 7.5, 7.5, 2.5, 1.5]
 
 
-def test_trace_begins_again_at_its_end_and_where_it_is_told(file: Path) -> None:
+def test_trace_repeats_from_its_end_and_starts_where_it_is_set(file: Path) -> None:
     assert delays_ms(uplink(file, start_s=0.03), 8, 10) == [5, 2, 1, 3, None, 5, 2, 1]
 
 

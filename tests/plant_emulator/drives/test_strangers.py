@@ -244,7 +244,7 @@ def test_run_without_a_bus_is_ended_by_its_cause(held: Held, error: Exception) -
     assert not outcome.completed
 
 
-def test_a_fault_after_a_hold_up_names_the_host_and_who_else_is_there(held: Held) -> None:
+def test_fault_after_a_delay_names_the_host_and_other_nodes(held: Held) -> None:
     held.bus.frames += [CanFrame(0x183, bytes(8))]
     held.measure()
     held.link.wait_until(held.clock, 2 * MS)

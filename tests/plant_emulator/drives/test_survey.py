@@ -97,6 +97,6 @@ def test_dry_run_on_a_bus_that_is_not_there() -> None:
 
 
 def test_mit_drives_are_not_asked() -> None:
-    place = ["link.can.interface=virtual", "link.can.channel=nobody"]
+    place = ["link.can.interface=virtual", "link.can.channel=unused"]
     _, drives = examine_rig(load_setup("paper_arm_mit", place))
     assert drives.found == "MIT drives answer nothing but commands"

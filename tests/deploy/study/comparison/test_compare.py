@@ -114,10 +114,10 @@ def test_damaged_recording_is_reported_with_its_missing_parts(compared, funnel_h
     assert data.damage
     words = [line.split() for line in output.splitlines()]
     assert ["fixed_time_neural", "unknown"] in [each[:2] for each in words]
-    said = " ".join(output.split())
-    assert f"fixed_time_neural: The recording is damaged: {'; '.join(data.damage)}." in said
+    text = " ".join(output.split())
+    assert f"fixed_time_neural: The recording is damaged: {'; '.join(data.damage)}." in text
     known = f"{known_ticks(data).known} of 300 ticks"
-    assert f"fixed_time_neural: The true motion is known at {known}" in said
+    assert f"fixed_time_neural: The true motion is known at {known}" in text
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "1 did not finish or cannot be read completely" in page
     inside = f"inside its bounds at the {known} at which it is known"

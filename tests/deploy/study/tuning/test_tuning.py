@@ -136,7 +136,7 @@ def test_a_law_of_the_user_starts_at_its_defaults_or_within_ranges(tmp_path, mon
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"ranges": {"slope": [5, 1]}}, r"ranges.slope = \[5.0, 1.0\]: must rise"),
         ({"ranges": {"slop": [1, 5]}}, "ranges = 'slop': no law has such a gain"),
@@ -148,13 +148,13 @@ def test_a_law_of_the_user_starts_at_its_defaults_or_within_ranges(tmp_path, mon
         ({"set": {"link.uplink.delay_ms": 30}}, "must be given as delays"),
     ],
 )
-def test_unusable_definitions_are_refused(changed, said):
-    with pytest.raises(ScenarioError, match=said):
+def test_unusable_definitions_are_refused(changed, message):
+    with pytest.raises(ScenarioError, match=message):
         Tuning({"scenario": "paper_arm", "laws": ["smc"], **changed}, Path("tune"))
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--at-least", "5%"], "tune has no margin to gate"),
         (["--history", "h.json"], "tune has no margin to gate"),
@@ -165,7 +165,7 @@ def test_unusable_definitions_are_refused(changed, said):
         (["--laws", "smcc"], "did you mean smc?"),
     ],
 )
-def test_unusable_options_end_the_command_with_2(words, said, tmp_path):
+def test_unusable_options_end_the_command_with_2(words, message, tmp_path):
     output = tuned(tmp_path / "out", "--laws", "smc", *words, code=2)
-    assert said in output
+    assert message in output
     assert not (tmp_path / "out").exists()
