@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bus_schema.foreign_text import markdown_cell, printable
+from bus_schema.foreign_text import markdown_table, printable
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.gate import ENTRIES, ENTRY, Entry, Gauged
 from deploy.reports.page import Fact, Page, Panel
@@ -38,11 +38,11 @@ def write_junit(
 
 def write_markdown(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
     """Write a table of the numbers."""
-    lines = ["| | found | |", "|---|---|---|"]
-    for name, text in _texts(found, failures).items():
-        result = failures[name].removeprefix(f"{name}: ") if name in failures else "ok"
-        lines.append(f"| {markdown_cell(name)} | {text} | {markdown_cell(result)} |")
-    write_whole(file, "\n".join([*lines, ""]))
+    rows = [
+        [name, text, failures[name].removeprefix(f"{name}: ") if name in failures else "ok"]
+        for name, text in _texts(found, failures).items()
+    ]
+    write_whole(file, markdown_table(["", "found", ""], rows))
 
 
 def _texts(found: Sequence[Gauged], failures: Mapping[str, str]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
-from bus_schema.foreign_text import markdown_cell
+from bus_schema.foreign_text import markdown_table
 from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
@@ -183,6 +183,5 @@ def quotable(table: Table, conditions: Mapping[str, str]) -> str:
 def as_markdown(table: Table) -> str:
     """A table for documents."""
     header = [column.title for column in table.columns]
-    body = ([markdown_cell(cell.text) for cell in row] for row in table.cells)
-    lines = [header, ["---"] * len(header), *body]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    rows = ([cell.text for cell in row] for row in table.cells)
+    return markdown_table(header, rows).rstrip("\n")

@@ -97,13 +97,13 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
     (shelf / "broken" / "notes.txt").write_text("mine")
     output = funnel_hil.output("runs", "prune", shelf, "--older-than", "30")
     assert "1 would be removed; --yes removes them" in output
-    assert names_in(shelf) == ["broken", "new", "old", "foreign"]
+    assert names_in(shelf) == ["broken", "foreign", "new", "old"]
     funnel_hil("runs", "tag", shelf / "old", "paper")
     assert "0 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
     funnel_hil("runs", "tag", shelf / "old", "--remove", "paper")
     assert "1 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
     assert "1 removed" in funnel_hil("runs", "prune", shelf, "--incomplete", "--yes")[1]
-    assert names_in(shelf) == ["broken", "new", "foreign"]
+    assert names_in(shelf) == ["broken", "foreign", "new"]
     assert names_in(shelf / "broken") == ["notes.txt"]
 
 
