@@ -19,7 +19,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from importlib import import_module
@@ -50,13 +50,7 @@ class WarmProcess:
         environment: its environment variables.
     """
 
-    def __init__(
-        self,
-        *words: object,
-        main: str = FUNNEL_HIL,
-        cwd: Path = ROOT,
-        environment: Mapping[str, str] = os.environ,
-    ) -> None:
+    def __init__(self, *words, main=FUNNEL_HIL, cwd=ROOT, environment=os.environ):
         self.returncode: int | None = None
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its last reader)
         status, its_status = os.pipe()

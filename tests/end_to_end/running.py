@@ -99,9 +99,7 @@ def funnel_hil(*words: str, out: Path | None, code: int = 0, with_report: bool =
     return Finished(out or Path(), code, output)
 
 
-def funnel_hil_here(
-    *words: str, out: Path | None = None, code: int = 0, with_report: bool = False
-) -> Finished:
+def funnel_hil_here(*words, out=None, code=0, with_report=False):
     """Run a command that has to end with this exit code, in this process."""
     with nullcontext() if with_report else no_report():
         found, output = here(*_command(*words, out=out), **_ENVIRONMENT)
@@ -133,9 +131,7 @@ class Running:
         assert code in (None, ended.code), output
         return ended
 
-    def end_later(
-        self, more_s: float = 1.0, number: signal.Signals = signal.SIGINT
-    ) -> tuple[Finished, float]:
+    def end_later(self, more_s=1.0, number=signal.SIGINT):
         """End the run once it has gone on for so much of its own time; how far it came at least."""
         with Watcher(self.plant_endpoint()) as watcher:
             watcher.await_time(0.0, self)

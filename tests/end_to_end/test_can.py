@@ -80,9 +80,7 @@ def test_interrupted_run_blames_no_drive(tmp_path: Path) -> None:
     assert ended.summary["completed"] is False
 
 
-def test_recording_in_real_time_is_replayed_without_the_states_that_the_master_missed(
-    tmp_path: Path,
-) -> None:
+def test_recording_in_real_time_is_replayed_without_the_states_that_the_master_missed(tmp_path):
     in_real_time = settings(duration_s=0.5, clock="realtime", controller__law="smc")
     run = funnel_hil("run", "paper_arm_can", *on_free_port(), *in_real_time, out=tmp_path / "run")
     replayed = funnel_hil_here("replay", str(run.folder))

@@ -70,9 +70,7 @@ def digests(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, lis
     return found
 
 
-def test_every_case_has_the_same_bits_in_every_environment(
-    digests: dict[str, dict[str, list[str]]],
-) -> None:
+def test_every_case_has_the_same_bits_in_every_environment(digests):
     (first, expected), *others = digests.items()
     assert len(expected) >= 39
     differing = [

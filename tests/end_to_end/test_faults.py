@@ -69,10 +69,7 @@ class DisruptedRun:
         return self.plant_end_s - float(self.run.data.times_s(PLANT_TRUTH)[-1])
 
 
-def disrupt(
-    tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str,
-    on_disk_b: int = 0, with_report: bool = False, code: int = 1,
-) -> DisruptedRun:  # fmt: skip
+def disrupt(tmp_path, clock, number, role, *more, on_disk_b=0, with_report=False, code=1):
     """Send a signal to a process of a run, or to the run itself, in the middle of it.
 
     So much of the recording must be on the disk by then. The run has to end with this exit code.
@@ -105,9 +102,7 @@ def disrupt(
     ],
     ids=["killed", "frozen", "killed in real time"],
 )  # fmt: skip
-def test_arm_is_stopped_when_the_controller_falls_silent(
-    tmp_path: Path, clock: str, number: signal.Signals, fate: str
-) -> None:
+def test_arm_is_stopped_when_the_controller_falls_silent(tmp_path, clock, number, fate):
     disrupted = disrupt(tmp_path, clock, number, "controller", *SOON)
     assert disrupted.causes == [fate]
     assert fate in disrupted.run.summary["faults"]
@@ -226,9 +221,7 @@ def test_no_process_outlives_a_run_that_was_killed_not_even_a_frozen_one(tmp_pat
     assert ticks < 3_000_000  # of 3,600,000: they left, and did not just come to their end
 
 
-def test_recorder_frozen_beyond_its_lease_records_again_and_the_gap_is_unknown(
-    tmp_path: Path,
-) -> None:
+def test_recorder_frozen_beyond_its_lease_records_again_and_the_gap_is_unknown(tmp_path):
     """Others close a connection over which nothing has come for 10 s."""
     realtime = settings(clock="realtime", plant__command_timeout_ms=60_000.0)
     words = ["run", "paper_arm", *ENDLESS, *WIDE, *realtime]
@@ -256,9 +249,7 @@ def test_recorder_frozen_beyond_its_lease_records_again_and_the_gap_is_unknown(
     ("alone", "missed", "timeout_s"),
     [("plant", "controller", 2), ("controller", "plant", 0.5), ("record", "plant", 0.5)],
 )
-def test_process_whose_peer_never_comes_says_so_and_never_runs(
-    tmp_path: Path, alone: str, missed: str, timeout_s: float
-) -> None:
+def test_process_whose_peer_never_comes_says_so_and_never_runs(tmp_path, alone, missed, timeout_s):
     """The plant waits longer than it would give a foreign client that has announced nothing."""
     nowhere = settings(
         clock="lockstep",

@@ -56,9 +56,7 @@ def test_in_lockstep_it_gives_the_same_bits_again_under_delay_too(tmp_path: Path
     assert first.summary["timing"]["round_trip_us"]["p50"] == 1000.0
 
 
-def test_torques_for_the_next_ticks_in_one_command_give_the_bits_of_one_command_for_each(
-    tmp_path: Path,
-) -> None:
+def test_torques_for_the_next_ticks_in_one_command_give_the_bits_of_one_command_for_each(tmp_path):
     client = [sys.executable, "-m", "tests.end_to_end.chunk_client"]
     each = run(tmp_path / "each", **LOCKSTEP, controller__process=[*client, "each"])
     rows = run(
@@ -87,9 +85,7 @@ def test_torques_for_the_next_ticks_in_one_command_give_the_bits_of_one_command_
     ],
     ids=["fails", "leaves", "fails at once", "cannot be run"],
 )
-def test_how_it_failed_is_the_first_cause(
-    process: list[str], first: str | None, tmp_path: Path
-) -> None:
+def test_how_it_failed_is_the_first_cause(process, first, tmp_path):
     code = 2 if first is None else 1
     ended = run(tmp_path / "run", **LOCKSTEP, controller__process=process, code=code)
     if first is None:
@@ -101,9 +97,7 @@ def test_how_it_failed_is_the_first_cause(
     assert not ended.summary["completed"]
 
 
-def test_silence_that_the_plant_gave_up_on_comes_before_the_end_of_the_process(
-    tmp_path: Path,
-) -> None:
+def test_silence_that_the_plant_gave_up_on_comes_before_the_end_of_the_process(tmp_path):
     """Whoever falls silent, and ends in order once the plant has left, did not end the run."""
     silent = [*CLIENT, "silence", "100"]
     impatient = {**LOCKSTEP, "link__reply_timeout_s": 2}

@@ -71,9 +71,7 @@ def test_flood_of_packets_and_frozen_viewer_change_nothing(tmp_path: Path) -> No
 
 
 @LINUX
-def test_a_run_under_way_is_seen_from_outside_and_goes_on_when_the_viewer_is_gone(
-    tmp_path: Path,
-) -> None:
+def test_a_run_under_way_is_seen_from_outside_and_goes_on_when_the_viewer_is_gone(tmp_path):
     with started("run", "iiwa", "--live", *LONG_OF_IIWA, out=tmp_path / "run") as run:
         page, endpoint = page_of(run.process), run.plant_endpoint()
         assert len(first_frame(page)["error"]) == 7

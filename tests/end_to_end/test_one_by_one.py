@@ -31,9 +31,7 @@ def endpoints() -> list[str]:
                     link__connect_timeout_s=HANG_S)  # fmt: skip
 
 
-def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(
-    endpoints: list[str],
-) -> None:
+def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(endpoints):
     other = settings(controller__law="pid", link__uplink__delay_ms=3, plant__payload_kg=0.5)
     processes = start_both([], other, at=endpoints)
     outputs = outputs_of(processes)
@@ -46,9 +44,7 @@ def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(
         assert "Traceback" not in output
 
 
-def test_what_is_up_to_each_host_may_differ_and_what_they_say_is_for_people(
-    endpoints: list[str],
-) -> None:
+def test_what_is_up_to_each_host_may_differ_and_what_they_say_is_for_people(endpoints):
     own = settings(link__reply_timeout_s=7.5)
     output = "".join(outputs_of(start_both([], own, at=endpoints)))
     assert "rejected: none" in output

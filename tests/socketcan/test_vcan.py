@@ -106,9 +106,7 @@ def test_cansimple_frames_on_vcan_decode_with_our_dbc() -> None:
     ],
     ids=["position", "mit"],
 )  # fmt: skip
-def test_drives_that_close_loops_give_the_digest_of_the_virtual_bus(
-    overrides: tuple[str, ...],
-) -> None:
+def test_drives_that_close_loops_give_the_digest_of_the_virtual_bus(overrides):
     assert digest_over("socketcan", *overrides) == digest_over("virtual", *overrides)
 
 

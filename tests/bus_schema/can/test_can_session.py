@@ -98,9 +98,7 @@ def test_frames_leave_the_machine_only_if_they_are_to(hop_limit: int, leaves: bo
 
 
 @pytest.mark.parametrize(("hop_limit", "is_received"), [(0, False), (1, True)])
-def test_datagrams_from_other_machines_or_to_other_groups_are_ignored(
-    hop_limit: int, is_received: bool
-) -> None:
+def test_datagrams_from_other_machines_or_to_other_groups_are_ignored(hop_limit, is_received):
     configuration = multicast(hop_limit=hop_limit)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with sender, closing(open_can_bus(configuration)) as bus:

@@ -77,9 +77,7 @@ def recorded_pair() -> Iterator[tuple[ZenohPlantLink, ZenohControllerLink, Ear]]
         yield plant, controller, ear
 
 
-def exchange(
-    plant: ZenohPlantLink, controller: ZenohControllerLink, ticks: range
-) -> dict[str, list[tuple[int, bytes]]]:
+def exchange(plant, controller, ticks):
     """Ticks of both loops; what a recorder is to have of them."""
     await_true(lambda: controller.sees(Role.PLANT))
     for tick in ticks:

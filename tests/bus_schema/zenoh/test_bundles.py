@@ -107,9 +107,7 @@ def test_what_is_no_bundle_is_taken_as_far_as_it_is_one(cut_off: int) -> None:
         bytes(33), Attachment(-1, 0, FOREIGN.gid).encode(), Attachment(1, -1, FOREIGN.gid).encode(),
     ],
 )  # fmt: skip
-def test_attachments_in_bundles_are_read_as_those_of_messages_by_themselves(
-    attachment: bytes,
-) -> None:
+def test_attachments_in_bundles_are_read_as_those_of_messages_by_themselves(attachment):
     with lone_bundler() as (bundler, taken):
         bundler.add(b"plant_truth", attachment, b"truth")
         bundler.add(b"plant_truth", FOREIGN.encode(), b"next")
@@ -129,9 +127,7 @@ def test_large_messages_do_not_wait_for_others() -> None:
 
 @pytest.mark.parametrize("is_announced", [False, True], ids=["without a token", "with a token"])
 @pytest.mark.parametrize("is_rejected", [False, True], ids=["alone", "beside a commander"])
-def test_commands_of_strangers_come_as_the_plant_took_them_in(
-    is_announced: bool, is_rejected: bool
-) -> None:
+def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced, is_rejected):
     """Each once, the very first too, whether the recorder turns to topics for it or not."""
     with recorded_pair() as (plant, _controller, ear):
         ear.await_true(lambda: hears_bundles_alone(plant))

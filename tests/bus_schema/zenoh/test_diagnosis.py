@@ -59,10 +59,7 @@ def test_missing_peer_is_reported(folders: tuple[Path, Path, Path], keys: int | 
     ],
     ids=["tls there", "plaintext there", "another authority", "another host", "nothing wrong"],
 )
-def test_what_keeps_the_two_apart_is_named(
-    folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch,
-    theirs: int | None, ours: int | None, patience_s: float, finding: str,
-) -> None:  # fmt: skip
+def test_what_keeps_the_two_apart_is_named(folders, monkeypatch, theirs, ours, patience_s, finding):
     monkeypatch.setattr(silence, "_PROBE_S", patience_s)
     port = free_ports(1)[0]
     with plant_on(make_link(port, None if theirs is None else folders[theirs])):
@@ -89,9 +86,7 @@ def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
 
 
 @pytest.mark.parametrize("secured", [False, True])
-def test_listener_reports_why_connections_fail(
-    folders: tuple[Path, Path, Path], secured: bool
-) -> None:
+def test_listener_reports_why_connections_fail(folders, secured):
     link = make_link(7451, folders[0] if secured else None)
     text = explain_silence(link, Role.PLANT, Role.CONTROLLER)
     assert f"no controller yet after 2 s at {'tls' if secured else 'tcp'}/127.0.0.1:7451" in text
@@ -99,9 +94,7 @@ def test_listener_reports_why_connections_fail(
     assert ("It is off here" in text) == (not secured)
 
 
-def test_warning_comes_once(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_warning_comes_once(caplog, monkeypatch):
     watch = SilenceWatch(make_link(free_ports(1)[0]), Role.PLANT, Role.CONTROLLER)
     watch.look()
     assert caplog.records == []  # two seconds have not passed

@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 
-import pytest
-
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.zenoh import outbox
 from bus_schema.zenoh.outbox import LARGEST_LEAD_BYTES, FlowControl
@@ -42,9 +40,7 @@ def test_a_recorder_far_behind_is_waited_for() -> None:
     assert must_wait(flow)
 
 
-def test_recorder_that_never_reported_is_awaited_for_less_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_recorder_that_never_reported_is_awaited_for_less_time(monkeypatch):
     monkeypatch.setattr(outbox, "_FIRST_PATIENCE_S", NEVER_S)
     flow = FlowControl(HANG_S)
     flow.join("recorder")
@@ -81,9 +77,7 @@ def test_the_slowest_of_several_counts_while_it_is_there() -> None:
     assert not must_wait(flow)
 
 
-def test_recorder_that_never_answers_is_abandoned_and_reported(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_recorder_that_never_answers_is_abandoned_and_reported(caplog):
     flow = FlowControl(patience_s=0.01)
     flow.join("recorder")
     flow.send(TOO_MUCH, 1)
@@ -96,9 +90,7 @@ def test_recorder_that_never_answers_is_abandoned_and_reported(
     ]
 
 
-def test_all_recorders_that_never_answer_cost_one_wait_and_later_ones_none(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_all_recorders_that_never_answer_cost_one_wait_and_later_ones_none(caplog):
     flow = FlowControl(patience_s=0.01)
     for name in ("false", "also false", "false again"):
         flow.join(name)

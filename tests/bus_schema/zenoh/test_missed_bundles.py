@@ -183,9 +183,7 @@ def test_what_does_not_come_is_asked_for_again_after_twice_as_long(order: Bundle
 FORGED = 2**62
 
 
-def test_forged_number_is_left_out_and_bars_no_genuine_bundle(
-    order: BundleOrder, rejected: Counter[str]
-) -> None:
+def test_forged_number_is_left_out_and_bars_no_genuine_bundle(order, rejected):
     assert taken_in(order, 1, 2) == numbered(1, 2)
     assert taken_in(order, FORGED, first=FORGED) == []
     assert order.missed(0.0) is None
@@ -193,17 +191,13 @@ def test_forged_number_is_left_out_and_bars_no_genuine_bundle(
     assert rejected == {"forged_number": 1}
 
 
-def test_bundles_follow_a_forged_one_that_came_before_all_of_them(
-    order: BundleOrder, rejected: Counter[str]
-) -> None:
+def test_bundles_follow_a_forged_one_that_came_before_all_of_them(order, rejected):
     assert taken_in(order, FORGED, first=FORGED) == numbered(FORGED)
     assert taken_in(order, 1, 2) == numbered(1, 2)
     assert rejected == {"forged_number": 1}
 
 
-def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another(
-    order: BundleOrder, rejected: Counter[str]
-) -> None:
+def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another(order, rejected):
     assert order.take_in(Span(1, 3, SENDER), b"forged ahead") == []
     assert taken_in(order, 1, 1, 2) == [*numbered(1, 2), b"forged ahead"]
     assert taken_in(order, 3, 4) == numbered(4)
@@ -259,9 +253,7 @@ def test_no_more_than_so_many_wait_for_one_that_never_comes(order: BundleOrder) 
     assert order.rest() == numbered(1000)
 
 
-def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(monkeypatch):
     monkeypatch.setattr(bundles, "_KEPT_BYTES", 3500)
     monkeypatch.setattr(bundles, "MOST_AT_ONCE", 2)
     session, again = ZenohSession([], [], low_latency=False), []

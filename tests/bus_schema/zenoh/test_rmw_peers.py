@@ -6,7 +6,6 @@ import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from itertools import count
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -64,9 +63,7 @@ def node(link: LinkConfiguration, plant: ZenohPlantLink) -> Iterator[zenoh.Sessi
         yield session
 
 
-def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
-    link: LinkConfiguration, plant: ZenohPlantLink, node: zenoh.Session
-) -> None:
+def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(link, plant, node):
     tokens: set[str] = set()
     numbers: dict[str, list[int]] = {JOINT_STATES.name: [], PLANT_TRUTH.name: []}
 
@@ -106,9 +103,7 @@ def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
         declared.undeclare()
 
 
-def test_node_that_comes_late_gets_the_arm_and_sees_it_move(
-    link: LinkConfiguration, plant: ZenohPlantLink, node: zenoh.Session, tmp_path: Path
-) -> None:
+def test_node_that_comes_late_gets_the_arm_and_sees_it_move(link, plant, node, tmp_path):
     """As RViz subscribes: transient local for robot_description and tf_static, volatile for tf."""
     places = {key: str(value) for key, value in link.model_dump(exclude_unset=True).items()}
     overrides = [f"link.{key}={value}" for key, value in places.items()]

@@ -59,9 +59,7 @@ def expired(keys: KeyFolder, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("is_valid", [True, False], ids=["valid", "expired"])
-def test_certificate_counts_until_it_expires(
-    keys: KeyFolder, tmp_path: Path, is_valid: bool
-) -> None:
+def test_certificate_counts_until_it_expires(keys, tmp_path, is_valid):
     """Strangers without any, of another role or authority: see end_to_end/test_security.py."""
     link = secured_link(keys)
     with plant_on(link) as plant:
@@ -105,9 +103,7 @@ def test_false_plant_is_ignored(keys: KeyFolder) -> None:
     false_plant.close()
 
 
-def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everything(
-    keys: KeyFolder,
-) -> None:
+def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everything(keys):
     link = secured_link(keys, reply_timeout_s=HANG_S)
     with plant_on(link) as plant:
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
@@ -126,9 +122,7 @@ def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everythin
         recorder.close()
 
 
-def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
-    keys: KeyFolder,
-) -> None:
+def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(keys):
     router = free_endpoint().replace("tcp", "tls")
     link = secured_link(keys, router_endpoint=router)
     received: dict[str, bytes] = {}

@@ -165,10 +165,7 @@ def test_foreign_client_sees_our_topics(foreign: tuple[ZenohPlantLink, Client]) 
     ids=["our order", "its own order"],
 )
 @pytest.mark.parametrize("others", [[], [0.0, 0.0, 0.0]], ids=["torques alone", "all fields"])
-def test_command_of_a_foreign_controller_passes_the_gate(
-    foreign: tuple[ZenohPlantLink, Client],
-    name: tuple[str, ...], effort: list[float], others: list[float],
-) -> None:  # fmt: skip
+def test_command_of_a_foreign_controller_passes_the_gate(foreign, name, effort, others):
     plant, client = foreign
     client.tell(
         {"stamp": [5, 6], "name": name, "position": others, "velocity": others, "effort": effort}

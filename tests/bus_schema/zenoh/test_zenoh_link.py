@@ -79,9 +79,7 @@ def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> N
 
 
 @pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
-def test_plant_leaves_in_the_midst_of_a_flood(
-    monkeypatch: pytest.MonkeyPatch, lockstep: bool
-) -> None:
+def test_plant_leaves_in_the_midst_of_a_flood(monkeypatch, lockstep):
     """A full inbox makes every sender wait, the plant too."""
     monkeypatch.setattr(zenoh_link, "LARGEST_BACKLOG", 5)
     link, is_over = fresh_link(), threading.Event()
@@ -105,9 +103,7 @@ def test_plant_leaves_in_the_midst_of_a_flood(
 
 
 @pytest.mark.parametrize(("side", "held_up"), [(plant_on, "wait"), (controller_on, "knock")])
-def test_threads_of_a_link_have_ended_once_it_is_closed(
-    monkeypatch: pytest.MonkeyPatch, side: Any, held_up: str
-) -> None:
+def test_threads_of_a_link_have_ended_once_it_is_closed(monkeypatch, side, held_up):
     """Python aborts a process in which a thread comes back from Zenoh while it ends."""
     quick = getattr(Inbox, held_up)
 
@@ -125,9 +121,7 @@ def test_threads_of_a_link_have_ended_once_it_is_closed(
 
 
 @pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
-def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
-    lockstep: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(lockstep, monkeypatch):
     monkeypatch.setattr(arrivals, "LARGEST_BACKLOG", 20)
     monkeypatch.setattr(zenoh_link, "LARGEST_BACKLOG", 20)
     link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
@@ -186,9 +180,7 @@ def tokenless_client(link: LinkConfiguration) -> Iterator[ZenohSession]:
         client.close()
 
 
-def test_client_without_tokens_is_the_controller_though_a_recorder_listens(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_client_without_tokens_is_the_controller_though_a_recorder_listens(monkeypatch):
     link = fresh_link()
     monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 0.5)
     with plant_on(link) as plant, ear_on(link, plant):
@@ -275,18 +267,14 @@ def plant(received: list[Delivery]) -> Iterator[ZenohPlantLink]:
         viewer.close()
 
 
-def test_ticks_far_apart_do_not_wait_for_a_whole_batch(
-    plant: ZenohPlantLink, received: list[Delivery]
-) -> None:
+def test_ticks_far_apart_do_not_wait_for_a_whole_batch(plant, received):
     plant.publish(PLANT_TRUTH, b"1")
     time.sleep(LONGER_THAN_A_BATCH_WAITS_S)
     plant.publish(PLANT_TRUTH, b"2")
     await_true(lambda: [message.payload for message in received] == [b"1", b"2"])
 
 
-def test_an_event_takes_along_what_waits(
-    plant: ZenohPlantLink, received: list[Delivery], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_event_takes_along_what_waits(plant, received, monkeypatch):
     monkeypatch.setattr(outbox, "_LONGEST_WAIT_NS", 1 << 62)
     plant.publish(PLANT_TRUTH, b"1")
     plant.publish(RUN_EVENTS, EVENT)

@@ -40,9 +40,7 @@ def controller_on(link: LinkConfiguration) -> Iterator[ZenohControllerLink]:
 
 
 @contextmanager
-def commanded_pair(
-    *, lockstep: bool = True
-) -> Iterator[tuple[ZenohPlantLink, ZenohControllerLink]]:
+def commanded_pair(*, lockstep=True):
     """Both sides of a link, the controller in command."""
     link = fresh_link()
     with plant_on(link, lockstep=lockstep) as plant, controller_on(link) as controller:

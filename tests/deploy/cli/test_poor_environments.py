@@ -19,18 +19,14 @@ SHORT = ("simulate", "paper_arm", "--set", "duration_s=0.05", "--set", "metrics.
 
 
 @pytest.mark.parametrize("words", [("--help",), SHORT, ("doctor",)], ids=lambda words: words[0])
-def test_command_ends_well_where_output_has_no_room_for_its_characters(
-    words: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_command_ends_well_where_output_has_no_room_for_its_characters(words, tmp_path):
     out = ("--out", str(tmp_path / "run")) if words == SHORT else ()
     done = cold(*words, *out, PYTHONIOENCODING="latin-1")
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_pinocchio_that_cannot_be_imported_is_one_sentence_and_help_and_doctor_go_on(
-    tmp_path: Path,
-) -> None:
+def test_pinocchio_that_cannot_be_imported_is_one_sentence_and_help_and_doctor_go_on(tmp_path):
     (tmp_path / "pinocchio.py").write_text("raise ImportError('liburdfdom_sensor.so.4.0')\n")
     broken = {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
     done = cold(*SHORT, "--out", str(tmp_path / "run"), **broken)
@@ -80,9 +76,7 @@ def test_law_with_the_name_of_a_product_package_is_refused_with_advice(folder):
         find_law("controller:Law")
 
 
-def test_simulation_with_closed_standard_streams_ends_with_its_own_exit_code(
-    tmp_path: Path,
-) -> None:
+def test_simulation_with_closed_standard_streams_ends_with_its_own_exit_code(tmp_path):
     words = [sys.executable, "-m", "deploy.cli", *SHORT, "--out", str(tmp_path / "run")]
     closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *words]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

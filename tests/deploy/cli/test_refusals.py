@@ -77,9 +77,7 @@ def test_impossible_value(refuse, key: str, given: str, shown: str, allowed: str
 
 
 @pytest.mark.parametrize(("scenario", "settings", "message"), TOGETHER)
-def test_settings_that_do_not_fit_together(
-    refuse, scenario: str, settings: str, message: str
-) -> None:
+def test_settings_that_do_not_fit_together(refuse, scenario, settings, message):
     words = [word for each in settings.split(" & ") for word in ("--set", each)]
     assert message in refuse("run", scenario, *words)
 

@@ -25,7 +25,7 @@ from bus_schema.messages.topics import (
 )
 from deploy.judge.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
-from deploy.judge.run_data import RunData, build_run_data, digest
+from deploy.judge.run_data import build_run_data, digest
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
@@ -54,10 +54,7 @@ def judged(setup: Setup, *messages: Sequence[dict[str, Any]], **others: list[byt
     return summarise(run_of(setup, *messages, **others))
 
 
-def run_of(
-    setup: Setup, truth: Sequence[dict[str, Any]] = (), commands: Sequence[dict[str, Any]] = (),
-    **others: list[bytes],
-) -> RunData:  # fmt: skip
+def run_of(setup, truth=(), commands=(), **others):
     payloads = {
         PLANT_TRUTH.name: rows(PLANT_TRUTH, *truth),
         JOINT_COMMANDS.name: rows(JOINT_COMMANDS, *commands),
@@ -188,9 +185,7 @@ def test_timing_leaves_out_what_is_not_known(setup: Setup) -> None:
     ("met", "misses", "longest"),
     [("1111", 0, 0), ("1011", 1, 1), ("0110", 2, 1), ("1001000", 5, 3), ("0000", 4, 4)],
 )
-def test_misses_and_the_longest_run_of_them(
-    setup: Setup, met: str, misses: int, longest: int
-) -> None:
+def test_misses_and_the_longest_run_of_them(setup, met, misses, longest):
     timing = judged(setup, [at(0.0, deadline_met=int(flag)) for flag in met])["timing"]
     assert (timing["deadline_misses"], timing["deadline_miss_longest_run"]) == (misses, longest)
 

@@ -21,9 +21,7 @@ MOST_ROWS = 4_000
 
 
 @cache
-def recorded(
-    rate_hz: float, dead_ms: float, lag_ms: float, noise: float, *, feedback: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def recorded(rate_hz, dead_ms, lag_ms, noise, *, feedback=0.0):
     """Times, held commands and noisy responses of a system with gain 0.9, in steps of 0.1 ms."""
     random, step_s = np.random.default_rng(5), 1e-4
     every, dead = round(1.0 / rate_hz / step_s), round(dead_ms * 1e-3 / step_s)
@@ -47,9 +45,7 @@ def recorded(
     ("dead_ms", "lag_ms", "feedback"),
     [(4.0, 20.0, 0.0), (35.0, 60.0, 0.3), (80.0, 15.0, 0.0)],
 )
-def test_known_system_is_recovered(
-    rate_hz: float, dead_ms: float, lag_ms: float, feedback: float
-) -> None:
+def test_known_system_is_recovered(rate_hz, dead_ms, lag_ms, feedback):
     noise = 0.002
     rows = recorded(rate_hz, dead_ms, lag_ms, noise, feedback=feedback)
     found = find_latency(*rows, 0.3, is_held=True)
@@ -197,9 +193,7 @@ def test_interval_of_a_response_that_ends_between_two_rows_has_the_true_dead_tim
 @pytest.mark.parametrize("rate_hz", [30.0, 50.0, 1000.0])
 @pytest.mark.parametrize("periods", [1, 10])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_interval_has_a_dead_time_of_whole_periods(
-    rate_hz: float, periods: int, noise: float
-) -> None:
+def test_interval_has_a_dead_time_of_whole_periods(rate_hz, periods, noise):
     """All dead times of a period give the same rows; the true one is the end of that interval."""
     random, times_s = np.random.default_rng(3), np.arange(1000) / rate_hz
     commands = np.repeat(random.standard_normal(125), 8)

@@ -97,9 +97,7 @@ def test_delay_over_zenoh_is_recovered() -> None:
     assert measured.reordered == (0, 0)
 
 
-def times(
-    offset_ms: float, drift_ppm: float, seconds: float = 60.0, rate_hz: float = 500.0
-) -> tuple[ProbeTimes, np.ndarray]:
+def times(offset_ms, drift_ppm, seconds=60.0, rate_hz=500.0):
     """Those of a link with queues and a clock that is ahead; and its delays there, ms."""
     random = np.random.default_rng(3)
     count = round(seconds * rate_hz)

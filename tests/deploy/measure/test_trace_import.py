@@ -68,9 +68,7 @@ def test_ping_says_that_it_measured_round_trips(imported, tmp_path: Path) -> Non
     assert not read_trace(tmp_path / "trace.parquet").is_round_trip
 
 
-def test_round_trips_of_tshark_are_halved_and_packets_without_ack_are_not_lost(
-    imported, tmp_path: Path
-) -> None:
+def test_round_trips_of_tshark_are_halved_and_packets_without_ack_are_not_lost(imported, tmp_path):
     words = ("csv", "--from", "frame.time_relative", "--delay", "tcp.analysis.ack_rtt")
     assert imported("packets.csv", TSHARK, *words) == [1000, 2000]
     trace = read_trace(tmp_path / "trace.parquet")
@@ -173,9 +171,7 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
         ("", ("mcap", "--from", "/a"), "cannot be read as MCAP"),
     ],
 )
-def test_what_is_no_measurement_is_refused(
-    tmp_path: Path, funnel_hil, text: str, words: tuple[str, ...], complaint: str
-) -> None:
+def test_what_is_no_measurement_is_refused(tmp_path, funnel_hil, text, words, complaint):
     file = tmp_path / "file"
     file.write_text(text)
     out = tmp_path / "trace.csv"

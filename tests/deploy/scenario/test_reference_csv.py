@@ -74,9 +74,7 @@ def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
     assert load_run(out)[0].digest == data.digest  # the recording has it too
 
 
-def test_a_path_starts_at_the_scenario_or_at_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_path_starts_at_the_scenario_or_at_the_current_folder(tmp_path, monkeypatch):
     exported(tmp_path)
     monkeypatch.chdir(tmp_path)
     load_setup("paper_arm", [*SHORT, from_file("ref.csv")])

@@ -50,9 +50,7 @@ def test_files_among_the_shipped_ones_are_found_by_their_names(shipped: Path) ->
         referenced_files.find_urdf("pendulums", shipped)
 
 
-def test_user_files_are_found_by_path_from_any_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_user_files_are_found_by_path_from_any_folder(tmp_path, monkeypatch):
     own, elsewhere = tmp_path / "own", tmp_path / "elsewhere"
     (own / "arms").mkdir(parents=True)
     elsewhere.mkdir()

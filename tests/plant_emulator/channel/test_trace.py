@@ -175,9 +175,7 @@ def test_replayed_round_trips_are_those_measured(pings: tuple[Path, np.ndarray],
         assert np.percentile(replayed_ms, percent) == pytest.approx(wanted_ms, rel=0.08)
 
 
-def test_halves_of_a_round_trip_stay_together_where_the_channel_does_more(
-    pings: tuple[Path, np.ndarray],
-) -> None:
+def test_halves_of_a_round_trip_stay_together_where_the_channel_does_more(pings):
     file, _ = pings
     found = []
     for more in ({}, {"delay_ms": 1.0}):

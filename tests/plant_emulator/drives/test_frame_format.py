@@ -47,9 +47,7 @@ def place(request: pytest.FixtureRequest) -> dict:
     return {"interface": request.param, "channel": group, "port": port}
 
 
-def test_fd_master_and_classical_motors_both_report_the_format(
-    place: dict,
-) -> None:
+def test_fd_master_and_classical_motors_both_report_the_format(place):
     with rig_of(**place) as rig, master_at(place, **FD) as (master, _):
         with pytest.raises(DriveError, match=r"no answer from drive 1, 2, .* to CAN FD frames"):
             master.enable(0.5, never)

@@ -28,9 +28,7 @@ def package(request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.mark.parametrize(("frames", "given"), [("fd", FD), ("classical", {})])
-def test_it_configures_reads_moves_and_disconnects(
-    package: Path, tmp_path: Path, frames: str, given: dict
-) -> None:
+def test_it_configures_reads_moves_and_disconnects(package, tmp_path, frames, given):
     with rig_of(**given) as rig, program_on_bus(rig.channel, tmp_path) as variables:
         seen = run_client(package, "can0", frames, **variables)
         assert seen["CTRL_MODE"] == [1.0] * 7

@@ -123,9 +123,7 @@ def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
         ("openarm", "silent:2@500ms", "no answer from drive 2", None),
     ],
 )
-def test_all_axes_come_to_rest_when_one_drive_fails(
-    scenario: str, fault: str, reason: str, emergency: str | None, tmp_path: Path
-) -> None:
+def test_all_axes_come_to_rest_when_one_drive_fails(scenario, fault, reason, emergency, tmp_path):
     struck = (
         "duration_s=1.5",
         f"link.can.faults.drives=['{fault}']",
@@ -159,9 +157,7 @@ def test_axes_stop_when_the_masters_heartbeat_stops(tmp_path: Path) -> None:
     assert run.at_rest_from_s() <= 0.07 + SLOW_DOWN_S + 4 * TICK_S
 
 
-def test_hostile_frames_are_counted_and_change_nothing(
-    cia402: CanRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hostile_frames_are_counted_and_change_nothing(cia402, monkeypatch):
     """A stranger sends what is malformed, oversized, unknown or for other nodes, now and then."""
     place, sample, ticks = own_bus(), CanMaster.sample, count()
     setup = load_setup("paper_arm_can", [*place, "link.can.fd=true"])
@@ -198,9 +194,7 @@ def test_hostile_frames_are_counted_and_change_nothing(
     assert sum(rejected.values()) > 50
 
 
-def test_emergency_of_a_drive_that_goes_on_is_a_fault_of_the_run(
-    cia402: CanRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_emergency_of_a_drive_that_goes_on_is_a_fault_of_the_run(cia402, monkeypatch):
     """It moves nothing, and many of them are reported once: anyone can send the frame."""
     place, sample, ticks = own_bus(), CanMaster.sample, count()
     stranger = open_can_bus(load_setup("paper_arm_can", place).scenario.link.can)

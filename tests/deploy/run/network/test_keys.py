@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import stat
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -121,9 +120,7 @@ def from_elsewhere(keys: KeyFolder) -> None:
         ),
     ],
 )
-def test_unusable_keys_are_refused_with_file_and_remedy(
-    keys: KeyFolder, spoil: Callable[[KeyFolder], None], file: str, complaint: str, remedy: str
-) -> None:
+def test_unusable_keys_are_refused_with_file_and_remedy(keys, spoil, file, complaint, remedy):
     check_keys(keys, Role)
     spoil(keys)
     with pytest.raises(ScenarioError) as refusal:

@@ -33,9 +33,7 @@ HERE = ("127.0.0.1", 0)
 
 
 @contextmanager
-def relaying(
-    target: tuple[str, int], kind: int = socket.SOCK_STREAM, seed: int = 1, **channels: dict
-) -> Iterator[tuple[tuple[str, int], LinkRelay]]:
+def relaying(target, kind=socket.SOCK_STREAM, seed=1, **channels):
     """Where a relay takes what it passes on to a target, and the relay."""
     over = threading.Event()
     with socket.socket(socket.AF_INET, kind) as listener:

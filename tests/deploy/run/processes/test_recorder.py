@@ -183,9 +183,7 @@ def test_flood_of_run_events_is_left_out_and_takes_no_place_of_others() -> None:
 
 
 @pytest.mark.parametrize("gid", [b"", FOREIGN], ids=["without numbers", "numbered"])
-def test_commands_that_the_plant_received_and_that_never_came_are_losses(
-    bench: Bench, gid: bytes
-) -> None:
+def test_commands_that_the_plant_received_and_that_never_came_are_losses(bench, gid):
     for sequence in (1, 2, 5):
         attachment = number(sequence, gid) if gid else b""
         bench.send(JOINT_COMMANDS, state(sequence), attachment)
@@ -199,9 +197,7 @@ def test_commands_that_the_plant_received_and_that_never_came_are_losses(
 
 
 @pytest.mark.parametrize(("clock", "published_ns"), [("realtime", 123), ("lockstep", 7)])
-def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
-    begin: Callable[..., Bench], clock: str, published_ns: int
-) -> None:
+def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(begin, clock, published_ns):
     bench = begin(f"clock={clock}")
     bench.send(JOINT_STATES, state(7), number(1, source_time_ns=123))
     bench.await_messages(1)
@@ -212,9 +208,7 @@ def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
     assert times == [(7, published_ns)] * 2
 
 
-def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
-    begin: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(begin, monkeypatch):
     """In real time: the backlog is bounded, and what does not fit in is counted."""
     monkeypatch.setattr(recorder_module, "_LARGEST_BACKLOG_BYTES", 2_000_000)
     disk_works = threading.Event()
