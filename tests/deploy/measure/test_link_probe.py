@@ -207,18 +207,3 @@ def test_command_serves_and_measures_over_zenoh(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
     assert "downlink: 100 messages" in ran.stdout
     assert serving.returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        ((), "give a HOST, or --serve"),
-        (("somewhere", "--serve"), "give a HOST, or --serve"),
-        (("127.0.0.1", "--size", "10"), "--size 100 to 60000"),
-        (("127.0.0.1", "--tcp", "--zenoh"), "give --tcp or --zenoh, not both"),
-        (("127.0.0.1", "--rate", "0"), "--rate must be up to 10000 Hz"),
-    ],
-)
-def test_bad_options_are_refused(funnel_hil, words: tuple[str, ...], complaint: str) -> None:
-    output = funnel_hil.output("link", *words, code=2)
-    assert complaint in output

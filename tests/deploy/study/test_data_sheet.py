@@ -93,21 +93,3 @@ def test_a_law_that_fails_in_every_run_is_an_error(tmp_path, monkeypatch):
     output = output_of("datasheet", "paper_arm", "--law", law, *words, "--out", "out", code=1)
     assert "every run failed: " in output
     assert "no such luck" in output
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--network", "nowhere"], "nowhere"),
-        (["--law", "smcc"], "did you mean smc?"),
-        (["--confirm"], "--confirm: must be left out"),
-        (["--plants", "-1"], "--plants"),
-        (["--set", "duration_s=abc"], "duration_s"),
-    ],
-)
-def test_unusable_options_end_it_with_2(words, message, tmp_path):
-    output = output_of(
-        "datasheet", "paper_arm", "--quick", "--out", tmp_path / "out", *words, code=2
-    )
-    assert message in output
-    assert not (tmp_path / "out").exists()

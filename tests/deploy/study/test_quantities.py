@@ -137,12 +137,9 @@ def test_impossible_quantities_are_refused_with_the_reason(values, message):
     assert [word for word in message if word not in str(refusal.value)] == []
 
 
-def test_runs_are_as_long_as_the_scenario_says_or_as_is_set(funnel_hil, tmp_path):
+def test_runs_are_as_long_as_the_scenario_says_or_as_is_set():
     assert margin_of().bases[0].scenario.duration_s == 20.0
     assert margin_of(set={"duration_s": 12}).bases[0].scenario.duration_s == 12.0
-    words = ("margin", "--duration", "8", "--set", "duration_s=20", "--out", tmp_path / "out")
-    output = funnel_hil.output(*words, code=2)
-    assert "--duration and --set duration_s: must not be given together" in output
 
 
 def held(name, offset_scale=1.0, *overrides):

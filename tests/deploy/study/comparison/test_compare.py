@@ -61,15 +61,6 @@ def test_no_law_at_all_is_refused_with_the_names_of_all(text):
         parse_laws(text)
 
 
-@pytest.mark.parametrize("command", ["compare", "simulate"])
-def test_faults_that_no_simulation_has_are_refused_before_anything_is_written(
-    command, funnel_hil, tmp_path
-):
-    output = funnel_hil.output(command, "faults/plant_frozen", "--out", tmp_path / "out", code=2)
-    assert "faults: target = 'plant'" in output
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_comparison_leaves_rows_summary_manifest_and_report(compared):
     code, output, folder = compared
     assert code == 0

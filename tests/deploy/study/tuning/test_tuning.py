@@ -151,21 +151,3 @@ def test_a_law_of_the_user_starts_at_its_defaults_or_within_ranges(tmp_path, mon
 def test_unusable_definitions_are_refused(changed, message):
     with pytest.raises(ScenarioError, match=message):
         Tuning({"scenario": "paper_arm", "laws": ["smc"], **changed}, Path("tune"))
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--at-least", "5%"], "tune has no margin to gate"),
-        (["--history", "h.json"], "tune has no margin to gate"),
-        (["--delays", "5,9"], "--delays: must be left out unless --for margin"),
-        (["--for", "margin", "--travel-limit", "5"], "--travel-limit: must be left out"),
-        (["--for", "fun"], "goal = 'fun'"),
-        (["--budget", "1"], "budget = 1"),
-        (["--laws", "smcc"], "did you mean smc?"),
-    ],
-)
-def test_unusable_options_end_the_command_with_2(words, message, tmp_path):
-    output = tuned(tmp_path / "out", "--laws", "smc", *words, code=2)
-    assert message in output
-    assert not (tmp_path / "out").exists()
