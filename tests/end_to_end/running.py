@@ -81,6 +81,8 @@ PATIENT = settings(link__reply_timeout_s=60, link__connect_timeout_s=HANG_S)
 ENDLESS = settings(duration_s=3600.0, reference__x__velocity_m_s=0.0)
 """Of paper_arm: a run to act upon that the test ends, and that no machine is too slow for. The path
 of the scenario itself leaves the arm's reach after 97 s."""
+IN_LOCKSTEP = ("run", "paper_arm", *ENDLESS, *settings(clock="lockstep"))
+"""A command for such a run in lockstep."""
 WIDE = settings(
     funnel__widest_rad=3.0,
     funnel__convergence_margin_rad=3.0,

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from running import (
     ENDLESS,
+    IN_LOCKSTEP,
     PATIENT,
     ROOT,
     WIDE,
@@ -169,8 +170,7 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
             return (run.folder / "run.partial.mcap").is_file()
         return processes_of(run.folder).keys() >= ROLES
 
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
-    with started(*words, out=tmp_path / "run") as run:
+    with started(*IN_LOCKSTEP, out=tmp_path / "run") as run:
         await_true(lambda: has_come(run), moment)
         run.send(signal.SIGINT)
         ended = run.end(130)
@@ -210,8 +210,10 @@ def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path) -> Non
 
 
 def test_no_process_outlives_a_run_that_was_killed_not_even_a_frozen_one(tmp_path: Path) -> None:
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
-    with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
+    with (
+        started(*IN_LOCKSTEP, out=tmp_path / "run") as run,
+        Watcher(run.plant_endpoint()) as watcher,
+    ):
         watcher.await_time(0.1, run)
         run.send(signal.SIGSTOP, "recorder")
         run.send(signal.SIGKILL)

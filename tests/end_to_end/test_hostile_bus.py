@@ -17,6 +17,7 @@ import pytest
 from impostor import OWN_ID, Impostor
 from running import (
     ENDLESS,
+    IN_LOCKSTEP,
     Finished,
     Watcher,
     assert_as_simulated,
@@ -86,9 +87,8 @@ def ammunition() -> list[tuple[str, bytes]]:
 
 def run_under_fire(out: Path) -> tuple[Finished, Counter[str], float]:
     """A run with a stranger who shoots; what he shot, and how far the run came for sure."""
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
     sent: Counter[str] = Counter()
-    with started(*words, out=out) as run, Watcher(run.plant_endpoint()) as stranger:
+    with started(*IN_LOCKSTEP, out=out) as run, Watcher(run.plant_endpoint()) as stranger:
         publisher = stranger.session.publisher(JOINT_COMMANDS.key_expression(0))
         stranger.await_time(SHOTS_FROM_S, run)
         for shot in range(ROUNDS):
@@ -116,12 +116,18 @@ def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Pat
     assert "identical" in replayed.output, replayed.output
 
 
+@contextmanager
+def impersonated(out):
+    """A run with a stranger that knows all that a forgery needs."""
+    with started(*IN_LOCKSTEP, out=out) as run, Impostor(run.plant_endpoint()) as stranger:
+        stranger.await_plant(run)
+        yield run, stranger
+
+
 @pytest.mark.parametrize("ids", ["own", "copied"])
 def test_false_plant_is_reported_and_leaves_the_verdict_unknown(tmp_path: Path, ids: str) -> None:
     """But for them, a run that is stopped is one that was interrupted."""
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
-    with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
-        stranger.await_plant(run)
+    with impersonated(tmp_path / "run") as (run, stranger):
         newest = stranger.spans[-1]
         sender, number = (OWN_ID, 1) if ids == "own" else (newest.sender, newest.last)
         stranger.speak_as_plant(stranger.truth, sender, number)
@@ -143,9 +149,7 @@ def test_states_forged_with_the_attachment_of_the_plant_leave_the_verdict_unknow
     tmp_path: Path, later_ns: int
 ) -> None:
     """The controller takes them for the plant's, but its answers show them to the plant."""
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
-    with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
-        stranger.await_plant(run)
+    with impersonated(tmp_path / "run") as (run, stranger):
         await_true(lambda: stranger.state is not None, "the plant sends states")
         stranger.forge_states(3, later_ns)
         ended, _ = run.end_later(0.5)
@@ -156,9 +160,7 @@ def test_states_forged_with_the_attachment_of_the_plant_leave_the_verdict_unknow
 
 
 def test_second_recorder_that_has_everything_ends_no_run(tmp_path: Path) -> None:
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
-    with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
-        stranger.await_plant(run)
+    with impersonated(tmp_path / "run") as (run, stranger):
         stranger.speak_as_recorder()
         ended, _ = run.end_later(LATER_S)
     assert ended.summary["faults"] == [], ended.output

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from impostor import FORGED_END, OWN_ID, Impostor
-from running import ENDLESS, Finished, assert_as_simulated, settings, started
+from running import IN_LOCKSTEP, Finished, assert_as_simulated, settings, started
 
 from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages import topics
@@ -57,8 +57,7 @@ def besieged(keys: KeyFolder, tmp_path_factory: pytest.TempPathFactory) -> Besie
     """A run that strangers shoot commands at."""
     folder = tmp_path_factory.mktemp("besieged")
     secured = settings(link__security__enabled=True, link__security__folder=str(keys.path))
-    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep"), *secured]
-    with started(*words, out=folder / "run") as run:
+    with started(*IN_LOCKSTEP, *secured, out=folder / "run") as run:
         endpoint = run.plant_endpoint()
         sessions, received, guns = [], [], []
         for protocol, security in strangers(keys, issued_keys(folder / "others")):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 
+import pytest
+
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.zenoh import outbox
 from bus_schema.zenoh.outbox import LARGEST_LEAD_BYTES, FlowControl
@@ -30,16 +32,6 @@ def test_without_a_recorder_no_process_waits_for_one() -> None:
     assert not flow._marks  # they would grow for hours
 
 
-def test_a_recorder_far_behind_is_waited_for() -> None:
-    flow = FlowControl(NEVER_S)
-    flow.join("recorder")
-    flow.send(TOO_MUCH // 2, 1)
-    flow.send(1000)
-    assert not must_wait(flow)
-    flow.send(TOO_MUCH // 2, 2)
-    assert must_wait(flow)
-
-
 def test_recorder_that_never_reported_is_awaited_for_less_time(monkeypatch):
     monkeypatch.setattr(outbox, "_FIRST_PATIENCE_S", NEVER_S)
     flow = FlowControl(HANG_S)
@@ -54,27 +46,34 @@ def test_recorder_that_never_reported_is_awaited_for_less_time(monkeypatch):
     assert flow._recorders == {"recorder": 2}
 
 
-def test_a_recorder_that_has_caught_up_is_not() -> None:
-    flow = FlowControl(NEVER_S)
-    flow.join("recorder")
-    for mark in (1, 2, 3):
-        flow.send(TOO_MUCH // 2, mark)
-    flow.acknowledge("recorder", 2)
-    flow.acknowledge("recorder", 1)  # late
-    flow.acknowledge("stranger", 9)
-    assert not must_wait(flow)
+HALF = TOO_MUCH // 2
+WAITS = {
+    "less than the largest lead": ("join recorder", (HALF, 1), (1000,), False),
+    "far behind": ("join recorder", (HALF, 1), (1000,), (HALF, 2), True),
+    "caught up, with a late and a false report": (
+        "join recorder", (HALF, 1), (HALF, 2), (HALF, 3), ("recorder", 2), ("recorder", 1),
+        ("stranger", 9), False,
+    ),
+    "sent before both came": ((TOO_MUCH, 1), "join quick", "join slow", False),
+    "the slowest of two": ("join quick", "join slow", (TOO_MUCH, 2), ("quick", 2), True),
+    "the slowest has left": (
+        "join quick", "join slow", (TOO_MUCH, 2), ("quick", 2), "leave slow", False
+    ),
+}  # fmt: skip
+"""Arrivals, departures, bytes sent with their marks, reports; and whether the sender waits."""
 
 
-def test_the_slowest_of_several_counts_while_it_is_there() -> None:
+@pytest.mark.parametrize("case", WAITS)
+def test_sender_waits_for_recorders_that_are_far_behind(case):
     flow = FlowControl(NEVER_S)
-    flow.send(TOO_MUCH, 1)
-    for recorder in ("quick", "slow"):
-        flow.join(recorder)  # what was sent before is none of theirs
-    assert not must_wait(flow)
-    flow.send(TOO_MUCH, 2)
-    flow.acknowledge("quick", 2)
-    flow.leave("slow")
-    assert not must_wait(flow)
+    *steps, waits = WAITS[case]
+    for step in steps:
+        if isinstance(step, str):
+            action, recorder = step.split()
+            getattr(flow, action)(recorder)
+        else:
+            (flow.acknowledge if isinstance(step[0], str) else flow.send)(*step)
+    assert must_wait(flow) is waits
 
 
 def test_recorder_that_never_answers_is_abandoned_and_reported(caplog):

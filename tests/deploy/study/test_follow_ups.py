@@ -19,7 +19,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
-from tests.deploy.study.studies import Here, conduct, made_up, margin_of
+from tests.deploy.study.studies import Here, case_of, conduct, made_up, margin_of
 
 PLAIN = {"set": {}, "laws": ["pid"], "seeds": 1, "offsets": [1.0, 0.5], "resolution": 4}
 LOST = {"violation_fraction": 0.1, "margin_min": -0.2}
@@ -36,11 +36,6 @@ def below_six(run):
     if value < 6.0 or (change in HELPS and change is not None):
         return made_up(run) | {"margin_min": HELPS.get(change, 0.1)}
     return made_up(run, **LOST)
-
-
-def case_of(study, folder):
-    (case,) = study.summary(folder.rows)["cases"]
-    return case
 
 
 def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_path):

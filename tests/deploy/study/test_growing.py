@@ -181,17 +181,22 @@ def test_any_other_difference_is_named(values, message, tmp_path):
     assert read_yaml(path / "study.yaml") == before
 
 
-def test_another_kind_of_study_or_a_changed_scenario_is_refused(tmp_path):
+def test_another_kind_of_study_or_a_changed_scenario_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     path = create_folder(make_sweep(tmp_path, {TIED: [0]}), tmp_path / "s")
     with pytest.raises(ScenarioError, match="kind = 'margin': must be 'sweep'"):
         find_folder(margin_of(), path)
     own = tmp_path / "own.yaml"
     own.write_text("extends: paper_arm\nname: own\n")
     path = create_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), tmp_path / "o")
+    create_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), None)
     for changed in ("name: own\nduration_s: 3", "name: other"):
         own.write_text(f"extends: paper_arm\n{changed}\n")
         with pytest.raises(ScenarioError, match="scenario own: has changed"):
             find_folder(make_sweep(tmp_path, {TIED: [0, 1]}, scenario=str(own)), path)
+    own.write_text("extends: paper_arm\nname: own\nduration_s: 3\n")
+    with pytest.raises(ScenarioError, match="scenario own: has changed"):
+        find_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), None)  # by its name
 
 
 def test_two_scenarios_with_one_name_are_refused(tmp_path):

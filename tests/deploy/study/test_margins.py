@@ -165,18 +165,12 @@ def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
     assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 15, 20]
 
 
-def test_what_fails_at_zero_has_no_margin():
-    search, probed = found(lambda _: False)
-    assert probed == [0]
-    assert search.margin is None
-    assert search.first_failure == 0
-
-
-def test_what_never_fails_holds_at_the_limit():
-    search, probed = found(lambda _: True, limit=50)
-    assert probed[-1] == 50
-    assert search.margin == 50
-    assert search.first_failure is None
+@pytest.mark.parametrize(
+    ("holds", "last", "margin", "first_failure"), [(False, 0, None, 0), (True, 50, 50, None)]
+)
+def test_search_ends_at_a_failing_zero_or_at_the_limit(holds, last, margin, first_failure):
+    search, probed = found(lambda _: holds, limit=50)
+    assert (probed[-1], search.margin, search.first_failure) == (last, margin, first_failure)
 
 
 def test_larger_values_that_hold_again_are_reported_and_do_not_count():

@@ -18,7 +18,7 @@ from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.follow_ups.patterns import HANDFUL, catalogue, neighbours
-from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
+from tests.deploy.study.studies import Here, case_of, conduct, folder_of, made_up, margin_of
 
 ON = "controller.delay_compensation.enabled"
 LAW = "fixed_time_adaptive"
@@ -45,11 +45,6 @@ def squares_lose(run):
     """Constant delays hold to 9 ms, square waves to 5, the other patterns to 7."""
     shape = pattern_in(run).get("shape")
     return judged(run, {None: 9.0, "square": 5.0}.get(shape, 7.0))
-
-
-def case_of(margin, folder):
-    (case,) = margin.summary(folder.rows)["cases"]
-    return case
 
 
 def test_without_playout_the_worst_pattern_is_found(tmp_path):
@@ -86,14 +81,6 @@ def test_a_neighbour_that_loses_lowers_the_margin(tmp_path):
     worst = case_of(margin, folder_of(margin, tmp_path / "out"))["worst_pattern"]
     assert (worst["margin"], worst["value"]) == (4.0, 8.0)
     assert worst["pattern"]["phase_ms"] > 0
-
-
-def test_an_interrupted_search_over_patterns_is_not_completed(tmp_path):
-    margin, stopped = patterns_of(), Here(squares_lose, at_most=20)
-    _, folder = conduct(margin, tmp_path / "out", stopped)
-    summary = margin.summary(folder.rows)
-    assert not summary["completed"]
-    assert summary["cases"][0]["worst_pattern"] is None
 
 
 @pytest.mark.parametrize(

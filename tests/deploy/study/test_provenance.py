@@ -170,17 +170,6 @@ def test_study_that_is_continued_by_its_name_is_checked_too(tmp_path, monkeypatc
         require_same_provenance(study, found)
 
 
-def test_changed_scenario_is_refused_when_continued_by_name(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    own = tmp_path / "own.yaml"
-    own.write_text("extends: paper_arm\nname: own\n")
-    with opened(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), None, None):
-        pass
-    own.write_text("extends: paper_arm\nname: own\nduration_s: 3\n")
-    with pytest.raises(ScenarioError, match="scenario own: has changed"):
-        find_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), None)
-
-
 def test_rows_without_provenance_are_refused(tmp_path):
     folder = carried_out(tmp_path, tmp_path / "s", Here(made_up))
     (folder.path / "provenance.json").unlink()
