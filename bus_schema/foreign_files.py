@@ -37,9 +37,9 @@ def refuse_foreign(path: Path, content: bytes, expected: str = "") -> None:
     Raises:
         ValueError: it is one of another program; the message names program and nearest way.
     """
-    for program, typical, said in _PROGRAMS:
+    for program, typical, description in _PROGRAMS:
         if program != expected and re.search(typical, content[:_BEGINNING], re.MULTILINE):
-            raise ValueError(f"{path} is {said}")
+            raise ValueError(f"{path} is {description}")
     if (rate_kbit_s := _mean_rate_kbit_s(content)) is not None:
         raise ValueError(
             f"{path} only rises: it is a trace of mahimahi, the times at which packets may leave,"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable, Sequence
 
 _ESCAPE = re.compile(
     r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]"  # CSI: colours, cursor
@@ -36,3 +37,9 @@ def say(text: str, *, err: bool = False) -> None:
 def markdown_cell(text: str) -> str:
     """A text for one cell of a Markdown table, which ends at no `|` and no line feed in it."""
     return " ".join(printable(text).split()).replace("|", "\\|")
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown, with a line feed at its end."""
+    lines = [list(header), ["---"] * len(header), *(map(markdown_cell, row) for row in rows)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)

@@ -234,17 +234,17 @@ def _check_ranges(names: Sequence[str], lower: Vector, upper: Vector) -> None:
 
 def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
     """Return warnings about accepted but suspicious contents of a file."""
-    said = [
+    sentences = [
         f"the axis of joint {name} is not a unit vector: only its direction is used"
         for name in long_axes(root)
         if name in moving
     ]
     if missing := missing_meshes(root, path.parent):
-        said.append(
+        sentences.append(
             f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: they are"
             " missing in pictures; the physics does not need them"
         )
-    return said
+    return sentences
 
 
 def _parse(

@@ -208,8 +208,8 @@ def _check_names(where: str, names: Names, required: Names, optional: Names | No
     for place, name in enumerate(names, start=1):
         is_unknown = name not in known and optional is not None
         if is_unknown or (name in known and names.count(name) > 1):
-            said = "is unknown" if is_unknown else "occurs twice"
-            raise ValueError(f"{where}, column {place} {shown(name)} {said}: {allowed}")
+            problem = "is unknown" if is_unknown else "occurs twice"
+            raise ValueError(f"{where}, column {place} {shown(name)} {problem}: {allowed}")
     for name in required:
         if name not in names:
             hint = did_you_mean(name, names)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus_schema.drive_feedback import DriveGains, no_drive_feedback
+from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
@@ -57,10 +57,7 @@ def runge_kutta(rate, state, step_s, steps):
         state = state + step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
 
 
-def torques_of(
-    plant: PlantConfiguration, robot: RobotDescription = PAPER_ARM, *,
-    step_s: float = 2.5e-4, seed: int = 0, gains: DriveGains | None = None,
-) -> JointTorques:  # fmt: skip
+def torques_of(plant, robot=PAPER_ARM, *, step_s=0.00025, seed=0, gains=None):
     """All that acts on the joints of an arm, of which nothing has acted yet."""
     return JointTorques(
         plant, robot, step_s, np.random.default_rng(seed), LimitsConfiguration(),

@@ -27,7 +27,7 @@ for variable in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE"
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")
 
-# The libraries are a million objects that live to the end: nobody need look through them.
+# The libraries are a million objects that live to the end: the collector need not visit them.
 gc.set_threshold(20_000)
 atexit.register(gc.freeze)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,15 +28,7 @@ def damage_at(file: Path, time_ns: int) -> None:
     file.write_bytes(changed)
 
 
-def rewrite(
-    source: Path,
-    target: Path,
-    *,
-    copies: Callable[[str], int] = lambda _: 1,
-    schemas: dict[str, tuple[str, bytes]] | None = None,
-    metadata: dict[str, dict[str, str]] | None = None,
-    times: int = 1,
-) -> None:
+def rewrite(source, target, *, copies=lambda _: 1, schemas=None, metadata=None, times=1):
     """Write a recording again, as other programs do: valid in itself, with right checksums.
 
     Args:

@@ -19,7 +19,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from importlib import import_module
@@ -27,10 +27,9 @@ from pathlib import Path
 from typing import IO, Any, NoReturn, cast
 from unittest import mock
 
-ROOT = Path(__file__).resolve().parents[1]
-HANG_S = 300.0
-"""Longer than anything here takes on a slow machine; only a hang lasts so long."""
+from tests.waiting import HANG_S
 
+ROOT = Path(__file__).resolve().parents[1]
 IMPORTED = (
     "deploy.cli.processes", "deploy.cli.run_and_simulate", "deploy.cli.study.recorded",
     "deploy.cli.study.studies", "deploy.reports.html", "deploy.reports.runs.run_panels",
@@ -51,13 +50,7 @@ class WarmProcess:
         environment: its environment variables.
     """
 
-    def __init__(
-        self,
-        *words: object,
-        main: str = FUNNEL_HIL,
-        cwd: Path = ROOT,
-        environment: Mapping[str, str] = os.environ,
-    ) -> None:
+    def __init__(self, *words, main=FUNNEL_HIL, cwd=ROOT, environment=os.environ):
         self.returncode: int | None = None
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its last reader)
         status, its_status = os.pipe()
@@ -79,15 +72,15 @@ class WarmProcess:
             raise TimeoutError(f"process {self.pid} takes longer than {timeout} s")
         return code
 
-    def said(self) -> str:
-        """What it has said so far to stdout and stderr."""
+    def output(self) -> str:
+        """What it has written so far to stdout and stderr."""
         handle = self._output.fileno()
         return os.pread(handle, os.fstat(handle).st_size, 0).decode()
 
     def communicate(self, timeout: float = HANG_S) -> tuple[str, None]:
-        """Wait for its end; what it said."""
+        """Wait for its end; its output."""
         self.wait(timeout)
-        return self.said(), None
+        return self.output(), None
 
     def send_signal(self, number: signal.Signals) -> None:
         if self.poll() is None:
@@ -143,6 +136,13 @@ def here(*words: object, **environment: str) -> tuple[int, str]:
     return int(code or 0), out.getvalue() + err.getvalue()
 
 
+def output_of(*words: object, code: int = 0) -> str:
+    """Return the output of a command that has to end with this exit code, see `here`."""
+    found, output = here(*words)
+    assert found == code, output
+    return output
+
+
 def cold(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a command to its end in a Python that starts from nothing."""
     return cold_python("-m", "deploy.cli", *words, **environment)
@@ -194,7 +194,7 @@ def _server() -> socket.socket:
 
 
 def _serve(requests: socket.socket) -> None:
-    """Fork a process for each request, until nobody is left to ask."""
+    """Fork a process for each request, until its clients are gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for module in IMPORTED:
         import_module(module)

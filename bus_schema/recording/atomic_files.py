@@ -61,7 +61,7 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file, text in UTF-8; whatever happens, there is all of it or none.
+    """Write a file, text in UTF-8, as a whole or not at all.
 
     Raises:
         OSError: it cannot be written; the message names the file.

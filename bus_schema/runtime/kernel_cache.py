@@ -63,7 +63,7 @@ def _usable(top: Path, name: Path = Path()) -> Path:
     """Create a folder; raise OSError if no kernel can be written to it, or others could do so."""
     folder = top / name
     for each in (*reversed(folder.parents), folder):
-        each.mkdir(mode=0o700, exist_ok=True)  # whatever the umask
+        each.mkdir(mode=0o700, exist_ok=True)  # under any umask
     _require_own(top, folder)
     with tempfile.TemporaryFile(dir=folder):
         pass

@@ -62,7 +62,7 @@ def _why_nobody_comes(link: LinkConfiguration, peer: Role) -> str:
         return (
             f"is it running, with this endpoint, with link.security on, and with a certificate for"
             f" the role {peer} from the authority in {link.security.keys.authority} that has not"
-            " expired? Whoever has not is refused silently"
+            " expired? A process without one is refused silently"
         )
     return (
         f"is it running, with this endpoint, with link.domain {link.domain}, and without"
@@ -73,7 +73,7 @@ def _why_nobody_comes(link: LinkConfiguration, peer: Role) -> str:
 def _why_nobody_answers(link: LinkConfiguration, peer: Role) -> str:
     security = "on" if link.security.enabled else "off"
     return (
-        f"somebody answers there, but not as the {peer}: do link.domain ({link.domain} here) and"
+        f"a process answers there, but not as the {peer}: do link.domain ({link.domain} here) and"
         f" link.security ({security} here) agree on both sides, and is it still starting?"
     )
 
@@ -88,7 +88,7 @@ def _probe(endpoint: str, link: LinkConfiguration, role: Role, peer: Role) -> st
     try:
         connection = socket.create_connection((host, int(port)), _PROBE_S)
     except OSError as error:
-        return f"nobody can be reached there ({error.strerror or error}): is it running?"
+        return f"no process can be reached there ({error.strerror or error}): is it running?"
     with connection:
         return _shake_hands(connection, host, link, role, peer) if protocol == "tls" else None
 

@@ -175,8 +175,8 @@ class ZenohNode:
 
         Zenoh delivers the tokens of a session in any order: the scenario may arrive last.
         """
-        said = self._differences.get(role.value, {}).keys()
-        return self._agreement is None or self._graph.sessions_of(role) <= said
+        reported = self._differences.get(role.value, {}).keys()
+        return self._agreement is None or self._graph.sessions_of(role) <= reported
 
     def acknowledge(self, gid: bytes) -> None:
         """Announce, as a recorder, that all messages of a publisher of run events are recorded."""
@@ -186,8 +186,8 @@ class ZenohNode:
         """Report, as a recorder, progress on a topic that paces to the sender of the topic."""
         if self._progress is None:
             self._progress = self._session.publisher(progress_key_expression(self._domain))
-        told = Attachment(sequence, 0, gid).encode()
-        self._progress.put(told, self._session.identifier.encode())
+        acknowledged = Attachment(sequence, 0, gid).encode()
+        self._progress.put(acknowledged, self._session.identifier.encode())
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -234,10 +234,14 @@ class ZenohNode:
             (self._flow.join if alive else self._flow.leave)(entity.session)
 
     def _on_progress(self, delivery: Delivery) -> None:
-        told = Attachment.decode(delivery.payload)
-        if self._flow is not None and told is not None and told.gid in self._outbox.gids():
+        acknowledged = Attachment.decode(delivery.payload)
+        if (
+            self._flow is not None
+            and acknowledged is not None
+            and acknowledged.gid in self._outbox.gids()
+        ):
             recorder = delivery.attachment.decode(errors="replace")
-            self._flow.acknowledge(recorder, told.sequence)
+            self._flow.acknowledge(recorder, acknowledged.sequence)
 
 
 def _is_recorder(entity: Entity) -> bool:

@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from bus_schema.errors import InputError
 from bus_schema.recording.atomic_files import write_json
@@ -24,7 +22,8 @@ from deploy.bench.loop import (
     measure_sweep,
 )
 from deploy.bench.measure import Costs, Section
-from deploy.reports.tables import number
+from deploy.reports.tables import Column, Table, number
+from deploy.reports.terminal import print_table
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import provenance
 from deploy.scenario.yaml_files import ScenarioError
@@ -81,17 +80,20 @@ def as_dict(sections: list[Section], *, quick: bool) -> dict[str, object]:
 
 def show_section(console: Console, section: Section) -> None:
     """Show one section as a table, a row per ratio."""
-    table = Table(title=section.title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    table.add_column("ratio")
-    for heading in ("median", "lowest", "highest", "µs", "over µs"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for ratio in section.ratios:
-        value = ratio.value
-        table.add_row(
-            ratio.name, *(f"{one:.2f}" for one in (value.median, value.lowest, value.highest)),
+    headings = ("median", "lowest", "highest", "µs", "over µs")
+    rows = [
+        [
+            ratio.name,
+            *(f"{getattr(ratio.value, name):.2f}" for name in ("median", "lowest", "highest")),
             _sum(section.costs_us, ratio.over), _sum(section.costs_us, ratio.under),
-        )  # fmt: skip
-    console.print(table if section.ratios else section.title)
+        ]
+        for ratio in section.ratios
+    ]  # fmt: skip
+    if rows:
+        columns = [Column("ratio", is_text=True), *map(Column, headings)]
+        print_table(console, Table(section.title, columns, rows))
+    else:
+        console.print(section.title)
     for note in section.notes:
         console.print(note, markup=False, highlight=False)
     console.print()

@@ -66,8 +66,8 @@ def parse_laws(text: str | None) -> list[str] | None:
 
 def say_oddities(*setups: Setup) -> None:
     """Print each warning about the scenarios and arms once, to standard error."""
-    for said in all_warnings(setups):
-        say(f"warning: {said}", err=True)
+    for each in all_warnings(setups):
+        say(f"warning: {each}", err=True)
 
 
 def watching(

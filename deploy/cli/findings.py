@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rich.table import Table
 from rich.text import Text
 
+from deploy.reports.terminal import open_table
 from deploy.run.console import Console
 
 Status = Literal["ok", "limited", "missing"]
@@ -33,13 +33,13 @@ class Finding:
 
 def show(findings: list[Finding], console: Console) -> None:
     """Print the findings as a table, with the cost of each one that is not ok."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("Thing", min_width=max(len(finding.name) for finding in findings))
-    table.add_column("Status", min_width=max(map(len, _STYLES)))
-    table.add_column("Found, and what it costs", overflow="fold")
+    rows: list[list[str | Text]] = []
     for finding in findings:
         text = Text(finding.found)
         if finding.status != "ok":
             text.append(f"\n→ {finding.cost}", style="dim")
-        table.add_row(finding.name, Text(finding.status, style=_STYLES[finding.status]), text)
+        rows.append([finding.name, Text(finding.status, style=_STYLES[finding.status]), text])
+    table = open_table(None, ["Thing", "Status", "Found, and what it costs"], rows)
+    for column in table.columns[:2]:
+        column.no_wrap = True
     console.print(table)

@@ -103,8 +103,8 @@ def robot(
     print_table(console, _gains_table(setup))
     print_table(console, _drives_table(arm))
     console.print(_funnel_line(setup), markup=False, highlight=False)
-    for said in robot_warnings(setup):
-        console.print(f"warning: {said}", style="yellow", markup=False, highlight=False)
+    for each in robot_warnings(setup):
+        console.print(f"warning: {each}", style="yellow", markup=False, highlight=False)
     if picture is not None:
         png = arm_picture(arm, setup.start_position_rad)
         try:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from bus_schema.foreign_text import say
 from deploy.judge.verdict import Verdict
 from deploy.reports.run_index import IndexedResults, results_in, tag
-from deploy.reports.terminal import fitted, width_of
+from deploy.reports.terminal import fitted, open_table, width_of
 from deploy.reports.verdict_texts import VERDICTS
 from deploy.run.console import Console
 from deploy.run.new_folder import remove_results
@@ -38,10 +37,9 @@ def scenarios() -> None:
         (SHIPPED / FAULTS, f"{SHIPPED.name} in which something breaks (the same)", f"{FAULTS}/"),
         (SHIPPED_STUDIES, f"{SHIPPED_STUDIES.name} (studies)", ""),
     ):
-        table = _table(title, "Name", "Description")
-        for file in sorted(folder.glob("*.yaml")):
-            table.add_row(before + file.stem, _first_sentence(file))
-        Console().print(table)
+        files = sorted(folder.glob("*.yaml"))
+        rows = ((before + file.stem, _first_sentence(file)) for file in files)
+        Console().print(open_table(title, ("Name", "Description"), rows, _GAP))
 
 
 @app.command("list")
@@ -123,10 +121,7 @@ def _show(found: list[IndexedResults], console: Console) -> None:
     if width_of(rows) > room:  # all are in the folder that was asked for
         rows[1:] = [[each.path.name, *row[1:]] for each, row in zip(found, rows[1:], strict=True)]
     headings, *cells = fitted(rows, room, may_shrink=(_FOLDER, _WHAT))
-    table = _table(None, *headings)
-    for row in cells:
-        table.add_row(*row)
-    console.print(table)
+    console.print(open_table(None, headings, cells, _GAP))
 
 
 def _cells(each: IndexedResults) -> list[str]:
@@ -134,15 +129,6 @@ def _cells(each: IndexedResults) -> list[str]:
     begun = "" if each.started is None else f"{each.started:%Y-%m-%d %H:%M}"
     size = f"{each.size_bytes / _MIB:.1f}"
     return [str(each.path), begun, each.kind, each.what, each.result, ", ".join(each.tags), size]
-
-
-def _table(title: str | None, *columns: str) -> Table:
-    table = Table(
-        title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0)
-    )
-    for column in columns:
-        table.add_column(column, overflow="fold")
-    return table
 
 
 def _first_sentence(file: Path) -> str:

@@ -50,7 +50,7 @@ def run_watched(work: Work) -> dict[str, Any]:
         answer = json.loads(reader.recv_bytes() if reader.poll() else b"")
     if code < 0:
         print(f"error: the simulation was {how_it_ended(code)}", file=sys.stderr)
-        with contextlib.suppress(OSError):  # of SIGKILL, which nobody can handle
+        with contextlib.suppress(OSError):  # of SIGKILL, which cannot be handled
             signal.signal(-code, signal.SIG_DFL)
         requests = [-code]
     if code == 0 and answer is None:

@@ -26,14 +26,9 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from bus_schema.configuration import Sections
+from bus_schema.foreign_text import markdown_table
+from bus_schema.units import split_unit
 
-UNITS = {
-    "nm_per_s": "N m/s", "nm_rad": "N m/rad", "nm_s": "N m s/rad", "nm": "N m", "per_s": "1/s",
-    "rad_s2": "rad/s²", "rad_s": "rad/s", "rad": "rad", "kg_m2": "kg m²", "kg": "kg",
-    "kbit_s": "kbit/s", "m_s": "m/s", "us": "µs", "ms": "ms", "s": "s", "hz": "Hz", "m": "m",
-}  # fmt: skip
-"""By the ends of names, the longest first."""
-RATES = {"torque_rate_nm_s": "N m/s", "torque_rate_limit_nm_s": "N m/s", "seeds": ""}
 PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything",
          types.NoneType: "must be left out"}  # fmt: skip
 BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
@@ -43,19 +38,13 @@ PER_JOINT = {"_require_positive": ", > 0", "_require_non_negative": ", ≥ 0"}
 
 
 def unit_of(name: str) -> str:
-    """The unit that a name ends with; empty for none."""
-    ends = (unit for end, unit in UNITS.items() if name.endswith(f"_{end}"))
-    return RATES.get(name, next(ends, ""))
+    """Return the unit that a name ends with; empty for none."""
+    return split_unit(name)[1]
 
 
 def table(header: list[str], rows: list[list[str]]) -> str:
-    """A table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines) + "\n"
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.replace("``", "`").replace("|", "\\|").split())
+    """Return a table in Markdown; docstrings have code between two backticks."""
+    return markdown_table(header, [[cell.replace("``", "`") for cell in row] for row in rows])
 
 
 def attributes_of(section: type) -> dict[str, str]:

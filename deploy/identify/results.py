@@ -42,7 +42,7 @@ _RANGES_COMMENT = """\
 
 
 def check_is_free(folder: Path) -> None:
-    """Refuse a folder where a result would replace somebody's file.
+    """Refuse a folder where a result would replace a file of the user.
 
     Raises:
         ScenarioError: there is a file of that name.

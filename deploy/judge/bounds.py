@@ -86,13 +86,15 @@ def _disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) ->
         return []
     rows = len(run.tables[topics.PLANT_TRUTH.name])
     found = (rows, round(bounds["violation_fraction"] * rows), bounds["margin_min"])
-    told = tuple(counted[name] for name in _COUNTED)
-    margins = (math.inf if each[-1] is None else each[-1] for each in (found, told))
+    counted_by_plant = tuple(counted[name] for name in _COUNTED)
+    margins = (math.inf if each[-1] is None else each[-1] for each in (found, counted_by_plant))
     # Another machine's functions may differ in their last bits.
-    is_same = found[:-1] == told[:-1] and math.isclose(*margins, rel_tol=1e-6, abs_tol=1e-6)
+    is_same = found[:-1] == counted_by_plant[:-1] and math.isclose(
+        *margins, rel_tol=1e-6, abs_tol=1e-6
+    )
     ours, theirs = (
         f"{outside} of {ticks} ticks outside, smallest margin {margin}"
-        for ticks, outside, margin in (found, told)
+        for ticks, outside, margin in (found, counted_by_plant)
     )
     return [] if is_same else [f"it has {ours}, but the plant counted {theirs}"]
 

@@ -23,7 +23,7 @@ def tabulate_by_tick(
         payloads: the commands. Those that do not answer a newer state than the one before, or one
             at the end, are left out, as the plant refuses them.
         period_ns: length of a tick.
-        end_ns: end of the run, whose state nobody answers.
+        end_ns: end of the run, whose state is not answered.
     """
     ticks = _by_tick(_valid(layout, payloads, end_ns), period_ns, end_ns)
     return np.frombuffer(b"".join(ticks), layout.dtype)

@@ -98,7 +98,7 @@ class Gate:
         sentences = {each.name: self._failure(each) for each in found}
         names = {each.name for each in found}
         missing = {name: f"{name}: is missing" for name in self.baseline if name not in names}
-        return {name: said for name, said in sentences.items() if said} | missing
+        return {name: failure for name, failure in sentences.items() if failure} | missing
 
     def _failure(self, found: Gauged) -> str:
         """Why a number fell too low, or was not tested; empty if neither."""

@@ -90,11 +90,11 @@ def summarise(run: RunData) -> dict[str, Any]:
 
 def _is_seed_used(run: RunData) -> bool | None:
     """Whether plant or controller drew random numbers; None if that is not known."""
-    told = [
+    flags = [
         run.last_values(role, EventKind.ENDED).get("seed_used")
         for role in (Role.PLANT, Role.CONTROLLER)
     ]
-    return True if True in told else told[0] if run.clock != "realtime" else None
+    return True if True in flags else flags[0] if run.clock != "realtime" else None
 
 
 def _tracking(run: RunData) -> dict[str, Any]:

@@ -61,8 +61,8 @@ def known_ticks(run: RunData) -> KnownTicks:
     numbers = tick_numbers(run)
     if (np.diff(numbers) <= 0).any():  # checking costs a tenth of sorting
         numbers = np.unique(numbers)
-    told = run.last_values(Role.PLANT, EventKind.ENDED)
-    ticks = int(told.get("ticks", numbers.max(initial=0)))
+    values = run.last_values(Role.PLANT, EventKind.ENDED)
+    ticks = int(values.get("ticks", numbers.max(initial=0)))
     numbers = numbers[(numbers >= 1) & (numbers <= ticks)]
     around = np.concatenate(([0], numbers, [ticks + 1]))
     period_s = run.setup.grid.period_ns * 1e-9

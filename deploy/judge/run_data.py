@@ -168,8 +168,10 @@ def build_run_data(
     tables[topics.PLANT_TRUTH.name], repeated = _in_order(truth)
     damage = [*of_recording.pop("damage", ())]
     if repeated:
-        said = f"{repeated} of {len(truth)} messages of the true motion repeat a time or go back"
-        damage.append(said)
+        repetition = (
+            f"{repeated} of {len(truth)} messages of the true motion repeat a time or go back"
+        )
+        damage.append(repetition)
     events = [*_events(payloads.get(topics.RUN_EVENTS.name, ()))]
     has_all_states = not (of_recording.get("lost") or {}).get(topics.JOINT_STATES.name)
     if link == "zenoh" and has_all_states and (forged := _forged_states(payloads, events)):

@@ -192,5 +192,5 @@ def read_rows(path: Path) -> list[Row]:
 def _digest(table: Any) -> bytes:
     """Return a checksum of a table's content, independent of the file's format."""
     metadata = {k: v for k, v in (table.schema.metadata or {}).items() if k != _DIGEST}
-    said = repr((table.column_names, sorted(metadata.items()), table.to_pylist()))
-    return hashlib.sha256(said.encode()).hexdigest().encode()
+    contents = repr((table.column_names, sorted(metadata.items()), table.to_pylist()))
+    return hashlib.sha256(contents.encode()).hexdigest().encode()

@@ -109,8 +109,8 @@ class RunState:
 
     def _tell(self, event: RunEvent) -> None:
         if event.kind in _TOLD:
-            said = f"{event.stamp_ns * 1e-9:.3f} s  {event.source}: {event.detail}"
-            self._events.append(said[:300])
+            entry = f"{event.stamp_ns * 1e-9:.3f} s  {event.source}: {event.detail}"
+            self._events.append(entry[:300])
 
 
 class Frames:

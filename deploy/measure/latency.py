@@ -125,7 +125,7 @@ def find_latency(
 
     Args:
         times_s: increasing, shape (rows,).
-        command: what it was told, shape (rows,).
+        command: the commanded values, shape (rows,).
         response: what it did, shape (rows,); NaN where there is only a command.
         longest_s: the longest dead time and lag that are looked for.
         is_held: whether a command stays until the next, or is on a line to it.

@@ -94,7 +94,7 @@ def probe(
     times = np.zeros((4, count), dtype=np.int64)
     session, kernel, stream = secrets.randbits(32), own_kernel(), FrameStream()
     is_stream, has_one_clock = link.type == socket.SOCK_STREAM, False
-    number, told, begun_ns, shown_ns = 0, 0, time.monotonic_ns(), time.monotonic_ns()
+    number, reported, begun_ns, shown_ns = 0, 0, time.monotonic_ns(), time.monotonic_ns()
     end_ns = begun_ns + round((duration_s + _LAST_ANSWERS_S) * 1e9)
     while (now_ns := time.monotonic_ns()) < end_ns:
         due_ns = begun_ns + round(number / rate_hz * 1e9)
@@ -113,10 +113,10 @@ def probe(
                     _note(times, frame, returned_ns)
                     has_one_clock = frame.kernel == kernel != 0
         elif now_ns - shown_ns > 1e9 and wait_ns > 0:
-            back = times[:, told:number]
+            back = times[:, reported:number]
             back = back[:, back[3] > 0]
-            on_progress((now_ns - begun_ns) * 1e-9, (back[3] - back[0]) / 1e6, number - told)
-            told, shown_ns = number, now_ns
+            on_progress((now_ns - begun_ns) * 1e-9, (back[3] - back[0]) / 1e6, number - reported)
+            reported, shown_ns = number, now_ns
     sent, received, answered, returned = times[:, :number]
     return ProbeTimes(sent, received, answered, returned, has_one_clock)
 
@@ -124,7 +124,7 @@ def probe(
 def _send(link: socket.socket, frame: bytes) -> None:
     try:
         link.sendall(frame)
-    except ConnectionRefusedError:  # of a datagram before: nobody listens yet
+    except ConnectionRefusedError:  # of a datagram before: there is no listener yet
         return
 
 

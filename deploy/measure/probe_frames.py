@@ -2,7 +2,7 @@
 
 A frame says when it was sent. Its answer also says when it arrived there and when that was
 answered, and repeats the arrivals of the frames before it: so what was lost on the way back is
-told from what never came. Answers are as long as questions, and no more than one each.
+distinguished from what never came. Answers are as long as questions, and no more than one each.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class ProbeServer:
         while not is_stop_requested():
             sources = [*self._sources, *self._streams]
             for source in select.select(sources, [], [], _POLL_S)[0]:
-                with contextlib.suppress(OSError):  # whoever asked is gone
+                with contextlib.suppress(OSError):  # the client is gone
                     self._take(source)
         for near in self._streams:
             near.close()

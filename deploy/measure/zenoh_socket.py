@@ -57,7 +57,7 @@ class ZenohSocket(socket.socket):
 
     def _pass_on(self) -> None:
         while (delivery := self._inbox.wait()) is not None:
-            with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as with UDP
+            with contextlib.suppress(BlockingIOError):  # not read: lost, as with UDP
                 self._arrivals.send(delivery.payload)
 
 

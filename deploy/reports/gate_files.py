@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bus_schema.foreign_text import markdown_cell, printable
+from bus_schema.foreign_text import markdown_table, printable
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.gate import ENTRIES, ENTRY, Entry, Gauged
 from deploy.reports.page import Fact, Page, Panel
@@ -38,11 +38,11 @@ def write_junit(
 
 def write_markdown(file: Path, found: Sequence[Gauged], failures: Mapping[str, str]) -> None:
     """Write a table of the numbers."""
-    lines = ["| | found | |", "|---|---|---|"]
-    for name, text in _texts(found, failures).items():
-        result = failures[name].removeprefix(f"{name}: ") if name in failures else "ok"
-        lines.append(f"| {markdown_cell(name)} | {text} | {markdown_cell(result)} |")
-    write_whole(file, "\n".join([*lines, ""]))
+    rows = [
+        [name, text, failures[name].removeprefix(f"{name}: ") if name in failures else "ok"]
+        for name, text in _texts(found, failures).items()
+    ]
+    write_whole(file, markdown_table(["", "found", ""], rows))
 
 
 def _texts(found: Sequence[Gauged], failures: Mapping[str, str]) -> dict[str, str]:
@@ -55,10 +55,10 @@ def write_history(folder: Path, name: str, entries: Sequence[Entry], unit: str) 
 
     lines = (f"{ENTRY.dump_json(entry).decode()}\n" for entry in entries)
     write_whole(folder / ENTRIES, "".join(lines))
-    said = f"The last is of {entries[-1].commit}."
+    sentence = f"The last is of {entries[-1].commit}."
     page = Page(
         "history", name,
-        ReportHead("good", f"{len(entries)} results", [said]),
+        ReportHead("good", f"{len(entries)} results", [sentence]),
         [Fact("Unit", unit or "none")],
         lambda: [Panel("History", "history", f"{name} over commits",
                        lambda all_: _figure(all_, unit),

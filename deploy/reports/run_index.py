@@ -75,8 +75,8 @@ def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
 
 def tags_of(path: Path) -> list[str]:
     """Return the tags of a folder of results."""
-    told = read_json(path / _TAGS).get("tags")
-    return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
+    stored = read_json(path / _TAGS).get("tags")
+    return [each for each in stored if isinstance(each, str)] if isinstance(stored, list) else []
 
 
 def _result_folders(folder: Path) -> Iterator[Path]:

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
-from bus_schema.foreign_text import markdown_cell
+from bus_schema.foreign_text import markdown_table
 from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
 _FAR_OUTSIDE = -1.0
-"""Margin below which an error is told as a multiple of its bound."""
+"""Margin below which an error is shown as a multiple of its bound."""
 _NEARLY_ALL = 0.99
 _ALL_DIGITS_FROM = 999.5
 _EXPONENT = re.compile(r"e-0*(\d+)")
@@ -109,7 +109,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A value with what is to be said of it.
+    """A value with its judgement.
 
     Attributes:
         value: text, or number in the unit of the column.
@@ -183,6 +183,5 @@ def quotable(table: Table, conditions: Mapping[str, str]) -> str:
 def as_markdown(table: Table) -> str:
     """A table for documents."""
     header = [column.title for column in table.columns]
-    body = ([markdown_cell(cell.text) for cell in row] for row in table.cells)
-    lines = [header, ["---"] * len(header), *body]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    rows = ([cell.text for cell in row] for row in table.cells)
+    return markdown_table(header, rows).rstrip("\n")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -73,6 +73,20 @@ def print_table(console: Console, table: Table) -> None:
     console.print(shown)
     if not shown.show_edge:  # which is a blank line, too
         console.print()
+
+
+def open_table(
+    title: str | None, headings: Sequence[str], rows: Iterable[Sequence[str | Text]], gap: int = 2
+) -> rich_table.Table:
+    """Return a table without lines, whose cells go on below where they are too long."""
+    shown = rich_table.Table(
+        title=title, title_justify="left", box=None, pad_edge=False, padding=(0, gap, 0, 0)
+    )
+    for heading in headings:
+        shown.add_column(heading, overflow="fold")
+    for row in rows:
+        shown.add_row(*row)
+    return shown
 
 
 def _rendered(table: Table, longest: int | None = None) -> rich_table.Table:

@@ -145,7 +145,7 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
 
 
 def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -> list[str]:
-    """That a loop was held up for long, and by whom most likely, as far as that can be told."""
+    """Return a sentence about a long stall of a loop, with its most likely cause."""
     if stall_ms is None or stall_ms <= STALL_MS:
         return []
     lacked = lacked_grants(manifest)
@@ -155,8 +155,8 @@ def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -
     else:
         is_known = lacked is not None
         cause = "most likely by the host" if is_known else "by the host or by other processes"
-    said = f"A loop could not run for {stall_ms:.0f} ms, {cause}"
-    return [f"{said}: this run says little about the law."]
+    sentence = f"A loop could not run for {stall_ms:.0f} ms, {cause}"
+    return [f"{sentence}: this run says little about the law."]
 
 
 def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
@@ -259,16 +259,16 @@ def verdict_on_runs(compared: RecordedRuns) -> ReportHead:
 
 
 def _head(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> ReportHead:
-    """What became of each run, and its level: how many of them kept their bounds."""
-    said = [*(f"{run.law}: {bounds_sentence(run)}" for run in runs), *reasons]
+    """Return how each run ended, and the level: how many of them kept their bounds."""
+    sentences = [*(f"{run.law}: {bounds_sentence(run)}" for run in runs), *reasons]
     unsound = [run for run in runs if not _is_sound(run)]
     if unsound:
         unread = (
             " or cannot be read completely" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
         )
-        return ReportHead("broken", f"{headline}, {len(unsound)} did not finish{unread}", said)
+        return ReportHead("broken", f"{headline}, {len(unsound)} did not finish{unread}", sentences)
     kept = sum(run.kept_bounds for run in runs)
-    return ReportHead(level_of(kept, len(runs)), headline, said)
+    return ReportHead(level_of(kept, len(runs)), headline, sentences)
 
 
 def level_of(kept: int, total: int) -> Level:

@@ -186,7 +186,7 @@ def values_in_common(
 
 
 def _text_of(file: Path) -> str:
-    """The content of a file, whatever way its lines end; a digest where it is no text."""
+    """The content of a file, with any line ends; a digest where it is no text."""
     try:
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError:

@@ -14,25 +14,25 @@ if TYPE_CHECKING:  # the command line needs this module before it loads the prog
     from deploy.scenario.definition import ScenarioConfiguration
     from deploy.scenario.explanation import Origin
 
-_said: ContextVar[set[str] | None] = ContextVar("lines that were said", default=None)
+_printed: ContextVar[set[str] | None] = ContextVar("lines that were printed", default=None)
 
 
 @contextmanager
 def code_is_named() -> Iterator[None]:
     """Let `name_code` write to standard error while the context lasts, each line once."""
-    before = _said.set(set())
+    before = _printed.set(set())
     try:
         yield
     finally:
-        _said.reset(before)
+        _printed.reset(before)
 
 
 def name_code(scenario: ScenarioConfiguration, origin: Origin) -> None:
     """Name the user's law or program that a scenario is about to run."""
     from controller.laws.custom import EXTERNAL, are_left_out, is_custom
 
-    said, controller = _said.get(), scenario.controller
-    if said is None or are_left_out():
+    shown_lines, controller = _printed.get(), scenario.controller
+    if shown_lines is None or are_left_out():
         return
     if controller.process is not None:
         key, what = "controller.process", f"program {shlex.join(controller.process)}"
@@ -43,6 +43,6 @@ def name_code(scenario: ScenarioConfiguration, origin: Origin) -> None:
     else:
         return
     line = f"runs code of {origin.of(key)}: {what}"
-    if line not in said:
-        said.add(line)
+    if line not in shown_lines:
+        shown_lines.add(line)
         say(line, err=True)

@@ -190,7 +190,7 @@ def _find(name: str, key: str, origin: Origin) -> Path:
 
 @contextmanager
 def _refusing(key: str, value: str) -> Iterator[None]:
-    """What is wrong with a file is told with the key that names it."""
+    """Add the key that names a file to an error about it."""
     try:
         yield
     except (ValueError, OSError, RuntimeError) as error:  # the last for links in a circle

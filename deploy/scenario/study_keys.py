@@ -46,11 +46,14 @@ def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
     """
     idle_keys = _IDLE if given.get(_PROCESS) else (*_IDLE, *_OF_A_BUS)
     for key, value in given.items():
-        for leaf, said in leaves({key: value}):
+        for leaf, value_at_leaf in leaves({key: value}):
             instead = next((text for taken, text in own.items() if _overlap(leaf, taken)), None)
             if instead is not None:
                 raise ConfigurationError(key, value, f"must be given {instead}")
-            if any(_overlap(leaf, idle) for idle in idle_keys) and (leaf, said) not in _AS_IT_IS:
+            if (
+                any(_overlap(leaf, idle) for idle in idle_keys)
+                and (leaf, value_at_leaf) not in _AS_IT_IS
+            ):
                 allowed = "must be left out: it has no effect in a study, which only simulates"
                 raise ConfigurationError(key, value, allowed)
 
@@ -70,11 +73,15 @@ def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> No
         return
     is_simulated = all(setup.scenario.controller.process is None for setup in runs)
     for key, value in given.items():
-        for leaf, said in leaves({key: value}):
+        for leaf, value_at_leaf in leaves({key: value}):
             if leaf.startswith("link.can."):
                 allowed = "must be left out: it has an effect only with link.kind: can"
                 raise ConfigurationError(key, value, allowed)
-            if (leaf, said) == ("link.kind", "zenoh") and is_simulated and not _changed(runs):
+            if (
+                (leaf, value_at_leaf) == ("link.kind", "zenoh")
+                and is_simulated
+                and not _changed(runs)
+            ):
                 allowed = "must be left out: a study only simulates and does not use Zenoh"
                 raise ConfigurationError(key, value, allowed)
 

@@ -24,13 +24,15 @@ _WEAK_SHARE = 0.1
 
 def all_warnings(setups: Iterable[Setup]) -> list[str]:
     """Return the warnings of several scenarios, each once."""
-    return list(dict.fromkeys(said for setup in setups for said in scenario_warnings(setup)))
+    return list(
+        dict.fromkeys(sentences for setup in setups for sentences in scenario_warnings(setup))
+    )
 
 
 def scenario_warnings(setup: Setup) -> list[str]:
     """Return warnings about accepted but suspicious settings, a sentence each."""
     robot, scenario = setup.robot, setup.scenario
-    said = [*robot.warnings, *setup.reference.warnings]
+    sentences = [*robot.warnings, *setup.reference.warnings]
     saturation_nm = scenario.plant.actuator.saturation_nm
     for what, given, limits, quantity, remedy in (
         ("effort", scenario.limits.torque_nm if saturation_nm is None else saturation_nm,
@@ -39,19 +41,19 @@ def scenario_warnings(setup: Setup) -> list[str]:
          "limits.velocity_rad_s"),
     ):  # fmt: skip
         if given is None and (lacking := _unlimited(robot.joint_names, limits)):
-            said.append(
+            sentences.append(
                 f"no {what} limit in the URDF for {lacking}: {quantity} are UNLIMITED there;"
                 f" set {remedy}"
             )
     actuator = scenario.plant.actuator
     if actuator.gear_stiffness_nm_rad is not None and actuator.encoder_side == "link":
-        said.append(
+        sentences.append(
             "plant.actuator.encoder_side: link measures on the output side of elastic gears. With"
             " this, no shipped law kept its bounds at a first resonance of 15 Hz; motor measures"
             " on the input side"
         )
     if ESTIMATED in (data := setup.drive_data):
-        said.append(
+        sentences.append(
             f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
             " one)"
         )
@@ -59,15 +61,15 @@ def scenario_warnings(setup: Setup) -> list[str]:
         why = (
             "rotors are estimated and decide margins: funnel-hil margin also searches with a tenth"
         )
-        said.append(f"{why}; elsewhere --set '{tenth}'")
-    said += _torque_warning(setup)
+        sentences.append(f"{why}; elsewhere --set '{tenth}'")
+    sentences += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
     largest_nm = _largest_torques(setup)
-    said += placeholder_warnings(robot, largest_nm)
+    sentences += placeholder_warnings(robot, largest_nm)
     viscous = friction_table(scenario.plant.friction, _rated_torques(setup))["viscous_nm_s"]
     of_file = np.isclose(viscous, robot.drives.damping_nm_s, rtol=1e-3)
-    said += damping_warnings(robot, np.where(of_file, viscous, 0.0), largest_nm)
-    return said + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
+    sentences += damping_warnings(robot, np.where(of_file, viscous, 0.0), largest_nm)
+    return sentences + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
 
 
 def tenth_of_rotors(setup: Setup) -> str | None:

@@ -94,8 +94,8 @@ class StudyFolder(run_folder.ResultFolder):
                 values.setdefault(part, set()).add(value)
         changed = ", ".join(part for part, found in values.items() if len(found) > 1)
         count = f"{self.reused} of {len(self._rows)} runs are from before, with the same inputs"
-        said = {count: self.reused, f"{changed} changed between its runs": changed}
-        return "; ".join(text for text, is_so in said.items() if is_so)
+        notes = {count: self.reused, f"{changed} changed between its runs": changed}
+        return "; ".join(text for text, is_so in notes.items() if is_so)
 
     def become(self) -> None:
         """Make the folder hold this study, which has grown from the one in it.
@@ -156,7 +156,7 @@ class StudyFolder(run_folder.ResultFolder):
         laws = {k: v for law in self._study.laws for k, v in self._of_law(law).items()}
         hosts = now({part for each in made_by for part in each})
         found = [
-            [said for each in made_by for said in differences(each, {**host, **laws})]
+            [change for each in made_by for change in differences(each, {**host, **laws})]
             for host in hosts
         ]
         found.sort(key=len)
@@ -169,8 +169,8 @@ class StudyFolder(run_folder.ResultFolder):
 
     def _identity(self, values: Row) -> tuple[Any, ...]:
         """Return the values that identify a run or its row within the study."""
-        told = (values.get(name) for name in (*self._study.columns, "seed"))
-        return tuple(tuple(each) if isinstance(each, list) else each for each in told)
+        identity = (values.get(name) for name in (*self._study.columns, "seed"))
+        return tuple(tuple(each) if isinstance(each, list) else each for each in identity)
 
     def add(self, run: PlannedRun, values: Row) -> None:
         """Keep the row of a run, its provenance with the code of its law, and its scenario."""
@@ -305,13 +305,13 @@ def _folder_name(study: StudyOfRuns) -> str:
 
 def _identity(study: StudyOfRuns) -> dict[str, Any]:
     """Return a study's identity, in the form of ``study.yaml``: equal ones request equal rows."""
-    told = {
+    values = {
         "kind": study.kind,
         "definition": study.definition.model_dump(by_alias=True),
         "scenario_digests": {base.scenario.name: _digest(base) for base in study.bases},
         **({"file_digests": dict(study.files)} if study.files else {}),
     }
-    given_back: dict[str, Any] = values_of(to_yaml(told))  # a tuple is a list there
+    given_back: dict[str, Any] = values_of(to_yaml(values))  # a tuple is a list there
     return given_back
 
 

@@ -38,12 +38,12 @@ def hindrances(
         return ["definition: is missing"]
     if "exhaustive" in new:  # as studies of older versions were
         old = {"exhaustive": True, **old}
-    said = [
+    sentences = [
         sentence
         for key in dict.fromkeys((*old, *new))
         for sentence in _of_key(key, old.get(key), new.get(key))
     ]
-    return said or changes(found, wanted, digests)
+    return sentences or changes(found, wanted, digests)
 
 
 def changes(

@@ -13,6 +13,7 @@ import numpy as np
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import did_you_mean
+from bus_schema.units import split_unit
 from deploy.judge.run_rows import Row
 from deploy.scenario.held_arm import Direction
 from deploy.scenario.setup import Setup
@@ -30,12 +31,6 @@ EXCITATION = (
     f"running loops: {100 * _PULSE_SHARE:g} % of each joint's largest torque for"
     f" {1e3 * _PULSE_S:g} ms at {RAMP_FROM_S + RAMP_FOR_S:g} s"
 )
-
-_UNITS = {
-    "_rad_s": "rad/s", "_m_s": "m/s", "_nm_s": "", "_per_s": "1/s", "_ms": "ms", "_kg": "kg",
-    "_rad": "rad", "_nm": "N m", "_hz": "Hz", "_s": "s", "_m": "m",
-}  # fmt: skip
-"""Units by the ends of keys, longer ones first."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +243,7 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
             raise ConfigurationError(
                 key, given, f"must be left out for {name}, which is not a quantity of the link"
             )
-    unit = next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
+    _, unit = split_unit(name)
     return Quantity(name, unit, (name,), float(own))
 
 

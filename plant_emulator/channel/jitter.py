@@ -2,7 +2,7 @@
 
 Draws come from a Gaussian copula: a first-order autoregressive sequence of standard normal numbers
 z, each put through the distribution's quantile function at Φ(z). So the distribution is kept
-whatever the correlation, which is more than netem's mix of the last draw and a new one can say. The
+for any correlation, which is more than netem's mix of the last draw and a new one can say. The
 sequence's own correlation is chosen such that the correlation of the *draws* is the one asked for.
 """
 

@@ -1,7 +1,7 @@
 """What a control cycle over CAN costs the master and the drives, beside python-can's bare calls.
 
-Master and drives of CiA 402 are on one bus in one thread, which takes their turns: nobody waits for
-anybody, so what is measured is work. The bare calls make the messages of the same frames, send and
+Master and drives of CiA 402 are on one bus in one thread, which takes their turns: no side waits,
+so what is measured is work. The bare calls make the messages of the same frames, send and
 receive them; each of their buses only sends or only receives, since python-can hears itself.
 
 Beside both is a cycle with nothing in it that could be left out, compiled: the frames of SocketCAN
@@ -207,7 +207,7 @@ def _bare(interface: str, size: int) -> Iterator[Cycle]:
 
 
 def _configuration(interface: str, size: int) -> CanConfiguration:
-    """A bus that nobody else is on."""
+    """A bus without other nodes."""
     port = free_ports(1)[0]
     return CanConfiguration(
         interface=interface,

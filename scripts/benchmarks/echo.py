@@ -1,4 +1,4 @@
-"""Bare round trips between two processes, over whatever carries bytes.
+"""Bare round trips between two processes, over any transport of bytes.
 
 The messages are those of the real loop: a plant status and a joint state one way, a joint command
 back; nothing is decoded, nothing recorded. Both ends are processes of their own, set up as those of
@@ -183,7 +183,7 @@ def measure(near: Transport, exchanges: int, period_ns: int) -> RoundTrips:
 
 
 def _ask(transport: type[Transport], messages: Messages, realtime: bool, line: Connection) -> None:
-    """Be the near end: say its address, then measure whatever is asked for."""
+    """Be the near end: print its address, then measure on request."""
     _begin(realtime)
     near = transport(messages)
     line.send(near.address)

@@ -67,7 +67,7 @@ def processes_with(mark: str) -> list[str]:
 
 def _is_free(port: int) -> bool:
     with socket.socket() as listener:
-        # What was closed may wait for a minute, which keeps nobody from listening there again.
+        # A closed connection may wait for a minute, but the port can be used again.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind(("127.0.0.1", port))

@@ -83,14 +83,14 @@ def disturb(case: Case, folder: Path) -> tuple[str, list[str]]:
     time.sleep(case.at_s)
     hit = _hit(case, mark)
     try:
-        said = command.communicate(timeout=_ENDS_WITHIN_S)[1]
+        output = command.communicate(timeout=_ENDS_WITHIN_S)[1]
     except subprocess.TimeoutExpired:
         command.kill()
-        said = command.communicate()[1]
+        output = command.communicate()[1]
         return hit, [f"did not end within {_ENDS_WITHIN_S:g} s"]
     wrong = _left(mark, temporary) + _told(command.returncode, hit, result)
-    if "Traceback" in said or "Exception ignored" in said:
-        wrong.append(f"traceback: {said[-300:]}")
+    if "Traceback" in output or "Exception ignored" in output:
+        wrong.append(f"traceback: {output[-300:]}")
     return hit, wrong
 
 

@@ -124,7 +124,10 @@ def _counts(data: RunData, summary: dict[str, Any]) -> list[Check]:
     truth = data.tables[topics.PLANT_TRUTH.name]
     setup, ticks = data.setup, data.setup.ticks
     missing = ticks + 1 - len(np.unique(truth["timing.cycle"]))
-    skipped, told = int((truth["timing.lateness_ns"] < 0).sum()), int(truth["timing.skipped"][-1])
+    skipped, reported = (
+        int((truth["timing.lateness_ns"] < 0).sum()),
+        int(truth["timing.skipped"][-1]),
+    )
     deadline_ns = setup.scenario.link.deadline_ns(setup.grid.period_ns, 0)
     age_ns = np.where(truth["command_age_ns"] < 0, data.times_s(topics.PLANT_TRUTH) * 1e9,
                       truth["command_age_ns"])  # fmt: skip
@@ -136,7 +139,7 @@ def _counts(data: RunData, summary: dict[str, Any]) -> list[Check]:
         Check("no record lost", f"{lost} of {data.messages}", lost == 0),
         Check("every tick recorded", f"{missing} of {ticks + 1} missing", missing == 0),
         Check("misses counted exactly", f"{counted}, recounted {misses}", counted == misses),
-        Check("skips counted exactly", f"{told}, recounted {skipped}", told == skipped),
+        Check("skips counted exactly", f"{reported}, recounted {skipped}", reported == skipped),
     ]
 
 

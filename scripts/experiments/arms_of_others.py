@@ -1,4 +1,4 @@
-"""A table of arms that nobody tuned for: do laws with derived gains keep their bounds there.
+"""A table of arms without tuned gains: do laws with derived gains keep their bounds there.
 
     python -m scripts.experiments.arms_of_others FILE.jsonl [--laws A,B] [--rows A,B] [--arms A,B]
         [--plants N] [--random N] [--without-identification] [--picture FILE.svg]

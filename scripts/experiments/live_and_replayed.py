@@ -104,9 +104,9 @@ class Network(NamedTuple):
             self.controller.command("controller", *words, *relayed) as controller,
         ):
             for process in (recorder, plant, controller):
-                said, _ = process.communicate()
+                output, _ = process.communicate()
                 if process.returncode == BAD_INPUT:
-                    raise RuntimeError(said)
+                    raise RuntimeError(output)
 
     def probe(self, out: Path, *options: object) -> Any:
         """Start `funnel-hil link` through its relay, over Zenoh as the loop."""

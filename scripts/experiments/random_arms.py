@@ -1,4 +1,4 @@
-"""Arms made at random: serial chains of 3 to 7 joints that nobody tuned anything for."""
+"""Arms made at random: serial chains of 3 to 7 joints, without tuned gains."""
 
 from __future__ import annotations
 

@@ -193,10 +193,10 @@ def _percent(share: float | None) -> str:
 
 
 def _verdict(run: Outcome) -> str:
-    said = f"{'kept' if run.kept else 'lost'}, smallest margin {_percent(run.margin_min)}"
+    cell = f"{'kept' if run.kept else 'lost'}, smallest margin {_percent(run.margin_min)}"
     if run.was_held_up:
-        said += f", held up for {run.longest_stall_ms:.0f} ms"
-    return said + "".join(f"; {fault}" for fault in run.faults[:1])
+        cell += f", held up for {run.longest_stall_ms:.0f} ms"
+    return cell + "".join(f"; {fault}" for fault in run.faults[:1])
 
 
 def _say(line: str) -> None:

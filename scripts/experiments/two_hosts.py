@@ -113,9 +113,9 @@ def await_line(process: subprocess.Popen[str], words: str) -> str:
         RuntimeError: it ends before.
     """
     assert process.stdout is not None
-    said = []
+    lines = []
     for line in process.stdout:
-        said.append(line)
+        lines.append(line)
         if words in line:
             return line
-    raise RuntimeError("".join(said))
+    raise RuntimeError("".join(lines))

@@ -26,7 +26,7 @@ def main() -> int:
     while pid != command.pid:
         pid, status = os.wait()
     give_up_s = time.monotonic() + GRACE_S
-    with contextlib.suppress(ChildProcessError):  # nobody is left
+    with contextlib.suppress(ChildProcessError):  # no process is left
         while time.monotonic() < give_up_s:
             if os.waitpid(-1, os.WNOHANG)[0] == 0:
                 time.sleep(0.05)

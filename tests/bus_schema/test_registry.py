@@ -1,4 +1,4 @@
-"""Tables of names: what is imported when, and what is said of a name that is not there."""
+"""Tables of names: when classes are imported, and the message about an unknown name."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("no XML at all", ("cannot be read as URDF",)),
         ("<sdf/>", ("root element is <sdf>",)),
@@ -56,10 +56,10 @@ FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "
         ),
     ],
 )
-def test_refused_with_file_element_and_what_is_allowed(load, tmp_path, text, told):
+def test_refused_with_file_element_and_what_is_allowed(load, tmp_path, text, message):
     with pytest.raises(RobotDescriptionError) as caught:
         load(text)
-    for part in (str(tmp_path / "arm.urdf"), *told):
+    for part in (str(tmp_path / "arm.urdf"), *message):
         assert part in str(caught.value)
 
 
@@ -101,7 +101,7 @@ def test_inertia_without_mass_causes_a_warning(load):
     empty = inertial().replace('<mass value="2"/>', '<mass value="0"/>')
     third = joint("mount", "b", "c", "fixed")
     robot = load(two_links(second=third, c=empty))
-    assert [said for said in robot.warnings if said.startswith("c: inertia without mass")]
+    assert [text for text in robot.warnings if text.startswith("c: inertia without mass")]
     assert not load(two_links()).warnings
 
 
@@ -109,9 +109,9 @@ def test_inertia_without_mass_causes_a_warning(load):
 def test_meshes_that_are_not_there_cost_one_line(load, name):
     shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     robot = load(two_links(a=shape, b=inertial() + shape + shape.replace("visual", "collision")))
-    (said,) = robot.warnings
-    assert "mesh" in said
-    assert name in said
+    (text,) = robot.warnings
+    assert "mesh" in text
+    assert name in text
     if "bullet" in INSTALLED:
         from plant_emulator.physics.bullet.camera import ArmCamera
 
@@ -171,7 +171,7 @@ def test_as_many_links_as_bullet_answers_for(engine, load, links):
 
 
 def test_limit_of_a_held_joint_need_not_be_whole(load):
-    """urdfdom refuses one without effort or velocity, whatever the joint's type."""
+    """urdfdom refuses one without effort or velocity, for any type of joint."""
     partial = joint("second", "b", "c", inside='<limit lower="-1" upper="2"/>')
     robot = load(two_links(second=partial), ["first"])
     assert ManipulatorModel(robot).joints == 1

@@ -45,7 +45,7 @@ def expand(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (value(EXPLOIT), "Lambda is not among"),
         (f'<a v="$(eval {EXPLOIT})"/>', "invalid syntax|never closed"),
@@ -71,8 +71,8 @@ def expand(tmp_path, monkeypatch):
         (value("load_yaml('pipe')"), "not a regular file"),
     ],
 )
-def test_refused_in_a_sentence_with_the_file(expand, text, said):
-    with pytest.raises(RobotDescriptionError, match=f"arm.xacro: xacro: .*({said})") as caught:
+def test_refused_in_a_sentence_with_the_file(expand, text, message):
+    with pytest.raises(RobotDescriptionError, match=f"arm.xacro: xacro: .*({message})") as caught:
         expand(text)
     assert "\n" not in str(caught.value)
 
@@ -172,7 +172,7 @@ def test_missing_package_is_no_error_where_nothing_is_read_from_it(expand):
 
 
 @pytest.mark.parametrize(
-    ("text", "arguments", "said"),
+    ("text", "arguments", "message"),
     [
         ('<a v="$(arg kind)"/>', {}, r"argument kind: kind:=… gives it"),
         (IN_PACKAGE, {}, r"argument kind: kind:=… gives it.*; its files know k1, k2, limits$"),
@@ -184,9 +184,11 @@ def test_missing_package_is_no_error_where_nothing_is_read_from_it(expand):
         ),
     ],
 )
-def test_missing_or_unknown_argument_is_named_with_choices(expand, tmp_path, text, arguments, said):
+def test_missing_or_unknown_argument_is_named_with_choices(
+    expand, tmp_path, text, arguments, message
+):
     package(tmp_path / "given", "described", k1="max: 7", k2="max: 8")
-    with pytest.raises(RobotDescriptionError, match=said):
+    with pytest.raises(RobotDescriptionError, match=message):
         expand(text, arguments)
 
 

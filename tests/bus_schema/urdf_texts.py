@@ -10,18 +10,12 @@ def inertial(mass: str = "2", ixx: str = "0.02", iyy: str = "0.03", izz: str = "
       <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial>"""
 
 
-def joint(
-    name: str, parent: str, child: str, kind: str = "revolute",
-    axis: str = "0 1 0", inside: str = LIMIT,
-) -> str:  # fmt: skip
+def joint(name, parent, child, kind="revolute", axis="0 1 0", inside=LIMIT):
     return f"""<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
       <origin xyz="0.3 0 0"/><axis xyz="{axis}"/>{inside}</joint>"""
 
 
-def two_links(
-    first: str = "", second: str = "",
-    b: str | None = None, c: str | None = None, a: str = "", more: str = "",
-) -> str:  # fmt: skip
+def two_links(first="", second="", b=None, c=None, a="", more=""):
     """By default two joints one after the other; with `more` elements at the end."""
     return f"""<robot name="test"><link name="a">{a}</link>
       <link name="b">{inertial() if b is None else b}</link>

@@ -68,14 +68,16 @@ class Bench:
         return answers
 
     @property
-    def heard(self):
+    def received(self):
         """Topic and payload of all messages so far."""
         return list(zip(self.bus.topics, self.bus.payloads, strict=True))
 
     def last(self, topic):
         """The newest message on a topic."""
         record = Record(topics.layout(topic, NAMES))
-        record.memory[:] = next(payload for name, payload in reversed(self.heard) if name is topic)
+        record.memory[:] = next(
+            payload for name, payload in reversed(self.received) if name is topic
+        )
         return record
 
 
@@ -117,7 +119,7 @@ class KeepsItsDiagnostics:
 
 
 class Spectator(KeepsItsDiagnostics):
-    """A law that remembers what it was shown, and fails when it is told to."""
+    """A law that remembers its inputs, and fails on request."""
 
     def __init__(self):
         super().__init__()

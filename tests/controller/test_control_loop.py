@@ -1,4 +1,4 @@
-"""The control loop: an answer to each state, whatever arrives; time as the plant has it."""
+"""The control loop answers each state, and takes its time from the plant."""
 
 import numpy as np
 import pytest

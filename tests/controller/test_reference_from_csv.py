@@ -1,4 +1,4 @@
-"""References from CSV files: what comes between rows, and what is said of files that are none."""
+"""References from CSV files: motion between rows, and messages about unusable files."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_order_of_columns_spaces_empty_lines_and_other_columns_do_not_matter(tmp
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (POSITIONS + "\n0,0,0,0\n1,0,nan,0\n", "line 3, column shoulder.position_rad = nan"),
         (POSITIONS + "\n0,0,0,1e13\n", "line 2, column elbow.position_rad = 1e13"),
@@ -122,10 +122,10 @@ def test_order_of_columns_spaces_empty_lines_and_other_columns_do_not_matter(tmp
         ),
     ],
 )
-def test_what_is_no_reference_is_refused_by_line_and_column(text, said, tmp_path):
+def test_what_is_no_reference_is_refused_by_line_and_column(text, message, tmp_path):
     with pytest.raises(ConfigurationError) as refused:
         build(tmp_path / "bad.csv", text)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "bad.csv" in str(refused.value)
 
 
@@ -140,7 +140,7 @@ def test_jumps_that_no_joint_can_follow_are_a_warning(tmp_path):
     limit = float(ARM.velocity_limits_rad_s[1])
     assert math.isfinite(limit)
     text = f"{POSITIONS}\n0,0,0,0\n1,0,{0.9 * limit},0\n2,0,{-0.2 * limit},0\n"
-    (said,) = build(tmp_path / "jump.csv", text).warnings
-    assert "jump.csv, line 4: shoulder needs" in said
+    (message,) = build(tmp_path / "jump.csv", text).warnings
+    assert "jump.csv, line 4: shoulder needs" in message
     assert len(build(tmp_path / "jump.csv", text, speed=1.2).warnings) == 1
     assert build(tmp_path / "jump.csv", text, speed=0.5).warnings == ()

@@ -9,7 +9,7 @@ from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 from controller.errors import LawError
 
 
-def test_control_status_tells_what_the_law_thought():
+def test_control_status_has_the_diagnostics_of_the_law():
     bench = Bench("fixed_time_neural")
     bench.send(0)
     ((_, _, sequence),) = bench.send(100 * MS, 0.5 * OFFSET)
@@ -34,7 +34,7 @@ def test_control_status_tells_what_the_law_thought():
         assert fields[name].any()  # a joint whose torque was saturated has learned nothing yet
 
 
-def test_what_a_law_has_not_is_nan():
+def test_missing_diagnostics_are_nan():
     bench = Bench("pid")
     bench.send(0)
     fields = bench.last(topics.CONTROL_STATUS).fields
@@ -77,7 +77,7 @@ def test_commands_without_targets_have_none():
     bench = Bench(compensation=predicting())
     bench.send(0)
     assert bench.targets == []
-    payload = next(payload for topic, payload in bench.heard if topic is topics.JOINT_COMMANDS)
+    payload = next(payload for topic, payload in bench.received if topic is topics.JOINT_COMMANDS)
     message = TYPESTORE.deserialize_cdr(payload, JOINT_STATE)
     assert (message.position.size, message.velocity.size, message.effort.size) == (0, 0, 3)
 

@@ -59,12 +59,12 @@ class Subclass(np.ndarray):
 )
 def test_law_that_returns_one_array_over_and_over_is_limited_and_checked_each_time(own):
     guard = guard_of("pid", JointLimits.of_torques(LIMITS, np.full(3, 100.0)))
-    told = []
+    reported = []
     for torque in (0.0, 50.0, 1000.0):
         own[:] = torque
-        told.append(guard.admit(own, 0, 1.0).tolist())
+        reported.append(guard.admit(own, 0, 1.0).tolist())
         assert own.tolist() == [torque] * 3  # what the law keeps there stays its own
-    assert told == [[0.0] * 3, [50.0] * 3, [150.0] * 3]
+    assert reported == [[0.0] * 3, [50.0] * 3, [150.0] * 3]
     own[1] = np.nan
     with pytest.raises(InvalidTorqueError, match=r"nan.* at tick 7"):
         guard.admit(own, 7, 1.0)
@@ -77,14 +77,14 @@ def test_law_that_returns_one_array_over_and_over_is_limited_and_checked_each_ti
     assert guard.admit(own, 10, 1.0).tolist() == [300.0, 300.0, 300.0]
 
 
-def test_law_whose_array_cannot_be_written_to_is_heard():
+def test_read_only_array_of_a_law_is_accepted():
     torque = np.full(3, 5.0)
     torque.setflags(write=False)
     guard = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
     assert [guard.admit(torque, tick, 1.0).tolist() for tick in range(2)] == [[5.0] * 3] * 2
 
 
-def test_float64_is_float64_whatever_object_says_so():
+def test_all_spellings_of_float64_are_accepted():
     # As of gains that a law has unpickled: NumPy's float64 is not always the same object.
     torque = pickle.loads(pickle.dumps(np.full(3, 5.0)))
     guard = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED))

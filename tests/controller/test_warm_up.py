@@ -43,7 +43,7 @@ def test_warming_up_leaves_no_trace(law, is_compensated):
         for _ in range(2)
     )
     warm.loop.warm_up()
-    assert warm.heard == []
+    assert warm.received == []
     for tick in range(5):
         assert warm.send(tick * MS, 0.1 * OFFSET) == cold.send(tick * MS, 0.1 * OFFSET)
         np.testing.assert_array_equal(warm.targets, cold.targets)

@@ -11,19 +11,28 @@ from tests.warm_process import here
 STUDIES = {"compare", "margin", "sweep"}
 
 
-@pytest.fixture(scope="session")
-def funnel_hil():
-    """Exit code and output of a command; a study has one worker unless the words say otherwise.
+class Commands:
+    """Runs commands in this process; a study has one worker unless the words name another number.
 
     Every worker costs 2 s of CPU time to start.
     """
 
-    def run(*words, **environment):
+    def __call__(self, *words):
+        """Return the exit code and the output of a command."""
         if words and words[0] in STUDIES and not {"--workers", "--scheduler"} & set(words):
             words = (*words, "--workers", "1")
-        return here(*words, COLUMNS="200", **environment)
+        return here(*words, COLUMNS="200")
 
-    return run
+    def output(self, *words, code=0):
+        """Return the output of a command that has to end with this exit code."""
+        found, output = self(*words)
+        assert found == code, output
+        return output
+
+
+@pytest.fixture(scope="session")
+def funnel_hil():
+    return Commands()
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """A subscriber to everything that stops reading with the first message: it freezes itself.
 
 `python frozen_subscriber.py ENDPOINT MODE`, as ``peer`` or ``client``. It says so when it begins to
-look for the endpoint. Others count it as gone a second after they last heard of it.
+look for the endpoint. Others count it as gone a second after its last message.
 """
 
 import json

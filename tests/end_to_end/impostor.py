@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from running import PAPER_ARM_JOINTS, Running, await_true
+from running import PAPER_ARM_JOINTS, Running
 
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
@@ -25,6 +25,7 @@ from bus_schema.zenoh.ros_graph import (
     node_token,
 )
 from bus_schema.zenoh.session import Delivery, ZenohSession
+from tests.waiting import await_true
 
 OWN_ID = b"x" * 16
 FORGED_END = RunEvent(
@@ -66,7 +67,7 @@ class Impostor(AbstractContextManager["Impostor"]):
         await_true(is_known, "the plant speaks")
 
     def speak_as_plant(self, truth: Delivery | None, sender: bytes, number: int) -> None:
-        """Send a truth that was heard once more, and an end; in a bundle, and by themselves."""
+        """Send a received truth again, and an end; in a bundle, and by themselves."""
         truth = truth or Delivery(b"made up", b"")
         known = Attachment.decode(truth.attachment)
         gid = known.gid if known is not None and sender != OWN_ID else OWN_ID

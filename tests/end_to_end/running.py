@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,17 +22,9 @@ from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.runtime.modes import Mode
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.judge.run_data import RunData
-from deploy.run.network.links import free_ports
 from deploy.run.run_folder import load_run
-from tests.warm_process import (
-    FUNNEL_HIL,
-    HANG_S,
-    ROOT,
-    WITHOUT_REPORT,
-    WarmProcess,
-    here,
-    no_report,
-)  # fmt: skip
+from tests.waiting import HANG_S, await_true
+from tests.warm_process import FUNNEL_HIL, ROOT, WITHOUT_REPORT, WarmProcess, here, no_report
 
 PERIOD_S = 0.001
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -90,6 +81,8 @@ PATIENT = settings(link__reply_timeout_s=60, link__connect_timeout_s=HANG_S)
 ENDLESS = settings(duration_s=3600.0, reference__x__velocity_m_s=0.0)
 """Of paper_arm: a run to act upon that the test ends, and that no machine is too slow for. The path
 of the scenario itself leaves the arm's reach after 97 s."""
+IN_LOCKSTEP = ("run", "paper_arm", *ENDLESS, *settings(clock="lockstep"))
+"""A command for such a run in lockstep."""
 WIDE = settings(
     funnel__widest_rad=3.0,
     funnel__convergence_margin_rad=3.0,
@@ -100,18 +93,20 @@ WIDE = settings(
 its commands missing for 0.4 s, paper_arm uses 5 % of it."""
 
 
-def funnel_hil(*words: str, out: Path | None, with_report: bool = False) -> Finished:
-    """Run a command to its end, in a process of its own."""
+def funnel_hil(*words: str, out: Path | None, code: int = 0, with_report: bool = False) -> Finished:
+    """Run a command that has to end with this exit code, in a process of its own."""
     process = _process(*words, out=out, with_report=with_report)
     output, _ = process.communicate()
-    return Finished(out or Path(), process.wait(), output)
-
-
-def funnel_hil_here(*words: str, out: Path | None, with_report: bool = False) -> Finished:
-    """Run a command to its end in this process."""
-    with nullcontext() if with_report else no_report():
-        code, output = here(*_command(*words, out=out), **_ENVIRONMENT)
+    assert process.wait() == code, output
     return Finished(out or Path(), code, output)
+
+
+def funnel_hil_here(*words, out=None, code=0, with_report=False):
+    """Run a command that has to end with this exit code, in this process."""
+    with nullcontext() if with_report else no_report():
+        found, output = here(*_command(*words, out=out), **_ENVIRONMENT)
+    assert found == code, output
+    return Finished(out or Path(), found, output)
 
 
 class Running:
@@ -131,25 +126,26 @@ class Running:
         """Send a signal to one of the run's processes, or to the run itself."""
         os.kill(self.process.pid if role is None else processes_of(self.folder)[role], number)
 
-    def end(self) -> Finished:
+    def end(self, code: int | None = None) -> Finished:
+        """Wait for the end of the run, with this exit code if one is given."""
         output, _ = self.process.communicate()
-        return Finished(self.folder, self.process.wait(), output)
+        ended = Finished(self.folder, self.process.wait(), output)
+        assert code in (None, ended.code), output
+        return ended
 
-    def end_later(
-        self, more_s: float = 1.0, number: signal.Signals = signal.SIGINT
-    ) -> tuple[Finished, float]:
+    def end_later(self, more_s=1.0, number=signal.SIGINT):
         """End the run once it has gone on for so much of its own time; how far it came at least."""
         with Watcher(self.plant_endpoint()) as watcher:
             watcher.await_time(0.0, self)
             come_s = watcher.last_stamp_ns * 1e-9 + more_s
             watcher.await_time(come_s, self)
         self.send(number)
-        return self.end(), come_s
+        return self.end(130), come_s
 
 
 @contextmanager
 def started(*words: str, out: Path, with_report: bool = False) -> Iterator[Running]:
-    """A command under way; whatever is left of it at the end is killed."""
+    """A command under way; its remaining processes are killed at the end."""
     process = _process(*words, out=out, with_report=with_report)
     try:
         yield Running(out, process)
@@ -190,7 +186,7 @@ class Watcher:
 
 
 def assert_as_simulated(run: Finished, until_s: float, out: Path, *names: str) -> None:
-    """Up to then a run in lockstep that somebody ended is its simulation, bit for bit."""
+    """Until its interruption a run in lockstep is its simulation, bit for bit."""
     so_long = settings(duration_s=round(until_s, 3), metrics__from_s=0)
     scenario = str(run.folder / "scenario.yaml")
     alone = funnel_hil_here("simulate", scenario, *so_long, out=out)
@@ -227,25 +223,12 @@ def processes_of(folder: Path) -> dict[str, int]:
 
 
 def outputs_of(processes: Sequence[WarmProcess]) -> list[str]:
-    """What processes said, once all have ended; whatever is left of them is killed."""
+    """Return the output of processes, once all have ended; remaining ones are killed."""
     try:
         return [process.communicate()[0] for process in processes]
     finally:
         for process in processes:
             process.kill()
-
-
-def await_true(condition: Callable[[], bool], meaning: str) -> None:
-    """Wait for a condition."""
-    give_up_s = time.monotonic() + HANG_S
-    while not condition():
-        assert time.monotonic() < give_up_s, f"waited in vain: {meaning}"
-        time.sleep(0.01)
-
-
-def free_endpoint() -> str:
-    """A TCP endpoint that nobody uses."""
-    return f"tcp/127.0.0.1:{free_ports(1)[0]}"
 
 
 def _process(*words: str, out: Path | None, with_report: bool) -> WarmProcess:

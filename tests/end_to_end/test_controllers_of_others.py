@@ -12,10 +12,11 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from running import Finished, free_endpoint, funnel_hil_here, outputs_of, settings
+from running import Finished, funnel_hil_here, outputs_of, settings
 
 from tests.security import issued_keys
-from tests.warm_process import HANG_S, WarmProcess
+from tests.waiting import HANG_S, free_endpoint
+from tests.warm_process import WarmProcess
 
 CLIENTS = Path(__file__).resolve().parents[2] / "bus_schema" / "clients"
 TICKS = 500
@@ -59,7 +60,6 @@ def assert_it_commanded(run: Finished) -> None:
 def assert_it_commands_as_a_process(command: list[str], folder: Path, **more: object) -> None:
     process = settings(controller__process=command, **more)
     ended = funnel_hil_here("run", "paper_arm", *SHORT, *process, out=folder / "run")
-    assert ended.code == 0, ended.output
     assert_it_commanded(ended)
 
 

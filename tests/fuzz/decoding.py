@@ -162,8 +162,8 @@ class Target:
     def _check(self, command: Command, payload: bytes, fence_ns: int) -> None:
         """What came through says, by the reference decoder too, what is put into force."""
         message = TYPESTORE.deserialize_cdr(payload, JOINT_STATE)
-        said = dict(zip(message.name, message.effort.tolist(), strict=True))
-        assert [said[name] for name in self._names] == command.torque_nm.tolist()
+        text = dict(zip(message.name, message.effort.tolist(), strict=True))
+        assert [text[name] for name in self._names] == command.torque_nm.tolist()
         assert np.isfinite(command.torque_nm).all()
         stamp = message.header.stamp
         assert command.stamp_ns == stamp.sec * _NS + stamp.nanosec

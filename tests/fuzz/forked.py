@@ -53,7 +53,7 @@ class _Child:
         signal.alarm(_HANG_S)
         try:
             return cls.trial(number), ""
-        except BaseException:  # noqa: BLE001 (whatever it is, it is a finding)
+        except BaseException:  # noqa: BLE001 (any error is a finding)
             return "finding", traceback.format_exc()
 
 

@@ -1,4 +1,4 @@
-"""Damaged recordings: none is taken for whole, and none ends in anything but what is told of it."""
+"""Damaged recordings: none is taken for whole, and each ends in a reported error."""
 
 from __future__ import annotations
 

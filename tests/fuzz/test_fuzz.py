@@ -66,7 +66,7 @@ def _raise(_number):
 
 
 @pytest.mark.parametrize(
-    ("trial", "said"),
+    ("trial", "message"),
     [
         (_raise, "RecursionError"),
         (lambda number: os.kill(os.getpid(), signal.SIGSEGV), "died"),
@@ -74,8 +74,8 @@ def _raise(_number):
     ],
     ids=["raises", "crashes", "is greedy"],
 )
-def test_a_trial_that_goes_wrong_is_a_finding(trial, said):
+def test_a_trial_that_goes_wrong_is_a_finding(trial, message):
     outcomes = try_forked(lambda number: "ran" if number != 4 else trial(number), range(3, 6))
     assert outcomes.counts == {"ran": 2, "finding": 1}
     assert list(outcomes.findings) == [4]
-    assert said in outcomes.findings[4]
+    assert message in outcomes.findings[4]

@@ -90,7 +90,7 @@ def test_rejected_command_is_counted_and_changes_nothing(data, reason):
     assert (after.torque_nm.tolist(), after.stamp_ns) == ([4.0, 5.0, 6.0], 6)
 
 
-def test_another_sender_is_not_heard_until_the_commander_has_left():
+def test_second_sender_is_ignored_until_the_commander_has_left():
     bench = Bench()
     assert bench.admit(payload(5), sender=b"first") is not None
     assert bench.admit(payload(6), sender=b"second") is None
@@ -112,7 +112,7 @@ def test_only_a_valid_command_makes_a_commander(data, reason):
     assert bench.gate.commander == b"controller"
 
 
-def test_replayed_number_is_refused_whatever_stamp_it_bears():
+def test_repeated_number_is_refused_with_any_stamp():
     bench = Bench()
     bench.gate.await_answer(6)
     assert bench.admit(payload(5), sequence=3) is not None
@@ -204,7 +204,7 @@ def test_rejected_command_in_the_commanders_name_bars_none_of_its_own(data, reas
     assert bench.rejected == {reason: 1}
 
 
-def test_two_who_send_under_one_id_are_found_out():
+def test_two_senders_with_one_id_are_detected():
     forged = payload(7, (9.0, 9.0, 9.0))
     for number in (2, 3, 2**62):  # taken from the commander, ahead of it, far ahead of it
         bench = Bench()
@@ -215,7 +215,7 @@ def test_two_who_send_under_one_id_are_found_out():
         assert bench.gate.second_source is not None, number
 
 
-def test_repetitions_and_a_changed_order_are_nobody_else():
+def test_repeated_and_reordered_commands_are_no_second_sender():
     bench = Bench()
     for number in (1, 3, 2, 3, 900, 100, 2000, 2000):
         bench.admit(payload(100 + number), sequence=number)
@@ -223,7 +223,7 @@ def test_repetitions_and_a_changed_order_are_nobody_else():
     assert bench.rejected == {"replayed": 4}
 
 
-def test_who_takes_over_begins_with_numbers_of_its_own():
+def test_successor_begins_with_its_own_numbers():
     bench = Bench()
     assert bench.admit(payload(5), sequence=2**40, sender=b"first") is not None
     bench.gone.add(b"first")

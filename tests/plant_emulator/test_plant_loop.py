@@ -1,4 +1,4 @@
-"""When the plant's loop delivers states and puts commands into force, where it waits for nobody."""
+"""When a plant in real time delivers states and applies commands."""
 
 from contextlib import closing
 
@@ -22,7 +22,7 @@ NAMES = ("base_yaw", "shoulder", "elbow")
 
 
 class Station(PlantLink):
-    """A link whose other end sends what it is told to, when it is told to."""
+    """A link whose other end sends messages at set times."""
 
     def __init__(self, joint_names, clock):
         self.clock = clock

@@ -14,7 +14,7 @@ exit 3
 """
 
 
-def test_the_report_is_told_once_and_the_exit_code_passed_on(tmp_path: Path) -> None:
+def test_report_is_printed_once_and_the_exit_code_passed_on(tmp_path: Path) -> None:
     library = tmp_path / "scripts" / "lib" / "venv.sh"
     library.parent.mkdir(parents=True)
     library.write_text("ensure_venv() { :; }\n")

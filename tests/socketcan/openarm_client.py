@@ -74,13 +74,13 @@ def move(targets):
     return [each.get_position() for each in motors()]
 
 
-said = {"CTRL_MODE": read(10)}
-if said["CTRL_MODE"] is not None:
-    said["TMAX"] = read(23)
-    said["start"] = positions()
+found = {"CTRL_MODE": read(10)}
+if found["CTRL_MODE"] is not None:
+    found["TMAX"] = read(23)
+    found["start"] = positions()
     arm.enable_all()
     arm.recv_all()
-    said["end"] = move([position + MOVE_RAD for position in said["start"]])
+    found["end"] = move([position + MOVE_RAD for position in found["start"]])
 arm.disable_all()
 arm.recv_all()
-print(json.dumps(said))
+print(json.dumps(found))

@@ -36,22 +36,22 @@ TICKS = 50
 
 @contextmanager
 def stranger_listening() -> Iterator[list[CanFrame]]:
-    """Somebody else on vcan0; what they heard."""
-    heard: list[CanFrame] = []
+    """Somebody else on vcan0; what they received."""
+    received: list[CanFrame] = []
     bus, over = open_can_bus(VCAN), threading.Event()
 
     def listen() -> None:
         while True:
             frame = bus.receive(0.1)
             if frame is not None:
-                heard.append(frame)
+                received.append(frame)
             elif over.is_set():  # and all that was sent before has been read
                 return
 
     thread = threading.Thread(target=listen)
     thread.start()
     try:
-        yield heard
+        yield received
     finally:
         over.set()
         thread.join()
@@ -67,7 +67,7 @@ def test_run_of_three_processes_gives_the_digest_of_the_virtual_bus(tmp_path: Pa
     sets = [word for value in (*SHORT, "link.can.interface=socketcan") for word in ("--set", value)]
     main = "from tests.warm_process import without_report; without_report()"
     command = [sys.executable, "-c", main, "run", "paper_arm_can", *sets]
-    with stranger_listening() as heard:
+    with stranger_listening() as received:
         ended = subprocess.run(
             [*command, "--out", str(tmp_path / "run")], cwd=ROOT, timeout=HANG_S, check=False,
             env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
@@ -77,24 +77,24 @@ def test_run_of_three_processes_gives_the_digest_of_the_virtual_bus(tmp_path: Pa
     assert summary["bounds"]["kept"]
     assert summary["digest"] == digest_over("virtual")
     logged = (tmp_path / "run" / "can.log").read_text().splitlines()
-    contents = {f"{frame.identifier:03X}#{frame.data.hex().upper()}" for frame in heard}
+    contents = {f"{frame.identifier:03X}#{frame.data.hex().upper()}" for frame in received}
     assert {line.split()[2] for line in logged} <= contents
-    assert sum(frame.identifier == 0x080 for frame in heard) >= TICKS  # SYNC
+    assert sum(frame.identifier == 0x080 for frame in received) >= TICKS  # SYNC
     decoder = EdsDecoder(CIA402_EDS, (1, 2, 3), MASTER_NODE)
-    for frame in heard:
+    for frame in received:
         decoder.decode(frame.identifier, frame.data)  # raises where the EDS does not explain it
 
 
 def test_cansimple_frames_on_vcan_decode_with_our_dbc() -> None:
-    with stranger_listening() as heard:
+    with stranger_listening() as received:
         digest = digest_over("socketcan", "link.can.protocol=cansimple")
     assert digest == digest_over("virtual", "link.can.protocol=cansimple")
     database = cantools.database.load_file(CANSIMPLE_DBC)
-    for frame in heard:
+    for frame in received:
         message = database.get_message_by_frame_id(frame.identifier & 0x1F)
         if not frame.is_remote:
             message.decode(frame.data)
-    assert len(heard) > 3 * 3 * TICKS  # request, estimates and torque of three axes
+    assert len(received) > 3 * 3 * TICKS  # request, estimates and torque of three axes
 
 
 @pytest.mark.parametrize(
@@ -106,9 +106,7 @@ def test_cansimple_frames_on_vcan_decode_with_our_dbc() -> None:
     ],
     ids=["position", "mit"],
 )  # fmt: skip
-def test_drives_that_close_loops_give_the_digest_of_the_virtual_bus(
-    overrides: tuple[str, ...],
-) -> None:
+def test_drives_that_close_loops_give_the_digest_of_the_virtual_bus(overrides):
     assert digest_over("socketcan", *overrides) == digest_over("virtual", *overrides)
 
 

@@ -5,7 +5,7 @@
     >>> run.kept, run.margin
     (True, 0.4…)
 
-This is the one public name of the package. Whatever these functions refuse is an `InputError`,
+This is the one public name of the package. Refused input raises an `InputError`,
 whose message names the key, the value and what is allowed. A law of your own needs nothing else:
 it has the methods of `ControlLaw`, gets `Tracking` and a `Dynamics`, and fills its `Diagnostics`.
 """

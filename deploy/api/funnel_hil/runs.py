@@ -44,8 +44,8 @@ def simulate(
         overwrite: replace the results that `out` holds.
 
     Raises:
-        InputError: the scenario cannot be used, or `out` holds results. Whatever a law raises is
-            a fault of the run, and no exception.
+        InputError: the scenario cannot be used, or `out` holds results. An error in a
+            law is a fault of the run, and no exception.
     """
     given = Scenario(scenario, changes, law)
     check_link(given.setup, one_process=True)

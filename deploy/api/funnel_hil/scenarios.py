@@ -76,12 +76,12 @@ class Scenario:
             self._values, self._file = plain(dict(source)), Path("scenario")
         else:
             self._file, self._values = named_values(str(source))
-        told = dict(_leaves(changes or {}))
+        flat = dict(_leaves(changes or {}))
         if law is not None:
-            told[LAW], makers = named_law(law)
+            flat[LAW], makers = named_law(law)
             self.makers |= makers
-        self.overrides = (*before, *(override(key, value) for key, value in told.items()))
-        self.setup  # noqa: B018  (whatever is wrong with it is told now)
+        self.overrides = (*before, *(override(key, value) for key, value in flat.items()))
+        self.setup  # noqa: B018  (raises errors of the scenario now)
 
     def __repr__(self) -> str:
         return f"<Scenario {self.name}, {self.law}, {self.setup.scenario.duration_s:g} s>"

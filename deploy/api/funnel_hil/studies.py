@@ -23,7 +23,7 @@ from deploy.study.sweep import Sweep
 from funnel_hil.results import Study
 from funnel_hil.scenarios import Changes, Law, Scenario, ScenarioLike, named_law
 
-Told = Callable[[int, int], None]
+OnProgress = Callable[[int, int], None]
 """Is called after each run with how many are done, and how many there will be."""
 
 
@@ -37,7 +37,7 @@ def sweep(
     workers: int | None = 0,
     scheduler: str | None = None,
     out: str | Path | None = None,
-    progress: Told | None = None,
+    progress: OnProgress | None = None,
     **more: Any,
 ) -> Study:
     """Run every point of a grid with every seed.
@@ -53,7 +53,7 @@ def sweep(
             as many as it has cores. A script that starts some needs ``if __name__ == "__main__":``.
         scheduler: address of a Dask scheduler to use instead; anybody who reaches it runs code.
         out: folder for rows, summary and report, in which the same study goes on.
-        progress: told of each run.
+        progress: on_progress of each run.
         more: what else a sweep file may say: ``plants``, ``plant_seed``, ``uncertainty``, ``name``.
 
     Raises:
@@ -77,7 +77,7 @@ def margin(
     workers: int | None = 0,
     scheduler: str | None = None,
     out: str | Path | None = None,
-    progress: Told | None = None,
+    progress: OnProgress | None = None,
     **more: Any,
 ) -> Study:
     """Find the largest delay, or anything else, at which each law keeps its bounds.
@@ -140,12 +140,15 @@ def _conducted(
     workers: int | None,
     scheduler: str | None,
     out: str | Path | None,
-    told: Told | None,
+    on_progress: OnProgress | None,
 ) -> Study:
     """Conduct a study, and judge it."""
     with ExitStack() as stack:
         place = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else out
-        with conducted(given, build, Path(place), workers, scheduler, told) as (study, folder):
+        with conducted(given, build, Path(place), workers, scheduler, on_progress) as (
+            study,
+            folder,
+        ):
             return Study(write_study(study, folder), folder.rows)
 
 
@@ -156,7 +159,7 @@ def conducted(
     out: Path,
     workers: int | None = 0,
     scheduler: str | None = None,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
     *,
     overwrite: bool = False,
 ) -> Iterator[tuple[StudyOfRuns, StudyFolder]]:
@@ -167,8 +170,8 @@ def conducted(
     done = itertools.count(1)
 
     def progress(_row: Row, expected: int, _before: bool) -> None:
-        if told is not None:
-            told(next(done), expected)
+        if on_progress is not None:
+            on_progress(next(done), expected)
 
     place = out.resolve()
     if overwrite:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from bus_schema.link.configuration import DEFAULT_FOLDER, KeyFolder
 from bus_schema.messages.topics import Role
+from deploy.reports.terminal import open_table
 from deploy.run.console import Console
 from deploy.run.network.keys import common_name, create_authority, hosts_of, issue, read_certificate
 
@@ -60,17 +60,15 @@ def issue_roles(
 def show_all(folder: Folder = Path(DEFAULT_FOLDER)) -> None:
     """List the certificates with role, hosts and validity."""
     keys = KeyFolder.at(folder)
-    table = Table(
-        "role", "serial number", "valid until, UTC", "hosts", title=str(keys.path), box=None
-    )
+    rows = []
     files = [keys.authority, *(keys.certificate(role) for role in Role)]
     for file in files:
         if file is keys.authority or file.is_file():
             certificate = read_certificate(file, f"run `funnel-hil keys init --folder {keys.path}`")
-            table.add_row(
-                common_name(certificate),
-                f"{certificate.serial_number:x}"[:16],
-                f"{certificate.not_valid_after_utc:%Y-%m-%d %H:%M}",
-                ", ".join(hosts_of(certificate)),
+            serial, end = certificate.serial_number, certificate.not_valid_after_utc
+            hosts = ", ".join(hosts_of(certificate))
+            rows.append(
+                [common_name(certificate), f"{serial:x}"[:16], f"{end:%Y-%m-%d %H:%M}", hosts]
             )
-    Console().print(table)
+    headings = ["role", "serial number", "valid until, UTC", "hosts"]
+    Console().print(open_table(str(keys.path), headings, rows))

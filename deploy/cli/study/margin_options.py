@@ -138,8 +138,8 @@ class TuneOptions(StudyOptions):
             raise ScenarioError("--travel-limit: must be left out with --for margin")
         if not is_margin and self.delays is not None:
             raise ScenarioError("--delays: must be left out unless --for margin is given")
-        told = super().definition() | {"scenario": self.scenario, "set": self.fixed()}
-        return told | {key: value for key, value in given.items() if value is not None}
+        asked = super().definition() | {"scenario": self.scenario, "set": self.fixed()}
+        return asked | {key: value for key, value in given.items() if value is not None}
 
 
 @dataclass(kw_only=True)

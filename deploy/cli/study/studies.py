@@ -47,7 +47,7 @@ _GOES_ON = "{}: repeat the same command to continue."
 _AUTHENTICATED = ("tls://", "wss://")
 _OPEN_SCHEDULER = (
     "warning: --scheduler {}: anybody who reaches this scheduler can run code on it, on its workers"
-    " and here: without TLS, Dask asks nobody who they are and unpickles what comes. Keep it on"
+    " and here: without TLS, Dask authenticates no client and unpickles any message. Keep it on"
     " 127.0.0.1 or a network of your own, or run it under tls:// (documentation: Run a study"
     " on a cluster)"
 )

@@ -78,7 +78,7 @@ class CommandProgress:
         self._bar.update(self._task, completed=done, total=self._total, line=self._fitting_line())
         self._is_printed = False
         is_time = time.monotonic() - self._printed_s >= _PLAIN_LINE_S
-        if is_time and done != self._printed_done:  # starting up is told once
+        if is_time and done != self._printed_done:  # the start is printed once
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:

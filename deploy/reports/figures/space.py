@@ -28,7 +28,7 @@ _GHOST = {"color": style.MUTED, "width": 18}
 _ROOM = 0.05
 """On every side, as a share of the longest one."""
 _CAMERA = {"eye": {"x": 1.86, "y": 1.61, "z": 0.74}, "center": {"x": 0, "y": 0, "z": -0.12}}
-"""It looks through 45° at all of a box with the diagonal of a cube of side 1, whatever its form, a
+"""It looks through 45° at all of a box with the diagonal of a cube of side 1, of any form, a
 little below its middle: most ticks and titles are at its foot."""
 
 
@@ -47,7 +47,7 @@ def show_in_space(figure: go.Figure, points: NDArray[np.float64], **more: object
     room = _ROOM * max(float((upper - lower).max()), 1e-3)
     lower, upper = lower - room, upper + room
     spans = upper - lower
-    sides = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, whatever its form
+    sides = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, of any form
     axes = {
         f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 6, "range": [low, high]}
         for name, low, high in zip("xyz", lower.tolist(), upper.tolist(), strict=True)

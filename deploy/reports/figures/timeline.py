@@ -86,9 +86,11 @@ def timeline(run: RunData) -> go.Figure | None:
 
 
 def mode_spans(run: RunData, role: Role) -> list[tuple[Mode, float, float]]:
-    """Mode, start and end in s of all that a side told of."""
-    told = [e for e in run.events if e.source == role and e.kind == EventKind.MODE]
-    changes = [(mode, e.stamp_ns * 1e-9) for e in told if (mode := mode_in(e.detail)) is not None]
+    """Mode, start and end in s of all that a side mode_events of."""
+    mode_events = [e for e in run.events if e.source == role and e.kind == EventKind.MODE]
+    changes = [
+        (mode, e.stamp_ns * 1e-9) for e in mode_events if (mode := mode_in(e.detail)) is not None
+    ]
     ends = [start_s for _, start_s in changes[1:]]
     ends.append(max((event.stamp_ns * 1e-9 for event in run.events), default=0.0))
     return [(mode, start, end) for (mode, start), end in zip(changes, ends, strict=False)]

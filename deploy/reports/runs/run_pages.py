@@ -97,11 +97,11 @@ def _link_lines(summary: Mapping[str, Any]) -> list[str]:
         measured, emulated = channel["measured_ms"], channel["delay_ms"]
         delays_ms = emulated if measured["max"] is None else measured
         if channel["sent"] and (channel["lost"] or delays_ms["max"]):
-            said = link_sentence(
+            link_text = link_sentence(
                 channel["sent"], summary["duration_s"], channel["lost"],
                 (channel["loss_burst"] or {}).get("longest"), delays_ms, channel["reordered"],
             )  # fmt: skip
-            lines.append(f"{way}: {said}")
+            lines.append(f"{way}: {link_text}")
     playout = summary["transport"].get("playout")
     if playout and playout["late"] is not None and playout["arrival_ms"]["max"] is not None:
         lines.append(playout_sentence(playout))

@@ -8,6 +8,7 @@ from typing import Any
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.units import split_unit
 from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.run_data import RunData
 from deploy.reports.runs import run_numbers
@@ -17,7 +18,6 @@ from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
 Row = list[Cell | Value]
 
 _SHOWN_EVENTS = 200
-_UNITS = ("_s", "_ms")
 _REJECTED = (
     "Sent are all messages that entered the link. This leaves out commands that were rejected on"
     " arrival, but not those that were overtaken or came after the arm had stopped."
@@ -61,7 +61,7 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
 def timing_table(summary: dict[str, Any]) -> Table:
     """Percentiles of every timing quantity; the longest stall too, where it was a long one.
 
-    What was always 0, as in virtual time, is told in a word.
+    Quantities that were always 0, as in virtual time, are named in the note.
     """
     stall_ms = summary["timing"]["longest_stall_ms"]
     stalls: list[list[Value]] = (
@@ -195,7 +195,7 @@ def _detail(event: RunEvent) -> str:
 
 def _in_words(name: str, value: object) -> str:
     """A value with its name and unit; of what was counted by reason only what occurred."""
-    title, _, unit = name.rpartition("_") if name.endswith(_UNITS) else (name, "", "")
+    title, unit = split_unit(name)
     words = title.replace("_", " ")
     if isinstance(value, dict):
         counted = (_in_words(str(reason), count) for reason, count in value.items() if count)

@@ -87,21 +87,23 @@ def headline(summary: Summary) -> list[str]:
     """Return the answer in one sentence, then what was found on the network and of plants."""
     parts = summary["parts"]
     cases = {case["compensation"]: case for case in parts["margin"]["cases"]}
-    said = [_margin_sentence(summary, parts["margin"], cases[True], cases[False])]
+    sentences = [_margin_sentence(summary, parts["margin"], cases[True], cases[False])]
     doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
-    said += [f"Not tested: {each}" for each in doubts]
+    sentences += [f"Not tested: {each}" for each in doubts]
     if (network := parts.get("network")) is not None:
         point = network["points"][0]
         kept, runs = point["runs_kept"], point["runs"]
-        said.append(
+        sentences.append(
             f"On {summary['network']}, with compensation, it kept them in {kept} of {runs} windows"
             f" of {summary['duration_s']:g} s."
         )
     if summary["runs_failed"]:
-        said.append(f"{summary['runs_failed']} of {summary['runs']} runs failed: see the parts.")
+        sentences.append(
+            f"{summary['runs_failed']} of {summary['runs']} runs failed: see the parts."
+        )
     if (plants := parts.get("plants")) is not None:
-        said += texts.robustness_sentences(plants)[:1]
-    return said
+        sentences += texts.robustness_sentences(plants)[:1]
+    return sentences
 
 
 def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summary) -> str:

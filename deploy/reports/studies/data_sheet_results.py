@@ -38,19 +38,19 @@ def sheet_folder(sheet: DataSheet, out: Path | None, *, overwrite: bool) -> Path
     Raises:
         ScenarioError: it has another data sheet or other results, or cannot be created.
     """
-    told: dict[str, Any] = {key: value for key, value in asdict(sheet).items() if value}
-    digest = digest_of(to_yaml(told).encode())[:8]
+    values: dict[str, Any] = {key: value for key, value in asdict(sheet).items() if value}
+    digest = digest_of(to_yaml(values).encode())[:8]
     path = resolved_out(out or Path("runs", f"datasheet-{Path(sheet.arm).stem}-{digest}"))
     file = path / FILE
     if file.is_file() and not overwrite:
-        if read_yaml(file) != values_of(to_yaml(told)):
+        if read_yaml(file) != values_of(to_yaml(values)):
             raise ScenarioError(f"--out {path}: has another data sheet, see {file}: use another"
                                 " folder, or --overwrite")  # fmt: skip
         return path
     new_folder("datasheet", path, overwrite=overwrite)
     for name in (*_PARTS, _WINDOW) if file.is_file() else ():
         shutil.rmtree(path / name, ignore_errors=True)
-    write_whole(file, to_yaml(told))
+    write_whole(file, to_yaml(values))
     return path
 
 

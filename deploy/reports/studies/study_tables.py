@@ -175,8 +175,8 @@ def margins_by_law(summary: Summary) -> Table:
     margins = {}
     for case in summary["cases"]:
         pattern, margin = texts.pattern_text(case, summary), texts.margin_text(case, summary)
-        said = margin if pattern is None else f"{margin}; every pattern: {pattern}"
-        margins[case["law"], case["arm"], texts.setting_text(case)] = said
+        cell = margin if pattern is None else f"{margin}; every pattern: {pattern}"
+        margins[case["law"], case["arm"], texts.setting_text(case)] = cell
     headings = [f"{arm}, {setting}" if setting else arm for arm, setting in columns]
     laws = dict.fromkeys(case["law"] for case in summary["cases"])
     rows = [[f"`{law}`", *(margins[law, *column] for column in columns)] for law in laws]

@@ -20,11 +20,11 @@ def setting_text(case: Summary) -> str:
 
 def equipment_text(case: Summary) -> str:
     """With or without compensation, and feedback at the drives."""
-    said = [
+    sentences = [
         f"{COMPENSATION[case['compensation']]} compensation",
         f"{COMPENSATION[case['drive_feedback']]} drive feedback",
     ]
-    return ", ".join(text for text in said if not text.startswith(" "))
+    return ", ".join(text for text in sentences if not text.startswith(" "))
 
 
 def case_name(case: Summary) -> str:
@@ -259,20 +259,22 @@ def loss_text(case: Summary) -> str:
 
 def _theory(summary: Summary) -> list[str]:
     """Theoretical margins, a sentence per case; and the reasons why other cases have none."""
-    said, reasons = [], dict[str, list[str]]()
+    sentences, reasons = [], dict[str, list[str]]()
     for case in summary["cases"]:
         theory = case.get("theory") or {}
         if "reason" in theory:
             reasons.setdefault(theory["reason"], []).append(case["law"])
         elif theory:
-            said.append(
+            sentences.append(
                 f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
                 f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
                 f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
             )
     for reason, names in reasons.items():
-        said.append(f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}.")
-    return said
+        sentences.append(
+            f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}."
+        )
+    return sentences
 
 
 def furthest(summary: Summary) -> str:

@@ -75,22 +75,22 @@ def _judged_tables(summary: Summary) -> list[Table]:
     ]
 
 
-def _judged_cell(said: Summary) -> Cell:
-    status: Status = "good" if said["kept"] == said["runs"] else "bad"
-    if "kept_up_to_ms" in said:
-        return Cell(number(said["kept_up_to_ms"]) if said["kept_up_to_ms"] else "none")
-    worst = None if said["rms_rad"] is None else 1e3 * max(said["rms_rad"])
-    return Cell(f"{number(worst)}, {said['kept']} of {said['runs']}", status)
+def _judged_cell(result: Summary) -> Cell:
+    status: Status = "good" if result["kept"] == result["runs"] else "bad"
+    if "kept_up_to_ms" in result:
+        return Cell(number(result["kept_up_to_ms"]) if result["kept_up_to_ms"] else "none")
+    worst = None if result["rms_rad"] is None else 1e3 * max(result["rms_rad"])
+    return Cell(f"{number(worst)}, {result['kept']} of {result['runs']}", status)
 
 
 def tune_sentences(summary: Summary) -> list[str]:
     """Return which searches have not converged, and where to find the gains."""
     open_ = [law for law, found in summary["laws"].items() if not found["converged"]]
-    said = []
+    sentences = []
     if open_ and summary["completed"]:
         twice = 2 * summary["budget"]
-        said.append(
+        sentences.append(
             f"Not converged: {', '.join(open_)}. The same command with --budget {twice} continues."
         )
     files = [found["file"] for found in summary["laws"].values() if "file" in found]
-    return [*said, *([f"Scenarios with these gains: {', '.join(files)}"] if files else [])]
+    return [*sentences, *([f"Scenarios with these gains: {', '.join(files)}"] if files else [])]

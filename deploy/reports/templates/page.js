@@ -138,7 +138,7 @@ async function drawAll() {
 }
 
 drawAll().catch((error) => {
-  const said = document.getElementById("no-figures");
-  said.textContent = `The figures cannot be drawn: ${error.message}.`;
-  said.hidden = false;
+  const message = document.getElementById("no-figures");
+  message.textContent = `The figures cannot be drawn: ${error.message}.`;
+  message.hidden = false;
 });

@@ -128,7 +128,7 @@ class LinkRelay:
         sink: DatagramSink | None = None,
     ) -> None:
         """Put what waits at a socket on its way; from the listener, to the sender's own socket."""
-        with contextlib.suppress(OSError):  # nothing more, or nobody is there
+        with contextlib.suppress(OSError):  # nothing more, or no receiver
             for _ in range(_AT_ONCE):
                 data, address = source.recvfrom(CHUNK_BYTES)
                 way, out = direction or self._there, sink or self._sink_of(address)

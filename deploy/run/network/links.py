@@ -138,7 +138,7 @@ def _listening(endpoint: str) -> Iterator[None]:
         yield
         return
     if int(port) == 0:
-        raise OSError("nobody could connect to port 0")
+        raise OSError("no client could connect to port 0")
     is_datagram = protocol in _DATAGRAM_PROTOCOLS
     kind = socket.SOCK_DGRAM if is_datagram else socket.SOCK_STREAM
     family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), None, type=kind)[0]

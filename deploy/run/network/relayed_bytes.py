@@ -73,7 +73,7 @@ class DatagramSink:
         self._sink, self._address = sink, address
 
     def pass_on(self, chunk: Chunk, now_ns: int) -> None:  # noqa: ARG002 (for streams)
-        with contextlib.suppress(OSError):  # nobody is there: as on any network, it is gone
+        with contextlib.suppress(OSError):  # no receiver: as on any network, it is lost
             if self._address is None:
                 self._sink.send(chunk.data)
             else:

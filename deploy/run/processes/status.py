@@ -9,12 +9,11 @@ from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
+from bus_schema.units import split_unit
 from deploy.run.console import Console
 from plant_emulator.faults.process_faults import ProcessAction
 
 _PROGRESS_EVERY_S = 5.0
-_UNITS = {"s": "s", "us": "µs", "mrad": "mrad"}
-"""Units by the ending of a value's name."""
 
 
 class StatusMessage(NamedTuple):
@@ -38,9 +37,8 @@ def in_words(values: Mapping[str, Any]) -> str:
 
 
 def _value_in_words(name: str, value: Any) -> str:
-    stem, _, unit = name.rpartition("_")
-    title, suffix = (stem, f" {_UNITS[unit]}") if unit in _UNITS else (name, "")
-    title = title.replace("_", " ")
+    stem, unit = split_unit(name)
+    title, suffix = stem.replace("_", " "), f" {unit}" if unit else ""
     match value:
         case bool():
             return title if value else f"not {title}"

@@ -41,7 +41,7 @@ class LinkRun:
         frames: CAN bus of both sides inside one process; unused between processes.
         can_log: file for the frames of a CAN bus; None for no log.
         drive: gains of the drives' own loops; None if they follow torques alone.
-        tuned_drive: gains to which drives are tuned, whatever they follow.
+        tuned_drive: gains to which drives are tuned, for any kind of target.
         agreement: values that the run's processes must agree on; None inside one process.
     """
 

@@ -116,10 +116,10 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
 
 def read_again(path: Path) -> RecordedRuns:
     """Return the runs compared in a folder of `KIND`; raises as `recorded_runs`."""
-    told = read_summary(path).get("paths")
-    if not isinstance(told, list) or not all(isinstance(each, str) for each in told):
+    entries = read_summary(path).get("paths")
+    if not isinstance(entries, list) or not all(isinstance(each, str) for each in entries):
         raise RunFolderError(f"{path}: names no runs")
-    return recorded_runs([Path(each) for each in told])
+    return recorded_runs([Path(each) for each in entries])
 
 
 def _read(label: str, path: Path) -> tuple[JudgedRun, dict[str, str]]:

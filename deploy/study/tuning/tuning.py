@@ -222,12 +222,12 @@ class Tuning(StudyOfRuns):
             of_place = [row for row in rows if row["place"] == name]
             kept = [row for row in of_place if row["bounds_kept"] and row["error"] is None]
             rms = [row["rms_rad"] for row in of_place if row["rms_rad"] is not None]
-            said: dict[str, Any] = {"place": name, "runs": len(of_place), "kept": len(kept)}
+            result: dict[str, Any] = {"place": name, "runs": len(of_place), "kept": len(kept)}
             if self.definition.goal == "rms":
-                said["rms_rad"] = np.max(rms, axis=0).tolist() if rms else None
+                result["rms_rad"] = np.max(rms, axis=0).tolist() if rms else None
             else:
-                said["kept_up_to_ms"] = _kept_up_to(of_place, self.definition.delays_ms)
-            found.append(said)
+                result["kept_up_to_ms"] = _kept_up_to(of_place, self.definition.delays_ms)
+            found.append(result)
         return found
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:

@@ -44,8 +44,8 @@ def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str
 def _network(data: bytes) -> str:
     if len(data) != 2 or data[0] not in list(NmtCommand):
         return f"NMT {data.hex(' ')}"
-    whom = f"node {data[1]}" if data[1] else "all nodes"
-    return f"NMT {NmtCommand(data[0]).name} {whom}"
+    nodes = f"node {data[1]}" if data[1] else "all nodes"
+    return f"NMT {NmtCommand(data[0]).name} {nodes}"
 
 
 def _name(code: int) -> str:

@@ -90,9 +90,7 @@ class Master:
         self.has_left = True
 
 
-def spin(
-    master: Master, *, lockstep: bool = True, is_stop_requested: Callable[[], bool] = never
-) -> None:
+def spin(master, *, lockstep=True, is_stop_requested=never):
     can = CanConfiguration(answer_timeout_s=ANSWER_TIMEOUT_S)
     run = CanRun(("joint",), LinkConfiguration(kind="can", can=can), GRID, 10, lockstep)
     clock = VirtualClock()

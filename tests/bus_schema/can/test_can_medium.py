@@ -72,7 +72,7 @@ def test_frames_that_wait_together_go_by_identifier() -> None:
     assert medium.worst_latency_ns == sum(lengths)
 
 
-def test_frame_that_finds_the_bus_busy_waits_whatever_its_identifier() -> None:
+def test_frame_on_a_busy_bus_waits_with_any_identifier() -> None:
     passed = Passed()
     medium = CanMedium(CanConfiguration(), 0, passed)
     medium.carry([CanFrame(0x700, bytes(8))], 0)

@@ -33,9 +33,7 @@ def section(text: str, name: str) -> str:
         ("1A00sub0", ("DefaultValue=2", "DefaultValue=1"), "0x1A00 maps 1 object, not 2 objects"),
     ],
 )
-def test_object_that_does_not_fit_is_named(
-    tmp_path: Path, name: str, change: tuple[str, str], words: str
-) -> None:
+def test_object_that_does_not_fit_is_named(tmp_path, name, change, words):
     text = CIA402_EDS.read_text()
     eds = tmp_path / "drive.eds"
     eds.write_text(text.replace(found := section(text, name), found.replace(*change, 1)))

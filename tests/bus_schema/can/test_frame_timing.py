@@ -40,9 +40,7 @@ def test_classical_frame_is_as_long_as_its_bits_written_out(frame: CanFrame) -> 
 
 
 @given(st.booleans(), st.integers(0, (1 << 29) - 1), st.binary(max_size=64) | st.just(bytes(64)))
-def test_fd_frame_is_as_long_as_its_bits_written_out(
-    extended: bool, identifier: int, data: bytes
-) -> None:
+def test_fd_frame_is_as_long_as_its_bits_written_out(extended, identifier, data):
     frame = CanFrame(identifier if extended else identifier & 0x7FF, data, extended, is_fd=True)
     assert wire_bits(frame) == fd_lengths(frame)
 
@@ -74,9 +72,7 @@ def test_bytes_beyond_the_format_are_not_counted(is_fd: bool) -> None:
 
 
 @given(st.integers(0, 0x7FF), st.sampled_from(FD_LENGTHS), st.sampled_from((0x00, 0xFF, 0x0F)))
-def test_no_frame_is_longer_than_the_longest(
-    identifier: int, data_bytes: int, filling: int
-) -> None:
+def test_no_frame_is_longer_than_the_longest(identifier, data_bytes, filling):
     """Of a classical one, by Davis et al. 2007 (equation 1): ⌊(g + 8 s − 1)/4⌋ stuff bits."""
     data = bytes([filling]) * data_bytes
     bits, longest = wire_bits(CanFrame(identifier, data, is_fd=True)), longest_fd_bits(data_bytes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from bus_schema.can.cansimple.codec import CanSimpleCodec
 from bus_schema.can.cansimple.protocol import CanSimpleMaster
 from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
-from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import BUS_OFF, CanFrame
 from bus_schema.can.master import CanMaster, DriveError, SilentDriveError
 from bus_schema.can.mit.codec import MitCodec, MitRanges
@@ -151,9 +150,7 @@ def test_master_awaits_no_drive_that_it_gave_up() -> None:
         (cansimple, [CanFrame(0x049, bytes(8)), CanFrame(0x123)], ""),
     ],
 )
-def test_other_masters_and_drives_are_named(
-    build: Callable[[FrameBus], CanMaster], frames: list[CanFrame], words: str
-) -> None:
+def test_other_masters_and_drives_are_named(build, frames, words):
     master = build(FrameBus(*frames))
     master.sample(0)
     assert not read(master)
@@ -194,9 +191,7 @@ def test_silent_drive_is_named_before_its_consequences() -> None:
 
 
 @pytest.mark.parametrize("nodes", [(), (1, 2, 3)])
-def test_silence_of_all_drives_or_none_is_no_cause(
-    nodes: Sequence[int],
-) -> None:
+def test_silence_of_all_drives_or_none_is_no_cause(nodes):
     bus = FrameBus()
     master = cia402(bus)
     master.sample(62_000_000)
@@ -219,9 +214,7 @@ GAINS = DriveGains(True, np.array([20.0]), np.array([2.0]))
         (CanSimpleCodec([1], GAINS), CanFrame(0x029, struct.pack("<ff", 0.25, 0.5)), "<f"),
     ],
 )
-def test_command_without_target_holds_the_last_reported_position(
-    codec: CanCodec, state: CanFrame, layout: str
-) -> None:
+def test_command_without_target_holds_the_last_reported_position(codec, state, layout):
     assert codec.read_state(state, np.zeros(1), np.zeros(1)) == 0
     *_, command = codec.command_frames(np.zeros(1))
     reported = struct.unpack_from(layout.replace("x", ""), state.data)

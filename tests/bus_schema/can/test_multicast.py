@@ -64,9 +64,7 @@ def test_datagrams_are_those_of_python_can(ours: CanBus, frame: CanFrame) -> Non
 
 
 @given(frames)
-def test_frames_of_python_can_are_received(
-    ours: CanBus, theirs: can.BusABC, frame: CanFrame
-) -> None:
+def test_frames_of_python_can_are_received(ours, theirs, frame):
     theirs.send(message_of(frame))
     assert ours.receive(WAIT_S) == frame
     assert theirs.recv(WAIT_S) is not None  # python-can hears itself

@@ -1,4 +1,4 @@
-"""Damaged recordings: told as such, and read as far as they can be."""
+"""Damaged recordings are reported, and read as far as possible."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_damaged_chunk_costs_no_other(recording):
     assert contents.attachments == {"scenario.yaml": b"name: x\n"}
 
 
-def test_messages_are_told_apart_though_the_chunk_that_names_their_topic_is_damaged(recording):
+def test_topics_are_known_although_the_chunk_that_names_them_is_damaged(recording):
     path, whole, written = recording
     changed = bytearray(whole)
     changed[chunk_starts(path)[0] + 50] ^= 1
@@ -92,12 +92,12 @@ def test_messages_are_told_apart_though_the_chunk_that_names_their_topic_is_dama
 def test_a_file_that_lacks_its_end_is_damaged_unless_its_name_says_so(recording):
     path, whole, _ = recording
     for cut in (0, 5, len(whole) // 2, len(whole) - 1):
-        for name, told in (("run.mcap", True), ("run.partial.mcap", False)):
+        for name, reported in (("run.mcap", True), ("run.partial.mcap", False)):
             file = path.with_name(name)
             file.write_bytes(whole[:cut])
             contents = read_log(file)
             assert not contents.complete
-            assert bool(contents.damage) == told, (cut, name)
+            assert bool(contents.damage) == reported, (cut, name)
 
 
 def test_a_damaged_attachment_is_left_out(recording):
@@ -124,7 +124,7 @@ def test_a_recording_without_checksums_over_its_data_says_so(tmp_path):
 
 
 @pytest.mark.parametrize("length", [0, 5, 21, 23, 31])
-def test_a_message_of_a_wrong_length_is_damage_where_no_checksum_tells(tmp_path, length):
+def test_message_of_a_wrong_length_is_damage_without_a_checksum(tmp_path, length):
     """In a chunk without a checksum, lengths alone say where a record ends."""
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:

@@ -166,7 +166,7 @@ def test_disk_that_is_full_ends_the_recording_and_all_is_accounted_for(tmp_path)
     assert log.lost == {"joint_states": count - len(kept)}
 
 
-def test_what_was_lost_is_told_in_the_file_even_on_a_full_disk(small_disk):
+def test_file_lists_its_losses_even_on_a_full_disk(small_disk):
     """A reserve is kept free for it, and given back in the end."""
     path = small_disk / "run.mcap"
     log = McapLog(path, bytes_per_s=0)

@@ -71,7 +71,7 @@ def test_virtual_clock_is_at_the_latest_instant_waited_for_and_starts_at_zero(in
     assert clock.now_ns() == 0
 
 
-def test_monotonic_clock_never_returns_early_and_tells_its_lateness():
+def test_monotonic_clock_never_returns_early_and_reports_its_lateness():
     clock = MonotonicClock()
     instant_ns = clock.now_ns() + 100_000
     lateness_ns = clock.wait_until(instant_ns)

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-import pytest
-
 import bus_schema
 from bus_schema.runtime.compiled import HAS_SAID
 
@@ -145,9 +143,7 @@ def fresh(file: Path) -> ModuleType:
     return module
 
 
-def test_compiling_is_said_once_and_only_when_it_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_compilation_is_reported_once_and_only_when_it_happens(tmp_path, monkeypatch, caplog):
     file = tmp_path / "kernels.py"
     file.write_text(KERNELS)
     monkeypatch.delenv(HAS_SAID)

@@ -32,7 +32,7 @@ if len(sys.argv) == 1:
 
 
 def ran(tmp_path: Path, preamble: str = "", **environment: str | None) -> tuple[str, list[str]]:
-    """What a process and its child print, and what is said, with these variables."""
+    """What a process and its child print with these variables."""
     script = tmp_path / "script.py"
     script.write_text(preamble + KERNEL)
     temporary = tmp_path / "temporary"
@@ -55,9 +55,7 @@ def kept(tmp_path: Path) -> int:
 
 
 @pytest.mark.parametrize("case", ["no home", "cache is a file"])
-def test_kernels_are_kept_in_a_temporary_folder_and_one_process_says_so(
-    tmp_path: Path, case: str
-) -> None:
+def test_kernels_are_kept_in_a_temporary_folder_and_one_process_says_so(tmp_path, case):
     file = tmp_path / "file"
     file.touch()
     output, errors = {
@@ -105,9 +103,7 @@ def cache(made_once: Path, tmp_path: Path) -> Path:
     return shutil.copytree(made_once, tmp_path / "cache")
 
 
-def test_cache_made_under_umask_0_is_closed_to_others_and_used_again(
-    cache: Path, tmp_path: Path
-) -> None:
+def test_cache_made_under_umask_0_is_closed_to_others_and_used_again(cache, tmp_path):
     folders = [cache, cache / "funnel-hil", cache / "funnel-hil" / "numba"]
     assert [path.stat().st_mode & 0o077 for path in folders] == [0, 0, 0]
     assert ran(tmp_path, XDG_CACHE_HOME=str(cache)) == ("True\nTrue\n", [])
@@ -123,9 +119,7 @@ def test_cache_made_under_umask_0_is_closed_to_others_and_used_again(
         ("NUMBA_CACHE_DIR", "**/*all_finite*.nbi"),
     ],
 )
-def test_cache_that_others_could_write_to_is_not_read(
-    cache: Path, tmp_path: Path, which: str, by: str
-) -> None:
+def test_cache_that_others_could_write_to_is_not_read(cache, tmp_path, which, by):
     for path in [cache, *cache.rglob("*")]:
         path.chmod(0o755)
     [changed] = cache.glob(which)

@@ -32,7 +32,7 @@ def test_fault_is_reached_through_stopping_alone_and_never_left():
     assert not [mode for mode, _ in TRANSITIONS if mode is Mode.FAULT]
 
 
-def test_whoever_takes_part_can_stop():
+def test_both_sides_can_stop():
     for mode in (Mode.READY, Mode.TRACKING):
         assert follow(mode, Trigger.FAIL) is Mode.STOPPING
 

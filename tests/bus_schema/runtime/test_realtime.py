@@ -20,7 +20,7 @@ import gc, json, mmap, os, resource, threading
 from pathlib import Path
 from bus_schema.runtime import realtime
 
-def become_nobody(memlock_bytes):
+def drop_privileges(memlock_bytes):
     hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)[1]
     if hard != resource.RLIM_INFINITY:
         memlock_bytes = min(memlock_bytes, hard)
@@ -67,7 +67,7 @@ def own_state() -> dict[str, Any]:
     }
 
 
-def test_grants_tell_what_is_in_force() -> None:
+def test_grants_report_the_settings_in_force() -> None:
     result = in_child("""
         cpu = max(os.sched_getaffinity(0))
         grants = realtime.go_realtime(priority=7, cpu=cpu)
@@ -87,7 +87,7 @@ def test_grants_tell_what_is_in_force() -> None:
     assert result["frozen"] > 0
 
 
-def test_who_forgoes_preemption_does_so_in_all_threads_to_come() -> None:
+def test_disabled_preemption_holds_in_later_threads() -> None:
     result = in_child("""
         realtime.use_batch_scheduling()
         seen = []
@@ -102,7 +102,7 @@ def test_who_forgoes_preemption_does_so_in_all_threads_to_come() -> None:
 @pytest.mark.parametrize("memlock_bytes", [64 << 10, 1 << 30])
 def test_refused_permissions_are_reported_with_the_reason(memlock_bytes: int) -> None:
     result = in_child(f"""
-        become_nobody({memlock_bytes})
+        drop_privileges({memlock_bytes})
         report(realtime.go_realtime(), allocated=len(mmap.mmap(-1, 2 << 30)))
     """)
     granted, detail = result["grants"][realtime.SCHEDULER]
@@ -127,7 +127,7 @@ def test_precedence_is_granted_or_refused_with_what_would_change_that() -> None:
     assert granted == (result["nice"] == -3)
     assert "nice -3" in detail
     refused = in_child("""
-        become_nobody(1 << 30)
+        drop_privileges(1 << 30)
         report([realtime.raise_priority()], nice=os.getpriority(os.PRIO_PROCESS, 0))
     """)
     granted, detail = refused["grants"][realtime.PRECEDENCE]

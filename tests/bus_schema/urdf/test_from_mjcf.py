@@ -151,9 +151,7 @@ def test_motors_and_friction_are_taken_over(tmp_path: Path) -> None:
     ],
     ids=["position", "position, wider", "velocity", "general", "both", "integrated"],
 )  # fmt: skip
-def test_servos_limit_range_and_speed_and_have_gains(
-    tmp_path: Path, actuators: str, limits: tuple[float, ...]
-) -> None:
+def test_servos_limit_range_and_speed_and_have_gains(tmp_path, actuators, limits):
     joint = '<compiler angle="radian"/>' + BODY.format('<joint name="j" range="-2 2"/>')
     robot = load(tmp_path, f"<mujoco>{joint}<actuator>{actuators}</actuator></mujoco>")
     drives = robot.drives
@@ -190,9 +188,7 @@ FROM_GEOMS = '<compiler inertiafromgeom="true"/>'
         ('<joint actuatorfrcrange="-3 2"/>', '<motor joint="j" ctrlrange="-5 5"/>', 3.0),
     ],
 )  # fmt: skip
-def test_effort_is_what_all_actuators_of_a_joint_can_do(
-    tmp_path: Path, defaults: str, actuator: str, effort: float
-) -> None:
+def test_effort_is_what_all_actuators_of_a_joint_can_do(tmp_path, defaults, actuator, effort):
     text = f"<default>{defaults}</default>{BODY.format(HINGE)}<actuator>{actuator}</actuator>"
     assert load(tmp_path, f"<mujoco>{text}</mujoco>").effort_limits_nm.tolist() == [effort]
 
@@ -216,7 +212,7 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
 
 
 @pytest.mark.parametrize(
-    ("inside", "said"),
+    ("inside", "message"),
     [
         (BODY.format('<joint name="j" type="ball"/>'), "joint j must be hinge or slide"),
         (BODY.format("<freejoint/>"), "body b has a free joint"),
@@ -242,10 +238,8 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
          "actuator 'a' must drive a joint"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_taken_is_refused_with_file_and_element(
-    tmp_path: Path, inside: str, said: str
-) -> None:
-    assert said in refusal(tmp_path, f"<mujoco>{inside.replace('{}', '')}</mujoco>")
+def test_what_cannot_be_taken_is_refused_with_file_and_element(tmp_path, inside, message):
+    assert message in refusal(tmp_path, f"<mujoco>{inside.replace('{}', '')}</mujoco>")
 
 
 def test_warnings_of_mujoco_leave_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

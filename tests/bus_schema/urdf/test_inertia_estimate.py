@@ -132,8 +132,8 @@ def test_mass_of_the_arm_is_spread_over_what_is_estimated(load):
         inertia_of(link_of(robot, "b")), 0.5 * np.array(BOX_INERTIA), rtol=1e-5, atol=1e-12
     )
     assert robot.reading == {"mass_kg": 10.0}
-    for wrong, said in ((text, "more than the 2 kg"), (two_links(), "must be left out")):
-        with pytest.raises(RobotDescriptionError, match=rf"robot\.mass_kg = 1 \(.*{said}"):
+    for wrong, message in ((text, "more than the 2 kg"), (two_links(), "must be left out")):
+        with pytest.raises(RobotDescriptionError, match=rf"robot\.mass_kg = 1 \(.*{message}"):
             load(wrong, mass_kg=1.0)
 
 
@@ -156,9 +156,9 @@ def test_replaced_inertia_states_by_how_much_it_changes_a_joint(load):
     light = inertial("0.001", "1e-9", "1e-9", "1e-6").replace("0.2 0 0", "0 0 0")
     fixed = joint("mount", "b", "d", "fixed")
     robot = load(two_links(more=f'<link name="d">{light}</link>{fixed}'))
-    (said,) = robot.warnings
-    assert "link d breaks the triangle rule by 1e+02 %" in said
-    assert "the inertia of joint first by 7.8e-05 %" in said
+    (text,) = robot.warnings
+    assert "link d breaks the triangle rule by 1e+02 %" in text
+    assert "the inertia of joint first by 7.8e-05 %" in text
     moved = ManipulatorModel(robot).mass_matrix(np.zeros(2))[0, 0]
     plain = ManipulatorModel(load(two_links())).mass_matrix(np.zeros(2))[0, 0]
     assert moved - plain == pytest.approx(0.5e-6 + 0.001 * 0.3**2, abs=1e-8)

@@ -70,9 +70,9 @@ def test_coupled_fingers_are_held_with_their_mass(tmp_path, actuators, more):
     text = arm(FINGERS, actuators, more)
     robot = load(tmp_path, text)
     assert robot.joint_names == ("shoulder", "elbow")
-    (said,) = (each for each in robot.warnings if "left" in each)
-    assert said.startswith("MJCF: left, right")
-    assert "held as one rigid body with its mass" in said
+    (message,) = (each for each in robot.warnings if "left" in each)
+    assert message.startswith("MJCF: left, right")
+    assert "held as one rigid body with its mass" in message
     compare_dynamics(robot, text)
 
 
@@ -93,17 +93,17 @@ def test_joints_that_are_named_are_driven(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("base", "said"),
+    ("base", "message"),
     [
         ("<freejoint/>", "body base is free, and fixed to the world"),
         ('<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>'
          '<joint name="yaw" axis="0 0 1"/>', "x, y, yaw: those of a mobile base; held"),
     ],
 )  # fmt: skip
-def test_floating_or_mobile_base_is_fixed(tmp_path, base, said):
+def test_floating_or_mobile_base_is_fixed(tmp_path, base, message):
     robot = load(tmp_path, arm(base=base))
     assert robot.joint_names == ("shoulder", "elbow")
-    assert any(said in each for each in robot.warnings)
+    assert any(message in each for each in robot.warnings)
     compare_dynamics(robot, arm())
 
 
@@ -127,7 +127,7 @@ def test_included_and_attached_files_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "said"),
+    ("file", "content", "message"),
     [
         ("parts/../../../out.xml", "<mujoco/>", "must be below"),
         ("own/hand.txt", "<mujoco/>", "its name must end with .xml or .mjcf"),
@@ -137,18 +137,18 @@ def test_included_and_attached_files_are_read(tmp_path):
         ("own/hand.xml", '<mujoco><asset><texture file="/dev/zero"/></asset></mujoco>', ""),
     ],
 )  # fmt: skip
-def test_files_of_files_are_checked_before_mujoco_reads_them(tmp_path, file, content, said):
+def test_files_of_files_are_checked_before_mujoco_reads_them(tmp_path, file, content, message):
     folder = tmp_path / "a" / "b"
     (folder / "own").mkdir(parents=True)
     (folder / "parts").mkdir()
     (folder / file).write_text(content)
     text = arm(assets=f'<asset><model name="hand" file="{file}"/></asset>')
-    if not said:
+    if not message:
         assert load(folder, text).joints == 2
         return
     with pytest.raises(RobotDescriptionError) as caught:
         load(folder, text)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_inertia_of_meshes_is_that_of_mujoco(tmp_path):

@@ -108,7 +108,7 @@ def test_meshes_have_uris_and_missing_ones_are_left_out(tmp_path: Path) -> None:
     ]
 
 
-def test_pictures_come_at_a_viewers_rate_whatever_the_clock_does() -> None:
+def test_images_come_at_the_rate_of_a_viewer_with_any_clock() -> None:
     robot = arm("deploy/robots/paper_arm.urdf")
     view = ArmView(robot)
 

@@ -13,13 +13,13 @@ from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
-    await_true,
     controller_on,
     fresh_link,
     plant_on,
     state,
     status,
 )
+from tests.waiting import await_true
 
 MOST_BYTES = 1 << 24
 ENDED = {role: RunEvent(0, role, EventKind.ENDED, "").encode() for role in Role}
@@ -34,15 +34,15 @@ class Ear:
         self.mailbox = self.node.listen_to_all(MOST_BYTES, lossless=True)
         self.node.announce()
         recorded = (*topics.TOPICS, topics.REJECTED_COMMANDS)
-        self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in recorded}
+        self.received: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in recorded}
 
     def take_all(self) -> None:
         for messages in iter(self.mailbox.take, None):
             for topic, payload, number, _, _ in messages:
-                self.heard[topic.name].append((number, payload))
+                self.received[topic.name].append((number, payload))
 
-    def await_heard(self, topic: Topic, count: int) -> None:
-        self.await_true(lambda: len(self.heard[topic.name]) >= count)
+    def await_received(self, topic: Topic, count: int) -> None:
+        self.await_true(lambda: len(self.received[topic.name]) >= count)
 
     def await_true(self, condition: Callable[[], bool]) -> None:
         def holds() -> bool:
@@ -77,9 +77,7 @@ def recorded_pair() -> Iterator[tuple[ZenohPlantLink, ZenohControllerLink, Ear]]
         yield plant, controller, ear
 
 
-def exchange(
-    plant: ZenohPlantLink, controller: ZenohControllerLink, ticks: range
-) -> dict[str, list[tuple[int, bytes]]]:
+def exchange(plant, controller, ticks):
     """Ticks of both loops; what a recorder is to have of them."""
     await_true(lambda: controller.sees(Role.PLANT))
     for tick in ticks:
@@ -103,6 +101,6 @@ def exchange(
     }
 
 
-def assert_heard(ear: Ear, *sent: dict[str, list[tuple[int, bytes]]]) -> None:
+def assert_received(ear: Ear, *sent: dict[str, list[tuple[int, bytes]]]) -> None:
     for name in sent[0]:
-        assert ear.heard[name] == [message for part in sent for message in part[name]], name
+        assert ear.received[name] == [message for part in sent for message in part[name]], name

@@ -15,15 +15,21 @@ from bus_schema.zenoh.bundles import Bundler, unbundled
 from bus_schema.zenoh.link import ZenohPlantLink
 from bus_schema.zenoh.ros_graph import Attachment, EntityKind, endpoint_token
 from bus_schema.zenoh.session import ZenohSession
-from tests.bus_schema.zenoh.recorder_ear import ENDED, assert_heard, ear_on, exchange, recorded_pair
+from tests.bus_schema.zenoh.recorder_ear import (
+    ENDED,
+    assert_received,
+    ear_on,
+    exchange,
+    recorded_pair,
+)
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
-    await_true,
     controller_on,
     foreign_session,
     fresh_link,
     plant_on,
 )
+from tests.waiting import await_true
 
 FOREIGN = Attachment(7, 0, b"f" * 16)
 NAMES = {topic.name.encode(): topic for topic in topics.TOPICS}
@@ -48,8 +54,8 @@ def test_recorder_takes_bundles_alone_while_none_but_both_loops_speak() -> None:
     with recorded_pair() as (plant, controller, ear):
         ear.await_true(lambda: hears_bundles_alone(plant))
         sent = exchange(plant, controller, range(100))
-        ear.await_heard(topics.RUN_EVENTS, 2)
-        assert_heard(ear, sent)
+        ear.await_received(topics.RUN_EVENTS, 2)
+        assert_received(ear, sent)
 
 
 def test_each_message_comes_once_whenever_the_recorder_turns_to_bundles() -> None:
@@ -60,8 +66,8 @@ def test_each_message_comes_once_whenever_the_recorder_turns_to_bundles() -> Non
             controller.activate()
             controller.await_recorder(HANG_S)
             sent = [exchange(plant, controller, range(at, at + 50)) for at in range(0, 300, 50)]
-            ear.await_heard(topics.RUN_EVENTS, 12)
-            assert_heard(ear, *sent)
+            ear.await_received(topics.RUN_EVENTS, 12)
+            assert_received(ear, *sent)
 
 
 def test_bundle_of_the_controller_says_nothing_in_the_plants_name() -> None:
@@ -73,8 +79,8 @@ def test_bundle_of_the_controller_says_nothing_in_the_plants_name() -> None:
         bundler.add(b"run_events", FOREIGN.encode(), forged)
         bundler.add(b"control_status", FOREIGN.encode(), b"its own")
         bundler.send()
-        ear.await_heard(topics.CONTROL_STATUS, 1)
-        assert ear.heard["plant_truth"] == ear.heard["run_events"] == []
+        ear.await_received(topics.CONTROL_STATUS, 1)
+        assert ear.received["plant_truth"] == ear.received["run_events"] == []
         assert ear.mailbox.rejected == {"wrong_role": 1}
 
 
@@ -87,9 +93,9 @@ def test_what_is_no_bundle_is_taken_as_far_as_it_is_one(cut_off: int) -> None:
         bundler.send()  # nothing more
         await_true(lambda: bool(taken))
     (bundle,) = taken
-    said = [(topics.PLANT_TRUTH, b"%d" % number, *FOREIGN) for number in range(3)]
-    assert unbundled(bundle, NAMES) == said
-    assert unbundled(bundle[:-cut_off], NAMES) in (said[:2], said[:1])
+    sent = [(topics.PLANT_TRUTH, b"%d" % number, *FOREIGN) for number in range(3)]
+    assert unbundled(bundle, NAMES) == sent
+    assert unbundled(bundle[:-cut_off], NAMES) in (sent[:2], sent[:1])
     for garbage in (b"", b"\0" * 5, b"\xff" * 300, bundle[7:]):
         assert unbundled(garbage, NAMES) == []
 
@@ -101,9 +107,7 @@ def test_what_is_no_bundle_is_taken_as_far_as_it_is_one(cut_off: int) -> None:
         bytes(33), Attachment(-1, 0, FOREIGN.gid).encode(), Attachment(1, -1, FOREIGN.gid).encode(),
     ],
 )  # fmt: skip
-def test_attachments_in_bundles_are_read_as_those_of_messages_by_themselves(
-    attachment: bytes,
-) -> None:
+def test_attachments_in_bundles_are_read_as_those_of_messages_by_themselves(attachment):
     with lone_bundler() as (bundler, taken):
         bundler.add(b"plant_truth", attachment, b"truth")
         bundler.add(b"plant_truth", FOREIGN.encode(), b"next")
@@ -123,9 +127,7 @@ def test_large_messages_do_not_wait_for_others() -> None:
 
 @pytest.mark.parametrize("is_announced", [False, True], ids=["without a token", "with a token"])
 @pytest.mark.parametrize("is_rejected", [False, True], ids=["alone", "beside a commander"])
-def test_commands_of_strangers_come_as_the_plant_took_them_in(
-    is_announced: bool, is_rejected: bool
-) -> None:
+def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced, is_rejected):
     """Each once, the very first too, whether the recorder turns to topics for it or not."""
     with recorded_pair() as (plant, _controller, ear):
         ear.await_true(lambda: hears_bundles_alone(plant))
@@ -142,14 +144,14 @@ def test_commands_of_strangers_come_as_the_plant_took_them_in(
                 attachment = Attachment(number, 0, FOREIGN.gid).encode()
                 key = topics.JOINT_COMMANDS.key_expression(0)
                 stranger.put(key, b"strike %d" % number, attachment=attachment)
-                stranger.put(key, b"by nobody")
+                stranger.put(key, b"without a sender")
 
         strike(range(1, 4))
         if is_announced:
             ear.await_true(lambda: not hears_bundles_alone(plant))
             status_key = topics.CONTROL_STATUS.key_expression(0)
             stranger.put(status_key, b"numbered", attachment=FOREIGN.encode())
-            ear.await_heard(topics.CONTROL_STATUS, 1)
+            ear.await_received(topics.CONTROL_STATUS, 1)
         strike(range(4, 6))
         taken: list[bytes] = []
 
@@ -163,8 +165,8 @@ def test_commands_of_strangers_come_as_the_plant_took_them_in(
         plant.report()
         plant.publish(topics.RUN_EVENTS, ENDED[Role.PLANT])
         topic = topics.REJECTED_COMMANDS if is_rejected else topics.JOINT_COMMANDS
-        ear.await_heard(topic, 10)  # the event may come by itself, before them
-        assert [payload for _, payload in ear.heard[topic.name]] == taken
+        ear.await_received(topic, 10)  # the event may come by itself, before them
+        assert [payload for _, payload in ear.received[topic.name]] == taken
         stranger.close()  # type: ignore[no-untyped-call]
 
 
@@ -191,8 +193,8 @@ def test_with_keys_no_event_of_a_loop_is_believed_by_itself(by_role: bool) -> No
         publisher = stranger.publisher(topics.RUN_EVENTS.key_expression(0))
         await_true(publisher.has_subscribers)
         publisher.put(forged, FOREIGN.encode())
-        heard = ear.heard[topics.RUN_EVENTS.name]
-        ear.await_true(lambda: bool(heard or ear.mailbox.rejected))
+        received = ear.received[topics.RUN_EVENTS.name]
+        ear.await_true(lambda: bool(received or ear.mailbox.rejected))
         stranger.close()
-        assert [payload for _, payload in heard] == ([] if by_role else [forged])
+        assert [payload for _, payload in received] == ([] if by_role else [forged])
         assert ear.mailbox.rejected == ({"wrong_role": 1} if by_role else {})

@@ -1,4 +1,4 @@
-"""Whoever waits in vain is told what to check; refusals are silent on the wire."""
+"""A process that waits in vain reports what to check; refusals are silent on the wire."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ OURS, OTHER_AUTHORITY, OTHER_HOST, PLAINTEXT = 0, 1, 2, None
 @pytest.mark.parametrize("keys", [PLAINTEXT, OURS], ids=["plaintext", "tls"])
 def test_missing_peer_is_reported(folders: tuple[Path, Path, Path], keys: int | None) -> None:
     link = make_link(free_ports(1)[0], None if keys is None else folders[keys])
-    said = explain_silence(link, Role.CONTROLLER, Role.PLANT)
-    assert "no plant yet after 2 s" in said
-    assert "nobody can be reached there (Connection refused)" in said
+    text = explain_silence(link, Role.CONTROLLER, Role.PLANT)
+    assert "no plant yet after 2 s" in text
+    assert "no process can be reached there (Connection refused)" in text
 
 
 @pytest.mark.parametrize(
@@ -59,10 +59,7 @@ def test_missing_peer_is_reported(folders: tuple[Path, Path, Path], keys: int | 
     ],
     ids=["tls there", "plaintext there", "another authority", "another host", "nothing wrong"],
 )
-def test_what_keeps_the_two_apart_is_named(
-    folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch,
-    theirs: int | None, ours: int | None, patience_s: float, finding: str,
-) -> None:  # fmt: skip
+def test_what_keeps_the_two_apart_is_named(folders, monkeypatch, theirs, ours, patience_s, finding):
     monkeypatch.setattr(silence, "_PROBE_S", patience_s)
     port = free_ports(1)[0]
     with plant_on(make_link(port, None if theirs is None else folders[theirs])):
@@ -76,32 +73,28 @@ def test_other_side_does_not_accept_ours(folders: tuple[Path, Path, Path], tmp_p
     (tmp_path / "authority.crt").write_bytes((folders[OURS] / "authority.crt").read_bytes())
     port = free_ports(1)[0]
     with plant_on(make_link(port, folders[OURS])):
-        said = explain_silence(make_link(port, tmp_path), Role.CONTROLLER, Role.PLANT)
-    assert "it refuses our certificate for the role controller" in said
+        text = explain_silence(make_link(port, tmp_path), Role.CONTROLLER, Role.PLANT)
+    assert "it refuses our certificate for the role controller" in text
 
 
 def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
     link = make_link(free_ports(1)[0], folders[OURS])
     with plant_on(link):
         swapped = link.model_copy(update={"controller_endpoint": link.plant_endpoint})
-        said = explain_silence(swapped, Role.RECORDER, Role.CONTROLLER)
-    assert "the certificate there is for the role 'plant'" in said
+        text = explain_silence(swapped, Role.RECORDER, Role.CONTROLLER)
+    assert "the certificate there is for the role 'plant'" in text
 
 
 @pytest.mark.parametrize("secured", [False, True])
-def test_listener_reports_why_connections_fail(
-    folders: tuple[Path, Path, Path], secured: bool
-) -> None:
+def test_listener_reports_why_connections_fail(folders, secured):
     link = make_link(7451, folders[0] if secured else None)
-    said = explain_silence(link, Role.PLANT, Role.CONTROLLER)
-    assert f"no controller yet after 2 s at {'tls' if secured else 'tcp'}/127.0.0.1:7451" in said
-    assert ("certificate for the role controller" in said) == secured
-    assert ("It is off here" in said) == (not secured)
+    text = explain_silence(link, Role.PLANT, Role.CONTROLLER)
+    assert f"no controller yet after 2 s at {'tls' if secured else 'tcp'}/127.0.0.1:7451" in text
+    assert ("certificate for the role controller" in text) == secured
+    assert ("It is off here" in text) == (not secured)
 
 
-def test_warning_comes_once(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_warning_comes_once(caplog, monkeypatch):
     watch = SilenceWatch(make_link(free_ports(1)[0]), Role.PLANT, Role.CONTROLLER)
     watch.look()
     assert caplog.records == []  # two seconds have not passed

@@ -32,19 +32,7 @@ def test_without_a_recorder_no_process_waits_for_one() -> None:
     assert not flow._marks  # they would grow for hours
 
 
-def test_a_recorder_far_behind_is_waited_for() -> None:
-    flow = FlowControl(NEVER_S)
-    flow.join("recorder")
-    flow.send(TOO_MUCH // 2, 1)
-    flow.send(1000)
-    assert not must_wait(flow)
-    flow.send(TOO_MUCH // 2, 2)
-    assert must_wait(flow)
-
-
-def test_recorder_that_never_said_anything_is_not_waited_for_as_long(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_recorder_that_never_reported_is_awaited_for_less_time(monkeypatch):
     monkeypatch.setattr(outbox, "_FIRST_PATIENCE_S", NEVER_S)
     flow = FlowControl(HANG_S)
     flow.join("recorder")
@@ -58,32 +46,37 @@ def test_recorder_that_never_said_anything_is_not_waited_for_as_long(
     assert flow._recorders == {"recorder": 2}
 
 
-def test_a_recorder_that_has_caught_up_is_not() -> None:
+HALF = TOO_MUCH // 2
+WAITS = {
+    "less than the largest lead": ("join recorder", (HALF, 1), (1000,), False),
+    "far behind": ("join recorder", (HALF, 1), (1000,), (HALF, 2), True),
+    "caught up, with a late and a false report": (
+        "join recorder", (HALF, 1), (HALF, 2), (HALF, 3), ("recorder", 2), ("recorder", 1),
+        ("stranger", 9), False,
+    ),
+    "sent before both came": ((TOO_MUCH, 1), "join quick", "join slow", False),
+    "the slowest of two": ("join quick", "join slow", (TOO_MUCH, 2), ("quick", 2), True),
+    "the slowest has left": (
+        "join quick", "join slow", (TOO_MUCH, 2), ("quick", 2), "leave slow", False
+    ),
+}  # fmt: skip
+"""Arrivals, departures, bytes sent with their marks, reports; and whether the sender waits."""
+
+
+@pytest.mark.parametrize("case", WAITS)
+def test_sender_waits_for_recorders_that_are_far_behind(case):
     flow = FlowControl(NEVER_S)
-    flow.join("recorder")
-    for mark in (1, 2, 3):
-        flow.send(TOO_MUCH // 2, mark)
-    flow.acknowledge("recorder", 2)
-    flow.acknowledge("recorder", 1)  # late
-    flow.acknowledge("stranger", 9)
-    assert not must_wait(flow)
+    *steps, waits = WAITS[case]
+    for step in steps:
+        if isinstance(step, str):
+            action, recorder = step.split()
+            getattr(flow, action)(recorder)
+        else:
+            (flow.acknowledge if isinstance(step[0], str) else flow.send)(*step)
+    assert must_wait(flow) is waits
 
 
-def test_the_slowest_of_several_counts_while_it_is_there() -> None:
-    flow = FlowControl(NEVER_S)
-    flow.send(TOO_MUCH, 1)
-    for recorder in ("quick", "slow"):
-        flow.join(recorder)  # what was sent before is none of theirs
-    assert not must_wait(flow)
-    flow.send(TOO_MUCH, 2)
-    flow.acknowledge("quick", 2)
-    flow.leave("slow")
-    assert not must_wait(flow)
-
-
-def test_recorder_that_never_answers_is_abandoned_and_reported(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_recorder_that_never_answers_is_abandoned_and_reported(caplog):
     flow = FlowControl(patience_s=0.01)
     flow.join("recorder")
     flow.send(TOO_MUCH, 1)
@@ -96,9 +89,7 @@ def test_recorder_that_never_answers_is_abandoned_and_reported(
     ]
 
 
-def test_all_recorders_that_never_answer_cost_one_wait_and_later_ones_none(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_all_recorders_that_never_answer_cost_one_wait_and_later_ones_none(caplog):
     flow = FlowControl(patience_s=0.01)
     for name in ("false", "also false", "false again"):
         flow.join(name)
@@ -127,7 +118,7 @@ def test_recorder_that_joined_just_now_is_not_abandoned_with_others() -> None:
     assert flow._recorders.keys() == {"genuine"}
 
 
-def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
+def test_plant_waits_until_a_recorder_confirms_the_messages() -> None:
     link, payload, batch, batches = fresh_link(), bytes(20_000), 32, 5
     assert batch * len(payload) > LARGEST_LEAD_BYTES
     with plant_on(link) as plant, ear_on(link, plant) as ear:
@@ -141,7 +132,7 @@ def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
         gid = plant._outbox.gid_of(PLANT_TRUTH)
         assert gid is not None
         for number in range(1, batches + 1):
-            ear.await_heard(PLANT_TRUTH, number * batch)
+            ear.await_received(PLANT_TRUTH, number * batch)
             assert sender.is_alive()
             ear.node.tell_progress(gid, number * batch)
         sender.join(HANG_S)

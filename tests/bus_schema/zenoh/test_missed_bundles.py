@@ -1,4 +1,4 @@
-"""What a loop said while no recorder heard it comes to one all the same: in order, and once."""
+"""A recorder receives what it missed later: in order, and once."""
 
 from __future__ import annotations
 
@@ -20,14 +20,9 @@ from bus_schema.zenoh.bundle_order import _AGAIN_S, _MOST_ASKED, _MOST_WAITING, 
 from bus_schema.zenoh.bundles import MOST_AT_ONCE, Bundler, Span
 from bus_schema.zenoh.link import ZenohControllerLink
 from bus_schema.zenoh.session import ZenohSession
-from tests.bus_schema.zenoh.recorder_ear import Ear, assert_heard, ear_on, exchange
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    await_true,
-    controller_on,
-    fresh_link,
-    plant_on,
-)
+from tests.bus_schema.zenoh.recorder_ear import Ear, assert_received, ear_on, exchange
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, controller_on, fresh_link, plant_on
+from tests.waiting import await_true
 
 SENDER = b"s" * 16
 
@@ -88,7 +83,7 @@ def _shut(end: socket.socket) -> None:
 
 @contextmanager
 def wire_to_controller(link: LinkConfiguration) -> Iterator[tuple[Wire, LinkConfiguration]]:
-    """A wire, and the link of whoever connects to the controller over it."""
+    """A wire, and the link of a client that connects to the controller over it."""
     wire = Wire(link.controller_endpoint)
     try:
         yield wire, link.model_copy(update={"controller_endpoint": wire.endpoint})
@@ -102,18 +97,18 @@ def await_loss(controller: ZenohControllerLink, ear: Ear) -> None:
     ear.await_true(lambda: not ear.node.sees(Role.CONTROLLER))
 
 
-def test_what_was_said_before_the_recorder_came_is_heard_first() -> None:
+def test_recorder_first_receives_what_was_sent_before_it_came() -> None:
     link = fresh_link()
     with plant_on(link) as plant, controller_on(link) as controller:
         controller.activate()
         before = exchange(plant, controller, range(50))
         with ear_on(link, plant, controller) as ear:
             after = exchange(plant, controller, range(50, 100))
-            ear.await_heard(topics.RUN_EVENTS, 4)
-            assert_heard(ear, before, after)
+            ear.await_received(topics.RUN_EVENTS, 4)
+            assert_received(ear, before, after)
 
 
-def test_what_was_said_while_the_connection_was_down_is_heard_in_its_turn() -> None:
+def test_messages_from_a_lost_connection_arrive_in_order_later() -> None:
     link = fresh_link()
     with (
         plant_on(link) as plant,
@@ -129,9 +124,9 @@ def test_what_was_said_while_the_connection_was_down_is_heard_in_its_turn() -> N
         wire.mend()
         controller.await_recorder(HANG_S)
         sent.append(exchange(plant, controller, range(100, 150)))
-        ear.await_heard(topics.RUN_EVENTS, 6)
-        ear.await_heard(topics.CONTROL_STATUS, 150)
-        assert_heard(ear, *sent)
+        ear.await_received(topics.RUN_EVENTS, 6)
+        ear.await_received(topics.CONTROL_STATUS, 150)
+        assert_received(ear, *sent)
 
 
 @pytest.fixture
@@ -188,9 +183,7 @@ def test_what_does_not_come_is_asked_for_again_after_twice_as_long(order: Bundle
 FORGED = 2**62
 
 
-def test_forged_number_is_left_out_and_bars_no_genuine_bundle(
-    order: BundleOrder, rejected: Counter[str]
-) -> None:
+def test_forged_number_is_left_out_and_bars_no_genuine_bundle(order, rejected):
     assert taken_in(order, 1, 2) == numbered(1, 2)
     assert taken_in(order, FORGED, first=FORGED) == []
     assert order.missed(0.0) is None
@@ -198,17 +191,13 @@ def test_forged_number_is_left_out_and_bars_no_genuine_bundle(
     assert rejected == {"forged_number": 1}
 
 
-def test_bundles_follow_a_forged_one_that_came_before_all_of_them(
-    order: BundleOrder, rejected: Counter[str]
-) -> None:
+def test_bundles_follow_a_forged_one_that_came_before_all_of_them(order, rejected):
     assert taken_in(order, FORGED, first=FORGED) == numbered(FORGED)
     assert taken_in(order, 1, 2) == numbered(1, 2)
     assert rejected == {"forged_number": 1}
 
 
-def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another(
-    order: BundleOrder, rejected: Counter[str]
-) -> None:
+def test_second_bundle_of_a_number_is_left_out_and_counted_where_it_is_another(order, rejected):
     assert order.take_in(Span(1, 3, SENDER), b"forged ahead") == []
     assert taken_in(order, 1, 1, 2) == [*numbered(1, 2), b"forged ahead"]
     assert taken_in(order, 3, 4) == numbered(4)
@@ -234,13 +223,13 @@ def test_flood_of_requests_is_answered_in_part(monkeypatch: pytest.MonkeyPatch) 
         assert sum(bundler._may_answer() for _ in range(500)) == 50
 
 
-def test_nobody_waits_for_what_its_sender_keeps_no_longer(order: BundleOrder) -> None:
+def test_bundles_that_the_sender_has_dropped_are_not_awaited(order: BundleOrder) -> None:
     assert taken_in(order, 3, 9) == []
     assert taken_in(order, 10, first=5) == numbered(3)
     assert order.missed(0.0) == Span(5, 8, SENDER)
 
 
-def test_last_bundle_is_missed_once_it_is_told_of(order: BundleOrder) -> None:
+def test_last_bundle_is_missed_once_it_is_announced(order: BundleOrder) -> None:
     assert taken_in(order, 1) == numbered(1)
     assert order.take_in(Span(1, 3, SENDER), b"") == []
     assert order.missed(0.0) == Span(2, 3, SENDER)
@@ -264,9 +253,7 @@ def test_no_more_than_so_many_wait_for_one_that_never_comes(order: BundleOrder) 
     assert order.rest() == numbered(1000)
 
 
-def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(monkeypatch):
     monkeypatch.setattr(bundles, "_KEPT_BYTES", 3500)
     monkeypatch.setattr(bundles, "MOST_AT_ONCE", 2)
     session, again = ZenohSession([], [], low_latency=False), []
@@ -280,6 +267,6 @@ def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(
         ask.put(nonsense, b"")
     ask.put(Span(1, 5, bundler._sender).encode(), b"")
     bundler.tell()
-    told = [Span.decode(attachment) for attachment in again if attachment]
+    reported = [Span.decode(attachment) for attachment in again if attachment]
     session.close()
-    assert told == [Span(3, number, bundler._sender) for number in (3, 4, 5)]
+    assert reported == [Span(3, number, bundler._sender) for number in (3, 4, 5)]

@@ -6,7 +6,6 @@ import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from itertools import count
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -35,14 +34,13 @@ from tests.bus_schema.zenoh.rmw_sessions import rmw_node, rmw_router
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     JOINTS,
-    await_true,
     controller_on,
-    free_endpoint,
     fresh_link,
     plant_on,
     state,
     status,
 )
+from tests.waiting import await_true, free_endpoint
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +63,7 @@ def node(link: LinkConfiguration, plant: ZenohPlantLink) -> Iterator[zenoh.Sessi
         yield session
 
 
-def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
-    link: LinkConfiguration, plant: ZenohPlantLink, node: zenoh.Session
-) -> None:
+def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(link, plant, node):
     tokens: set[str] = set()
     numbers: dict[str, list[int]] = {JOINT_STATES.name: [], PLANT_TRUTH.name: []}
 
@@ -89,27 +85,25 @@ def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
         await_true(lambda: {t.split("/")[8] for t in tokens if t.split("/")[5] == "NN"} >= expected)
     await_true(plant._states.has_subscribers)
 
-    def is_heard() -> bool:
+    def is_received() -> bool:
         plant.send_state(state(0), status())
         return bool(numbers[JOINT_STATES.name])
 
-    await_true(is_heard)  # routes follow what is declared
+    await_true(is_received)  # routes follow what is declared
     for _ in range(640):
         plant.send_state(state(0), status())
         plant.publish(PLANT_TRUTH, layout(PLANT_TRUTH, JOINTS).template)
     # As at the end of a run, an event takes along what waits for more of its kind.
     plant.publish(RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
     await_true(lambda: len(numbers[PLANT_TRUTH.name]) == 640)
-    heard = numbers[JOINT_STATES.name]
-    await_true(lambda: heard[-1] - heard[0] >= 640)
-    assert heard == list(range(heard[0], heard[-1] + 1))
+    received = numbers[JOINT_STATES.name]
+    await_true(lambda: received[-1] - received[0] >= 640)
+    assert received == list(range(received[0], received[-1] + 1))
     for declared in (*hears, watch):
         declared.undeclare()
 
 
-def test_node_that_comes_late_gets_the_arm_and_sees_it_move(
-    link: LinkConfiguration, plant: ZenohPlantLink, node: zenoh.Session, tmp_path: Path
-) -> None:
+def test_node_that_comes_late_gets_the_arm_and_sees_it_move(link, plant, node, tmp_path):
     """As RViz subscribes: transient local for robot_description and tf_static, volatile for tf."""
     places = {key: str(value) for key, value in link.model_dump(exclude_unset=True).items()}
     overrides = [f"link.{key}={value}" for key, value in places.items()]
@@ -117,12 +111,12 @@ def test_node_that_comes_late_gets_the_arm_and_sees_it_move(
     is_over = threading.Event()
     thread = threading.Thread(target=recorder.run, args=(is_over.is_set,))
     thread.start()
-    heard: defaultdict[str, list[bytes]] = defaultdict(list)
+    received: defaultdict[str, list[bytes]] = defaultdict(list)
 
     def hear(sample: zenoh.Sample) -> None:
         assert sample.attachment is not None
         assert Attachment.decode(sample.attachment.to_bytes()) is not None
-        heard[str(sample.key_expr).split("/")[1]].append(sample.payload.to_bytes())
+        received[str(sample.key_expr).split("/")[1]].append(sample.payload.to_bytes())
 
     late = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
     ears = [
@@ -134,19 +128,19 @@ def test_node_that_comes_late_gets_the_arm_and_sees_it_move(
 
     def is_seen() -> bool:
         plant.send_state(state(next(stamps_ns)), status())
-        return heard.keys() == {"robot_description", "tf_static", "tf"}
+        return received.keys() == {"robot_description", "tf_static", "tf"}
 
     await_true(is_seen)
     is_over.set()
     thread.join(HANG_S)
     recorder.close()
     ros = get_typestore(Stores.ROS2_JAZZY)
-    (description,) = heard["robot_description"]
+    (description,) = received["robot_description"]
     assert "<robot" in ros.deserialize_cdr(description, STRING).data
-    moving = ros.deserialize_cdr(heard["tf"][-1], TF_MESSAGE).transforms
+    moving = ros.deserialize_cdr(received["tf"][-1], TF_MESSAGE).transforms
     assert [each.child_frame_id for each in moving] == ["column", "upper_arm", "forearm"]
     kept = read_log(tmp_path / "run.mcap").payloads
     assert kept["robot_description"] == [description]
-    assert set(heard["tf"]) <= set(kept["tf"])
+    assert set(received["tf"]) <= set(kept["tf"])
     for declared in (*ears, ear):
         declared.undeclare()

@@ -55,7 +55,7 @@ def test_what_follows_an_attachment_is_no_part_of_it() -> None:
     assert Attachment.decode(attachment.encode() + b"more") == attachment
     assert beside(attachment.encode() + b"more") == b"more"
     assert beside(attachment.encode()) is None
-    assert beside(b'{"from": "somebody who attaches a text of their own"}') is None
+    assert beside(b'{"from": "another attachment"}') is None
 
 
 @pytest.mark.parametrize(

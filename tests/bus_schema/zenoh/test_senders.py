@@ -1,4 +1,4 @@
-"""A sender of commands that has left is known as gone, whatever made its id."""
+"""A sender of commands that has left is known to be gone, for any kind of id."""
 
 from __future__ import annotations
 
@@ -41,9 +41,7 @@ def test_id_made_of_a_token_is_gone_with_it_though_others_stay(graph: RosGraph) 
 
 
 @pytest.mark.parametrize("sender", [ANY_ID, b""], ids=["any id", "no id"])
-def test_other_id_is_gone_once_all_that_were_there_with_it_are(
-    graph: RosGraph, sender: bytes
-) -> None:
+def test_other_id_is_gone_once_all_that_were_there_with_it_are(graph, sender):
     come(graph, FIRST)
     graph.note_command(sender)
     come(graph, SECOND)  # a successor that waits

@@ -1,4 +1,4 @@
-"""Over real sockets: who may not speak is not heard, and who is none of us hears nothing."""
+"""Over real sockets: who may not speak is not received, and who is none of us hears nothing."""
 
 from __future__ import annotations
 
@@ -24,15 +24,9 @@ from bus_schema.zenoh.access import (
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.session import ZenohSession
 from deploy.run.network.keys import issue
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    await_true,
-    foreign_session,
-    free_endpoint,
-    fresh_link,
-    plant_on,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, foreign_session, fresh_link, plant_on
 from tests.security import issued_keys
+from tests.waiting import await_true, free_endpoint
 
 MINUTE_DAYS = 1 / 1440
 
@@ -65,17 +59,15 @@ def expired(keys: KeyFolder, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("is_valid", [True, False], ids=["valid", "expired"])
-def test_certificate_counts_until_it_expires(
-    keys: KeyFolder, tmp_path: Path, is_valid: bool
-) -> None:
+def test_certificate_counts_until_it_expires(keys, tmp_path, is_valid):
     """Strangers without any, of another role or authority: see end_to_end/test_security.py."""
     link = secured_link(keys)
     with plant_on(link) as plant:
         security = tls(keys, Role.CONTROLLER) if is_valid else expired(keys, tmp_path)
         controller = ZenohSession([], [link.plant_endpoint], low_latency=True, security=security)
-        heard: list[object] = []
+        received: list[object] = []
         taken: list[object] = []
-        controller.subscribe(topics.JOINT_STATES.key_expression(0), heard.append)
+        controller.subscribe(topics.JOINT_STATES.key_expression(0), received.append)
         commands = controller.publisher(topics.JOINT_COMMANDS.key_expression(0))
 
         def talk() -> bool:
@@ -83,18 +75,18 @@ def test_certificate_counts_until_it_expires(
             commands.put(b"joint command", b"")
             time.sleep(0.02)
             taken.extend(plant.take_commands())
-            return bool(heard and taken)
+            return bool(received and taken)
 
         if is_valid:
             await_true(talk)
         else:
             for _ in range(75):
                 talk()
-            assert heard == taken == []
+            assert received == taken == []
         controller.close()
 
 
-def test_false_plant_is_not_heard(keys: KeyFolder) -> None:
+def test_false_plant_is_ignored(keys: KeyFolder) -> None:
     """Who listens at the plant's endpoint with another's certificate is no plant for that."""
     link = secured_link(keys)
     listens = [link.plant_endpoint.replace("tcp", "tls")]
@@ -111,9 +103,7 @@ def test_false_plant_is_not_heard(keys: KeyFolder) -> None:
     false_plant.close()
 
 
-def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everything(
-    keys: KeyFolder,
-) -> None:
+def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everything(keys):
     link = secured_link(keys, reply_timeout_s=HANG_S)
     with plant_on(link) as plant:
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
@@ -122,7 +112,7 @@ def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everythin
         flow, gid = plant._flow, plant._outbox.gid_of(topics.PLANT_TRUTH)
         assert flow is not None
         assert gid is not None
-        flow.send(100, mark=5)  # nobody has more than was sent
+        flow.send(100, mark=5)  # no recorder has more than was sent
         await_true(lambda: recorder.tell_progress(gid, 5) or 5 in flow._recorders.values())
         gid = plant._outbox.gid_of(topics.RUN_EVENTS)
         assert gid is not None
@@ -132,12 +122,10 @@ def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everythin
         recorder.close()
 
 
-def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
-    keys: KeyFolder,
-) -> None:
+def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(keys):
     router = free_endpoint().replace("tcp", "tls")
     link = secured_link(keys, router_endpoint=router)
-    heard: dict[str, bytes] = {}
+    received: dict[str, bytes] = {}
     late = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
     key = topics.ROBOT_DESCRIPTION.key_expression(0)
     with session_as(Role.PLANT, keys, mode="router", listen__endpoints=[router]):
@@ -147,15 +135,15 @@ def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
         recorder.publish(topics.ROBOT_DESCRIPTION, b"the arm")
         with session_as(Role.RECORDER, keys, mode="client", connect__endpoints=[router]) as viewer:
             ear = zenoh.ext.declare_advanced_subscriber(
-                viewer, key, lambda s: heard.update(arm=s.payload.to_bytes()), history=late
+                viewer, key, lambda s: received.update(arm=s.payload.to_bytes()), history=late
             )
             tf = viewer.declare_subscriber(
-                topics.TF.key_expression(0), lambda s: heard.update(tf=s.payload.to_bytes())
+                topics.TF.key_expression(0), lambda s: received.update(tf=s.payload.to_bytes())
             )
 
             def is_seen() -> bool:
                 recorder.publish(topics.TF, b"where it is")
-                return heard == {"arm": b"the arm", "tf": b"where it is"}
+                return received == {"arm": b"the arm", "tf": b"where it is"}
 
             await_true(is_seen)
             ear.undeclare()
@@ -164,7 +152,7 @@ def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
 
 
 def session_as(role: Role, keys: KeyFolder, **settings: Any) -> zenoh.Session:
-    """A session of somebody else's, with a role's certificate and no rules of its own."""
+    """A foreign session, with the certificate of a role and without its rules."""
     given = {name.replace("__", "/"): value for name, value in settings.items()}
     return foreign_session({**tls(keys, role), "scouting/multicast/enabled": False, **given})
 
@@ -183,15 +171,15 @@ def test_rules_follow_the_table_of_topics() -> None:
     def keys_of(*senders: Role | None) -> set[str]:
         return {t.key_expression(7) for t in (*topics.TOPICS, topics.CLOCK) if t.sender in senders}
 
-    told = {progress_key_expression(7), missed_key_expression(7)}
+    reported = {progress_key_expression(7), missed_key_expression(7)}
     bundles = {role: bundle_key_expression(7, role) for role in (Role.PLANT, Role.CONTROLLER)}
     assert puts("egress") == {*keys_of(Role.PLANT, None), bundles[Role.PLANT]}
     assert puts("ingress") == {
-        *keys_of(Role.PLANT, Role.CONTROLLER, None), *told, *bundles.values()
+        *keys_of(Role.PLANT, Role.CONTROLLER, None), *reported, *bundles.values()
     }  # fmt: skip
     for rule in rules:
         if rule["id"].startswith("plant from recorder"):
-            assert "put" not in rule["messages"] or set(rule["key_exprs"]) == told
+            assert "put" not in rule["messages"] or set(rule["key_exprs"]) == reported
             speaks = rule["messages"] == ["liveliness_token"]
             assert (recorded_key_expression(7) in rule["key_exprs"]) == (
                 speaks or "liveliness" in rule["messages"][0]

@@ -18,15 +18,8 @@ import pytest
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.zenoh.link import ZenohPlantLink
 from plant_emulator.command_gate import CommandGate
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    JOINTS,
-    await_true,
-    fresh_link,
-    plant_on,
-    state,
-    status,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, JOINTS, fresh_link, plant_on, state, status
+from tests.waiting import await_true
 
 CLIENT = r"""
 import json, sys, time
@@ -77,14 +70,14 @@ for line in sys.stdin:
 
 
 class Client:
-    """The foreign client: told what to do, and heard, line by line."""
+    """The foreign client: it takes orders and answers, line by line."""
 
     def __init__(self, port: int) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-c", CLIENT, str(port)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        self.said: list[dict[str, Any]] = []
+        self.answers: list[dict[str, Any]] = []
         threading.Thread(target=self._listen, daemon=True).start()
 
     def tell(self, order: Any) -> None:
@@ -92,11 +85,11 @@ class Client:
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
 
-    def await_said(self, key: str) -> dict[str, Any]:
-        """The newest thing it said about `key`."""
+    def await_answer(self, key: str) -> dict[str, Any]:
+        """Return its newest answer with `key`."""
 
         def matching() -> list[dict[str, Any]]:
-            return [said for said in self.said if key in said]
+            return [text for text in self.answers if key in text]
 
         await_true(lambda: bool(matching()) or self._process.poll() is not None)
         assert matching(), "the client has died"
@@ -110,7 +103,7 @@ class Client:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith("{"):
-                self.said.append(json.loads(line))
+                self.answers.append(json.loads(line))
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +117,7 @@ def foreign(link: LinkConfiguration) -> Iterator[tuple[ZenohPlantLink, Client]]:
     with plant_on(link) as plant:
         client = Client(int(link.plant_endpoint.rpartition(":")[2]))
         try:
-            client.await_said("hash")
+            client.await_answer("hash")
             plant.await_controller(HANG_S)
             yield plant, client
         finally:
@@ -135,12 +128,12 @@ def test_foreign_client_reads_our_joint_states(foreign: tuple[ZenohPlantLink, Cl
     plant, client = foreign
     payload = state(stamp_ns=3_000_000_007, position=(0.1, -0.2, 0.3), effort=(1.0, 2.0, -3.0))
 
-    def is_heard() -> bool:
+    def is_received() -> bool:
         plant.send_state(payload, status())
-        return any("position" in said for said in client.said)
+        return any("position" in text for text in client.answers)
 
-    await_true(is_heard)
-    assert client.await_said("position") == {
+    await_true(is_received)
+    assert client.await_answer("position") == {
         "stamp": [3, 7],
         "name": list(JOINTS),
         "position": [0.1, -0.2, 0.3],
@@ -152,7 +145,7 @@ def test_foreign_client_reads_our_joint_states(foreign: tuple[ZenohPlantLink, Cl
 def test_foreign_client_sees_our_topics(foreign: tuple[ZenohPlantLink, Client]) -> None:
     client = foreign[1]
     client.tell("look around")
-    seen = client.await_said("topics")
+    seen = client.await_answer("topics")
     assert seen["topics"] == {
         "/joint_commands": ["sensor_msgs/msg/JointState"],
         "/joint_states": ["sensor_msgs/msg/JointState"],
@@ -172,10 +165,7 @@ def test_foreign_client_sees_our_topics(foreign: tuple[ZenohPlantLink, Client]) 
     ids=["our order", "its own order"],
 )
 @pytest.mark.parametrize("others", [[], [0.0, 0.0, 0.0]], ids=["torques alone", "all fields"])
-def test_command_of_a_foreign_controller_passes_the_gate(
-    foreign: tuple[ZenohPlantLink, Client],
-    name: tuple[str, ...], effort: list[float], others: list[float],
-) -> None:  # fmt: skip
+def test_command_of_a_foreign_controller_passes_the_gate(foreign, name, effort, others):
     plant, client = foreign
     client.tell(
         {"stamp": [5, 6], "name": name, "position": others, "velocity": others, "effort": effort}

@@ -34,7 +34,6 @@ from tests.bus_schema.zenoh.recorder_ear import ear_on
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     JOINTS,
-    await_true,
     commanded_pair,
     controller_on,
     fresh_link,
@@ -43,15 +42,16 @@ from tests.bus_schema.zenoh.zenoh_pair import (
     state,
     status,
 )
+from tests.waiting import await_true
 
 
 def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
     reply = layout(JOINT_COMMANDS, JOINTS).template
-    heard: list[tuple[bytes, bytes | None]] = []
+    received: list[tuple[bytes, bytes | None]] = []
     with commanded_pair(lockstep=False) as (plant, controller):
 
         def answer(payload: bytes, status: bytes | None) -> None:
-            heard.append((payload, status))
+            received.append((payload, status))
             controller.publish(JOINT_COMMANDS, reply)
             controller.publish(CONTROL_STATUS, b"beside the point")
 
@@ -64,7 +64,7 @@ def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
                 assert arrival.payload == reply
                 assert arrival.sequence == tick + 1  # numbers begin with 1 and have no gaps
                 assert len(arrival.sender) == 16
-    assert heard == [(state(tick), status()) for tick in range(50)]
+    assert received == [(state(tick), status()) for tick in range(50)]
 
 
 def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> None:
@@ -79,10 +79,8 @@ def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> N
 
 
 @pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
-def test_plant_leaves_in_the_midst_of_a_flood(
-    monkeypatch: pytest.MonkeyPatch, lockstep: bool
-) -> None:
-    """A full inbox makes whoever puts something into it wait, the plant itself too."""
+def test_plant_leaves_in_the_midst_of_a_flood(monkeypatch, lockstep):
+    """A full inbox makes every sender wait, the plant too."""
     monkeypatch.setattr(zenoh_link, "LARGEST_BACKLOG", 5)
     link, is_over = fresh_link(), threading.Event()
 
@@ -105,9 +103,7 @@ def test_plant_leaves_in_the_midst_of_a_flood(
 
 
 @pytest.mark.parametrize(("side", "held_up"), [(plant_on, "wait"), (controller_on, "knock")])
-def test_threads_of_a_link_have_ended_once_it_is_closed(
-    monkeypatch: pytest.MonkeyPatch, side: Any, held_up: str
-) -> None:
+def test_threads_of_a_link_have_ended_once_it_is_closed(monkeypatch, side, held_up):
     """Python aborts a process in which a thread comes back from Zenoh while it ends."""
     quick = getattr(Inbox, held_up)
 
@@ -125,9 +121,7 @@ def test_threads_of_a_link_have_ended_once_it_is_closed(
 
 
 @pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
-def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
-    lockstep: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(lockstep, monkeypatch):
     monkeypatch.setattr(arrivals, "LARGEST_BACKLOG", 20)
     monkeypatch.setattr(zenoh_link, "LARGEST_BACKLOG", 20)
     link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
@@ -138,7 +132,7 @@ def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
             for _ in range(50):
                 controller.publish(JOINT_COMMANDS, reply)
             await_true(lambda: plant.overflow() == 30)
-        await_true(plant.controller_has_left)  # though nobody has taken anything
+        await_true(plant.controller_has_left)  # although nothing was taken
         assert [arrival.sequence for arrival in plant.take_commands()] == list(range(1, 21))
         assert plant.report() == {COMMANDS_RECEIVED: 20}  # recorders have no more of them
 
@@ -186,14 +180,12 @@ def tokenless_client(link: LinkConfiguration) -> Iterator[ZenohSession]:
         client.close()
 
 
-def test_client_without_tokens_is_the_controller_though_a_recorder_listens(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_client_without_tokens_is_the_controller_though_a_recorder_listens(monkeypatch):
     link = fresh_link()
     monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 0.5)
     with plant_on(link) as plant, ear_on(link, plant):
         with pytest.raises(PeerSilentError):
-            plant.await_controller(1.0)  # nobody is there
+            plant.await_controller(1.0)  # there is none
         with tokenless_client(link):
             plant.await_controller(HANG_S)
         assert not plant.controller_has_left()  # it cannot be known
@@ -208,7 +200,7 @@ def test_command_before_the_start_is_a_sign_of_life(monkeypatch: pytest.MonkeyPa
         plant.await_controller(HANG_S)
 
 
-def test_scenario_token_alone_ends_nobody() -> None:
+def test_scenario_token_alone_ends_no_process() -> None:
     """It counts from sessions that announce more, and not where another of that role agrees."""
     ours, theirs = Agreement({"rate_hz": "1000"}), Agreement({"rate_hz": "500"})
 
@@ -248,46 +240,42 @@ EVENT = RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
 
 
 @pytest.fixture
-def heard() -> list[Delivery]:
-    """Truth that a viewer has heard."""
+def received() -> list[Delivery]:
+    """Truth that a viewer has received."""
     return []
 
 
 @pytest.fixture
-def plant(heard: list[Delivery]) -> Iterator[ZenohPlantLink]:
+def plant(received: list[Delivery]) -> Iterator[ZenohPlantLink]:
     """A plant with that viewer, to which its messages come, and of which none waits."""
     link = fresh_link()
     with plant_on(link) as plant:
         viewer = ZenohSession([], [link.plant_endpoint], low_latency=False)
-        viewer.subscribe(PLANT_TRUTH.key_expression(0), heard.append)
+        viewer.subscribe(PLANT_TRUTH.key_expression(0), received.append)
 
-        def is_heard() -> bool:
+        def is_received() -> bool:
             plant.publish(PLANT_TRUTH, b"a try")
             plant.publish(RUN_EVENTS, EVENT)
-            return bool(heard)
+            return bool(received)
 
-        await_true(is_heard)
+        await_true(is_received)
         plant.publish(PLANT_TRUTH, b"the last try")
         plant.publish(RUN_EVENTS, EVENT)
-        await_true(lambda: heard[-1].payload == b"the last try")
-        heard.clear()
+        await_true(lambda: received[-1].payload == b"the last try")
+        received.clear()
         yield plant
         viewer.close()
 
 
-def test_ticks_far_apart_do_not_wait_for_a_whole_batch(
-    plant: ZenohPlantLink, heard: list[Delivery]
-) -> None:
+def test_ticks_far_apart_do_not_wait_for_a_whole_batch(plant, received):
     plant.publish(PLANT_TRUTH, b"1")
     time.sleep(LONGER_THAN_A_BATCH_WAITS_S)
     plant.publish(PLANT_TRUTH, b"2")
-    await_true(lambda: [message.payload for message in heard] == [b"1", b"2"])
+    await_true(lambda: [message.payload for message in received] == [b"1", b"2"])
 
 
-def test_an_event_takes_along_what_waits(
-    plant: ZenohPlantLink, heard: list[Delivery], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_event_takes_along_what_waits(plant, received, monkeypatch):
     monkeypatch.setattr(outbox, "_LONGEST_WAIT_NS", 1 << 62)
     plant.publish(PLANT_TRUTH, b"1")
     plant.publish(RUN_EVENTS, EVENT)
-    await_true(lambda: [message.payload for message in heard] == [b"1"])
+    await_true(lambda: [message.payload for message in received] == [b"1"])

@@ -14,11 +14,11 @@ import pytest
 from bus_schema.zenoh.bundle_mailbox import Mailbox
 from bus_schema.zenoh.lingering import never_linger
 from bus_schema.zenoh.session import Delivery, ZenohSession
-from tests.bus_schema.zenoh.zenoh_pair import await_true, free_endpoint
+from tests.waiting import await_true, free_endpoint
 
 
 @pytest.mark.parametrize("low_latency", [True, False])
-def test_who_is_connected_while_others_come_and_go(low_latency: bool) -> None:
+def test_connected_peers_follow_arrivals_and_departures(low_latency: bool) -> None:
     endpoint, is_over = free_endpoint(), threading.Event()
     session = ZenohSession([endpoint], [], low_latency=low_latency)
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,7 +15,7 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, layout
 from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
-from deploy.run.network.links import free_ports
+from tests.waiting import free_endpoint
 
 HANG_S = 60.0
 JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -41,9 +40,7 @@ def controller_on(link: LinkConfiguration) -> Iterator[ZenohControllerLink]:
 
 
 @contextmanager
-def commanded_pair(
-    *, lockstep: bool = True
-) -> Iterator[tuple[ZenohPlantLink, ZenohControllerLink]]:
+def commanded_pair(*, lockstep=True):
     """Both sides of a link, the controller in command."""
     link = fresh_link()
     with plant_on(link, lockstep=lockstep) as plant, controller_on(link) as controller:
@@ -86,19 +83,8 @@ def status() -> bytes:
     return layout(PLANT_STATUS, JOINTS).template
 
 
-def await_true(condition: Callable[[], bool]) -> None:
-    give_up_s = time.monotonic() + HANG_S
-    while not condition():
-        assert time.monotonic() < give_up_s, "waited in vain"
-        time.sleep(0.01)
-
-
-def free_endpoint() -> str:
-    return f"tcp/127.0.0.1:{free_ports(1)[0]}"
-
-
 def foreign_session(settings: Mapping[str, Any]) -> zenoh.Session:
-    """A session of somebody else's, with Zenoh's own settings but for these."""
+    """A foreign session with the default settings of Zenoh and these."""
     configuration = zenoh.Config()
     for path, value in settings.items():
         configuration.insert_json5(path, json.dumps(value))

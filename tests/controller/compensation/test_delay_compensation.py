@@ -84,7 +84,7 @@ def test_what_the_drives_add_is_foreseen(delay):
     assert position <= 2e-4
     assert velocity <= 2e-2
     assert delay < 8 or travelled > 100.0 * position
-    # Drives that nobody foresees miss by far more: they hold what was pushed off its way.
+    # Drives that are not predicted miss by far more: they hold what was pushed off its way.
     bench = Bench(compensation_of(), drive=drive, missing=lambda _: np.array([60.0, -50.0, 8.0]))
     bench.run(200 + delay, delay)
     unforeseen = bench.prediction_error(range(delay + 2, 200))[0]
@@ -110,7 +110,7 @@ def test_lost_command_leaves_its_predecessor_in_force():
     whole, holed = Bench(), Bench(lost=range(60, 66))
     for bench in (whole, holed):
         bench.run(150, 10)
-    # What is lost nobody can know before tick 70; the feedback that shows the gap sets it right.
+    # The loss cannot be known before tick 70; the feedback that shows the gap sets it right.
     surprised = holed.prediction_error(range(60, 66))[1]
     assert surprised > 2.0 * whole.prediction_error(range(60, 66))[1]
     assert holed.prediction_error(range(76, 139))[0] < 1e-5

@@ -93,13 +93,13 @@ def test_what_differs_from_the_nominal_model_is_found_within_three_seconds(
     assert inertia == pytest.approx(scale - 1.0, abs=0.015)
     assert payload == pytest.approx(payload_kg, abs=0.03)
     assert lag_s == pytest.approx(1e-3 * lag_ms, abs=4e-4)
-    # A twentieth of the largest torque that friction is told from, 15 N m s × 2 rad/s.
+    # A twentieth of the largest torque that shows friction, 15 N m s × 2 rad/s.
     np.testing.assert_allclose(coulomb, COULOMB * has_friction, atol=1.6)
     np.testing.assert_allclose(viscous, VISCOUS * has_friction, atol=0.8)
     assert_covariance_is_one(bench.compensation.identification.covariance)
 
 
-def test_rotors_are_told_from_links():
+def test_rotor_inertia_is_distinguished_from_link_inertia():
     rotors = np.array([2.0, 4.0, 0.5])
     factors = np.array([1.3, 0.8, 1.2])
     bench = moved(

@@ -14,7 +14,7 @@ from controller.laws.custom import laws_given
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 HERE = Path(controller.external.__file__).parent
 DRIVES = "controller.drive_feedback.enabled=true"

@@ -30,7 +30,7 @@ def test_files_read_also_by_new_threads_are_known_by_their_content(tmp_path, mon
     assert read[str(tmp_path / "one")] == digest_of_file(tmp_path / "one")
 
 
-def test_files_that_a_thread_of_somebody_else_opens_are_no_inputs(tmp_path):
+def test_files_opened_by_unrelated_threads_are_no_inputs(tmp_path):
     """Such as the threads of a scheduler or a recorder in the same process."""
     own, foreign, scratch = tmp_path / "own", tmp_path / "foreign", tmp_path / "scratch"
     own.touch()

@@ -138,14 +138,14 @@ def test_runs_that_were_written_or_loaded_are_compared(run, tmp_path):
 
 def test_sweep_is_that_of_single_runs_and_goes_on_in_its_folder(tmp_path):
     key = "controller.model_scale"  # by which gains are derived anew at every point
-    grid, told = {key: [0.8, 1.0]}, []
+    grid, reported = {key: [0.8, 1.0]}, []
     changes = {**SHORT, "controller.gains": {}}
     swept = funnel_hil.sweep(
-        "iiwa", grid, changes, out=tmp_path / "s", progress=lambda *counts: told.append(counts)
+        "iiwa", grid, changes, out=tmp_path / "s", progress=lambda *counts: reported.append(counts)
     )
     alone = [funnel_hil.simulate("iiwa", {**changes, key: scale}) for scale in (0.8, 1.0)]
     assert [row["digest"] for row in swept.rows] == [digest(run) for run in alone]
-    assert told == [(1, 2), (2, 2)]
+    assert reported == [(1, 2), (2, 2)]
     assert isinstance(swept.figure("curve-violation_fraction"), go.Figure)
     again = funnel_hil.sweep("iiwa", grid, changes, out=tmp_path / "s")
     assert again.rows == swept.rows
@@ -182,7 +182,7 @@ def test_series_are_columns_and_data_frames(run):
 
 
 @pytest.mark.parametrize(
-    ("ask", "told"),
+    ("ask", "message"),
     [
         (lambda: funnel_hil.simulate("nowhere"), "nowhere: no such file, nor one of the shipped"),
         (lambda: funnel_hil.simulate(changes={"duration": 3}), "did you mean duration_s"),
@@ -196,13 +196,13 @@ def test_series_are_columns_and_data_frames(run):
         (lambda: funnel_hil.diff(3, 4), "diff: 3: must be a folder, an MCAP file, or a run"),
     ],
 )  # fmt: skip
-def test_bad_input_is_refused_with_key_and_value(ask, told):
-    with pytest.raises(funnel_hil.InputError, match=told):
+def test_bad_input_is_refused_with_key_and_value(ask, message):
+    with pytest.raises(funnel_hil.InputError, match=message):
         ask()
 
 
 @pytest.mark.parametrize("imports", ["controller, funnel_hil", "funnel_hil, controller"])
-def test_script_with_a_module_named_like_a_package_of_ours_is_told_to_rename_it(tmp_path, imports):
+def test_module_with_the_name_of_a_product_package_is_refused_with_advice(tmp_path, imports):
     (tmp_path / "controller.py").touch()
     done = subprocess.run(
         [sys.executable, "-c", f"import {imports}"],

@@ -18,7 +18,7 @@ from deploy.scenario.yaml_files import ScenarioError
 
 
 class FakeClock:
-    """Time that passes only when somebody works."""
+    """Time that passes only during work."""
 
     def __init__(self):
         self.now_ns = 0
@@ -108,13 +108,13 @@ def test_bench_writes_all_sections_as_a_table_and_json(monkeypatch, tmp_path):
     assert "b is missing" in shown.getvalue()
 
 
-def test_large_costs_are_told_to_the_last_whole_microsecond():
+def test_large_costs_are_shown_in_whole_microseconds():
     costs = {"a": Spread((33_333.3,)), "b": Spread((516_000.0,)), "c": Spread((0.5,))}
     ratios = [ratio(costs, "a", "b"), ratio(costs, "c", "b")]
     shown = io.StringIO()
     bench.show_section(Console(file=shown, width=120), Section("Things", costs, ratios))
-    said = shown.getvalue().split()
-    assert {"33,333", "516,000", "0.5"} <= set(said)
+    output = shown.getvalue().split()
+    assert {"33,333", "516,000", "0.5"} <= set(output)
 
 
 def test_a_section_that_fails_leaves_the_others(monkeypatch, tmp_path):

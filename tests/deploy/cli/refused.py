@@ -1,4 +1,4 @@
-"""The table of what is refused, and what is said of it.
+"""Refused input and the messages about it.
 
 A row is a command line, how the message begins, and what else is in it. The files that commands
 name lie in the current folder, which messages are shown without; HERE stands for it where a command
@@ -91,8 +91,8 @@ REFUSED = [
     # over a real delay, and confirmed
     *[(f"run paper_arm --real-delay {given}", "--real-delay ", "must be a round trip of 0 to 1000")
       for given in ("1000.1", "nan")],
-    *[(f"run {scenario} --real-delay 5 --set {setting}", "", said)
-      for scenario, setting, said in (
+    *[(f"run {scenario} --real-delay 5 --set {setting}", "", text)
+      for scenario, setting, text in (
           ("paper_arm", "clock=lockstep", "clock = 'lockstep': must be realtime"),
           ("paper_arm_can", "clock=realtime", "link.kind = 'can': must be zenoh"),
           ("paper_arm", "link.plant_endpoint=udp/127.0.0.1:7451", "must be tcp/ or"),
@@ -150,6 +150,39 @@ REFUSED = [
     ("drives paper_arm --set link.can.eds=/etc/hostname", "", "that is an EDS of a CiA 402 drive"),
     ("drives paper_arm --set link.can.protocol=mit --set link.can.fd_process_data=true", "", "MIT"),
     ("drives paper_arm --set link.can.interface=nope", "", "must be an interface of python-can"),
+    ("margin --duration 8 --set duration_s=20", "",
+     "--duration and --set duration_s: must not be given together"),
+    *[(f"margin --compensation off --drive-feedback off --laws pid --set {given}", "",
+       given.strip("'").partition("=")[0], option)
+      for given, option in (
+          ("seed=2", "--seeds"), ("controller.law=pid", "--laws"),
+          ("link.downlink.delay_ms=4", "quantity"), ("link.downlink=4", "must be"),
+          ("controller.delay_compensation.enabled=true", "--compensation"),
+          ("controller.drive_feedback.enabled=true", "--drive-feedback"),
+          ("'uncertainty={a: 1}'", "--plants"))],
+    *[(f"{command} faults/plant_frozen", "", "faults: target = 'plant'")
+      for command in ("compare", "simulate")],
+    *[(f"tune --laws smc --workers 1 {options}", "", text) for options, text in (
+        ("--at-least 5%", "tune has no margin to gate"),
+        ("--history h.json", "tune has no margin to gate"),
+        ("--delays 5,9", "--delays: must be left out unless --for margin"),
+        ("--for margin --travel-limit 5", "--travel-limit: must be left out"),
+        ("--for fun", "goal = 'fun'"), ("--budget 1", "budget = 1"),
+        ("--laws smcc", "did you mean smc?"))],
+    *[(f"datasheet paper_arm --quick {options}", "", text) for options, text in (
+        ("--network nowhere", "nowhere"), ("--law smcc", "did you mean smc?"),
+        ("--confirm", "--confirm: must be left out"), ("--set duration_s=abc", "duration_s"))],
+    *[(f"link {options}", "", text) for options, text in (
+        ("", "give a HOST, or --serve"), ("somewhere --serve", "give a HOST, or --serve"),
+        ("127.0.0.1 --size 10", "--size 100 to 60000"),
+        ("127.0.0.1 --tcp --zenoh", "give --tcp or --zenoh, not both"),
+        ("127.0.0.1 --rate 0", "--rate must be up to 10000 Hz"))],
+    # gates
+    ("simulate --at-least 20ms", "", "unit 'ms': must be %"),
+    ("margin --at-least 20%", "", "unit '%': must be ms"),
+    ("margin --at-least much", "", "--at-least 'much': must be a number"),
+    ("sweep delay_sweep --tolerance 1%", "", "needs --baseline"),
+    ("compare --baseline nowhere.json", "", "nowhere.json: No such file or directory: must be"),
     # what is set
     *[(f"run --set {text}", f"--set {text}:") for text in ("duration_s", "=2", "duration_s=[")],
     *[(f"{command} paper_arm --set link.uplink.delay_ms=-1", "", "link.uplink.delay_ms = -1")
@@ -160,8 +193,8 @@ REFUSED = [
     ("simulate iiwa_can --set seed=3 --set link.can.fd=false",
      "--set link.can.fd=false: link.can.fd = False"),
     *[(f"simulate {scenario} --set seed=3 --set {given}",
-       f"{SHIPPED / scenario}.yaml, with --set {given}: {said}")
-      for scenario, given, said in (  # said with both, as either may be meant
+       f"{SHIPPED / scenario}.yaml, with --set {given}: {text}")
+      for scenario, given, text in (  # names both, as either may be meant
           ("iiwa_can", "link.can.protocol=cansimple", "link.can.fd_process_data = True"),
           ("paper_arm_can", "link.can.bitrate=125000", "rate_hz = 500.0"),
           ("paper_arm", "duration_s=600", "reference = "))],
@@ -169,11 +202,11 @@ REFUSED = [
 OUT_OF_RANGE = [
     # a command line, the option that its usage names
     ("view --speed 0 nowhere", "--speed"), ("view --port 70000 nowhere", "--port"),
-    ("margin --workers 0", "--workers"),
+    ("margin --workers 0", "--workers"), ("datasheet paper_arm --plants -1", "--plants"),
 ]  # fmt: skip
 DEEPER = "must not be nested deeper than 50 levels"
 NO_YAML = [
-    # what is written under seed, what is said of it
+    # value of seed, message
     ("2024-13-45", "seed = '2024-13-45': must be a valid date"),
     ("!!int z", "seed = 'z': must be a whole number"),
     ("!!float z", "seed = 'z': must be a number"),

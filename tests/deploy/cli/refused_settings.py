@@ -1,4 +1,4 @@
-"""Settings that are refused, and what is said of them; `refused.py` has all else."""
+"""Refused settings and the messages about them; `refused.py` has all else."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ SET = [
     ("controller.law=external", "", "needs external.command"),
     *[(f"controller.process={given}", "", f"controller.process{shown}")
       for given, shown in (("[]", " = "), ("./mine", " = './mine'"), ("['']", ".0 = ''"))],
-    *[(f"faults=[{faults}]", "", said) for faults, said in (
+    *[(f"faults=[{faults}]", "", text) for faults, text in (
         ("{kind: gremlin, at_s: 1}", "faults.0.kind = 'gremlin': must be one of "),
         ("{at_s: 1}", "faults.0.kind: is missing"),
         (f"{{{CUT}: uplink}}", "faults.0.link_cut.at_s: is missing"),
@@ -92,7 +92,7 @@ SET = [
         (f"{{{PICK_UP}, at_s: 1}}", "payload_picked_up.payload_kg: is missing"),
         (f"{{{PICK_UP}, payload_kg: 0, at_s: 1}}", "payload_kg = 0: must be greater"),
         (f"{{{PICK_UP}, payload_kg: 1, at_s: 1, for_s: 1}}", "for_s"))],
-    *[(f"uncertainty={json.dumps(ranges)}", "", *said) for ranges, *said in (
+    *[(f"uncertainty={json.dumps(ranges)}", "", *text) for ranges, *text in (
         ({"plant.payload": UNIFORM}, "uncertainty.plant.payload", "a key of the scenario"),
         ({"controller.law": UNIFORM}, "'controller.law'", "that has a number"),
         *[({"plant.payload_kg": draw}, *words) for draw, *words in (
@@ -110,7 +110,7 @@ SET = [
 ]  # fmt: skip
 TOGETHER = [
     # scenario, settings of its `run`, what is in the message
-    *[("paper_arm", settings, said) for settings, said in (
+    *[("paper_arm", settings, text) for settings, text in (
         (f"{ACTUATOR}.gear_stiffness_nm_rad=1000", f"{ACTUATOR}.rotor_inertia_kg_m2"),
         ("controller.law=process", "controller.process = null: must be a program"),
         (f"{ACTUATOR}.lag_ms=1 & {ACTUATOR}.current_loop_hz=100", "with"),
@@ -134,7 +134,7 @@ TOGETHER = [
         (f"{BRIDGE}=920 & {COMPENSATED} & {FEEDBACK}", "bridge_ms = 920.0: must be at most 907"),
         (f"{PROCESS} & controller.every=201", "controller.every = 201: at most 200, else plant"),
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
-    *[("paper_arm_can", setting, said) for setting, said in (
+    *[("paper_arm_can", setting, text) for setting, text in (
         ("link.can.interface=nope", "'nope': must be an interface of python-can"),
         ("link.can.interface=pcan", "is its driver installed?"),
         ("link.can.interface=virtual", "'virtual': reaches no other process"),
@@ -161,13 +161,13 @@ TOGETHER = [
     ("iiwa_can", "link.can.fd=false", "link.can.fd = False: must be true with"),
     ("iiwa_can", "link.can.protocol=cansimple", "must be false with"),
     ("iiwa_can", "rate_hz=2000", "of data with stuffing"),
-    *[("paper_arm_mit", setting, said) for setting, said in (
+    *[("paper_arm_mit", setting, text) for setting, text in (
         ("link.can.mit.torque_nm=[1, 2]", ONE_EACH),
         ("link.can.mit.reply_bytes=7", "link.can.mit.reply_bytes"),
         ("link.can.mit.reply_identifier=2", "mit.reply_identifier = 2: must differ"),
         (f"{FEEDBACK} & link.can.mit.stiffness_nm_rad=500", "link.can.mit.stiffness_nm_rad = "),
         ("rate_hz=1000", "3 × (request 8 bytes + command 8 bytes + 2 replies of 8 bytes)"))],
-    *[("openarm", setting, said) for setting, said in (
+    *[("openarm", setting, text) for setting, text in (
         ("link.can.damiao.motor=DM9000", "'DM4310', 'DM4310_48V', 'DM4340', 'DM4340_48V' or 'DM8"),
         ("link.can.damiao.motor=[DM4310, DM4340]", "one, or one for each of the 7 joints"),
         ("link.can.damiao.feedback_ids=[17, 18]", "one for each of the 7 joints"),

@@ -52,8 +52,7 @@ def results(tmp_path_factory, funnel_hil):
         ["compare", given, "--laws", "pid", "--out", folder / "comparison"],
         ["sweep", sweep, "--workers", "1", "--out", folder / "sweep"],
     ):
-        code, said = funnel_hil(*words)
-        assert code == 0, said
+        funnel_hil.output(*words)
     return folder
 
 
@@ -89,10 +88,10 @@ def test_commands_that_look_run_nothing(planted, funnel_hil, monkeypatch):
     for name, words in COMMANDS.items():
         if name == "view":
             (planted / "run" / "run.mcap").rename(planted / "run.mcap")
-        code, said = funnel_hil(*words)
+        code, output = funnel_hil(*words)
         if name == "view":
             (planted / "run.mcap").rename(planted / "run" / "run.mcap")
-        assert code in {0, 1, 2}, said
+        assert code in {0, 1, 2}, output
         assert not Path("PWNED").exists(), name
     assert os.getpriority(os.PRIO_PROCESS, 0) == priority  # or all later tests would be slower
     assert api.load_run(planted / "run").kept is not None
@@ -100,14 +99,14 @@ def test_commands_that_look_run_nothing(planted, funnel_hil, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("place", "said"),
+    ("place", "message"),
     [("law", "law planted:Law"), ("external", "program ./program"), ("process", "program ./")],
 )
-def test_commands_that_run_say_first_whose_code(tmp_path, funnel_hil, monkeypatch, place, said):
+def test_commands_that_run_say_first_whose_code(tmp_path, funnel_hil, monkeypatch, place, message):
     monkeypatch.chdir(tmp_path)
     scenario = tmp_path / "given.yaml"
     scenario.write_text(f"extends: paper_arm\nduration_s: 0.02\n{PLACES[place]}")
     _, text = funnel_hil("simulate", scenario)
     lines = text.splitlines()
-    assert lines[0].startswith(f"runs code of {scenario}: {said}")
+    assert lines[0].startswith(f"runs code of {scenario}: {message}")
     assert len([line for line in lines if line.startswith("runs code of")]) == 1

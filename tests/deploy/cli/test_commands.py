@@ -46,24 +46,21 @@ def test_run_and_its_processes_load_nothing_that_only_others_need():
 
 
 def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil):
-    code, said = funnel_hil("--help")
-    assert code == 0
+    output = funnel_hil.output("--help")
     for name in COMMANDS:
-        is_shown = re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE) is not None
+        is_shown = re.search(rf"^. {name} +[A-Z]", output, re.MULTILINE) is not None
         assert is_shown is (name not in EARLIER), name
-    shown = re.findall(r"^╭─ ([A-Z][a-z ]+?) ─", said, re.MULTILINE)
+    shown = re.findall(r"^╭─ ([A-Z][a-z ]+?) ─", output, re.MULTILINE)
     assert shown == ["Options", *PANELS]
-    code, said = funnel_hil("smulate")
-    assert code == 2
-    assert "Did you mean 'simulate'" in said
+    output = funnel_hil.output("smulate", code=2)
+    assert "Did you mean 'simulate'" in output
 
 
 def test_earlier_names_do_what_their_successors_do(funnel_hil, tmp_path):
     assert funnel_hil("includes") == funnel_hil("doctor", "--includes")
     written = []
     for number, words in enumerate((["ros2-control"], ["ros2", "control"])):
-        code, said = funnel_hil(*words, "paper_arm", "--out", tmp_path / str(number))
-        assert code == 0, said
+        funnel_hil.output(*words, "paper_arm", "--out", tmp_path / str(number))
         files = sorted((tmp_path / str(number)).iterdir())
         written.append([(file.name, file.read_bytes()) for file in files])
     assert written[0] == written[1]

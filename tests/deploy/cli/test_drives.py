@@ -2,7 +2,6 @@
 
 import signal
 import socket
-import time
 from contextlib import closing
 
 import canopen
@@ -17,7 +16,8 @@ from deploy.cli.drives import BusMonitor
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.commissioning import build_bank
 from tests.plant_emulator.drives.test_clients import patient_node
-from tests.warm_process import HANG_S, WarmProcess
+from tests.waiting import HANG_S, await_true
+from tests.warm_process import WarmProcess
 
 GROUP = "239.74.163.9"
 
@@ -82,9 +82,7 @@ def test_other_drives_on_the_bus_are_refused():
     try:
         with closing(bus_of(place)) as bus:
             protocol = PROTOCOLS.build("cia402")
-            give_up_s = time.monotonic() + HANG_S
-            while not ask_drives(bus, protocol, CanConfiguration(), (1, 2, 3)):
-                assert time.monotonic() < give_up_s
+            await_true(lambda: ask_drives(bus, protocol, CanConfiguration(), (1, 2, 3)))
         second = started(*place, "--duration", "1")
         output, _ = second.communicate()
         assert second.returncode == 2, output

@@ -59,10 +59,10 @@ def test_doctor_of_a_rig_imports_no_law(tmp_path, funnel_hil, monkeypatch):
     (tmp_path / "rig.yaml").write_text(
         "extends: paper_arm_can\ncontroller: {law: 'planted_law:Law'}\n"
     )
-    code, said = funnel_hil("doctor", "--rig", "rig.yaml")
-    assert code in {0, 1}, said
+    code, output = funnel_hil("doctor", "--rig", "rig.yaml")
+    assert code in {0, 1}, output
     assert not (tmp_path / "PWNED").exists()
-    assert "runs code of" not in said
+    assert "runs code of" not in output
 
 
 def test_programs_of_the_user_find_their_own_modules(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Who gives something else for a recorded run is told what it is, and where there are runs."""
+"""A path that is no recorded run: the message names what it is, and where runs are."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ COMMANDS = (("view",), ("replay",), ("export", "--csv"))
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_folder_that_is_not_there(funnel_hil, runs, command):
-    code, said = funnel_hil(*command, "runs/papr_arm-1")
-    assert code == 2
-    assert "error: runs/papr_arm-1: has no run.mcap: no such folder or file; " in said
-    assert "funnel-hil runs list runs shows runs/both, runs/margin-a, runs/paper_arm-1, " in said
-    assert said.endswith("; did you mean paper_arm-1?\n")
+    output = funnel_hil.output(*command, "runs/papr_arm-1", code=2)
+    assert "error: runs/papr_arm-1: has no run.mcap: no such folder or file; " in output
+    assert "funnel-hil runs list runs shows runs/both, runs/margin-a, runs/paper_arm-1, " in output
+    assert output.endswith("; did you mean paper_arm-1?\n")
 
 
 @pytest.mark.parametrize(
@@ -45,12 +44,11 @@ def test_folder_that_is_not_there(funnel_hil, runs, command):
     ],
 )
 def test_results_of_another_kind(funnel_hil, runs, name, what):
-    code, said = funnel_hil("view", f"runs/{name}")
-    assert code == 2
-    told = f"has no run.mcap, because it is not a run but has results of kind {what}"
-    assert said == f"error: runs/{name}: {told}; funnel-hil report runs/{name} shows them\n"
+    output = funnel_hil.output("view", f"runs/{name}", code=2)
+    reported = f"has no run.mcap, because it is not a run but has results of kind {what}"
+    assert output == f"error: runs/{name}: {reported}; funnel-hil report runs/{name} shows them\n"
 
 
 def test_folder_of_a_run_without_its_recording(funnel_hil, runs):
-    said = funnel_hil("view", "runs/paper_arm-1")[1]
-    assert said == "error: runs/paper_arm-1: has no run.mcap\n"
+    output = funnel_hil("view", "runs/paper_arm-1")[1]
+    assert output == "error: runs/paper_arm-1: has no run.mcap\n"

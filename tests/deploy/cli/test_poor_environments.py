@@ -12,24 +12,21 @@ import pytest
 
 from bus_schema.configuration import ConfigurationError
 from controller.laws.custom import find_law
-from tests.warm_process import HANG_S, ROOT, cold, cold_python
+from tests.waiting import HANG_S
+from tests.warm_process import ROOT, cold, cold_python
 
 SHORT = ("simulate", "paper_arm", "--set", "duration_s=0.05", "--set", "metrics.from_s=0")
 
 
 @pytest.mark.parametrize("words", [("--help",), SHORT, ("doctor",)], ids=lambda words: words[0])
-def test_command_ends_well_where_output_has_no_room_for_its_characters(
-    words: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_command_ends_well_where_output_has_no_room_for_its_characters(words, tmp_path):
     out = ("--out", str(tmp_path / "run")) if words == SHORT else ()
     done = cold(*words, *out, PYTHONIOENCODING="latin-1")
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_pinocchio_that_cannot_be_imported_is_one_sentence_and_help_and_doctor_go_on(
-    tmp_path: Path,
-) -> None:
+def test_pinocchio_that_cannot_be_imported_is_one_sentence_and_help_and_doctor_go_on(tmp_path):
     (tmp_path / "pinocchio.py").write_text("raise ImportError('liburdfdom_sensor.so.4.0')\n")
     broken = {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
     done = cold(*SHORT, "--out", str(tmp_path / "run"), **broken)
@@ -74,14 +71,12 @@ def test_processes_that_get_our_path_find_our_packages_before_those_files(folder
     del sys.modules["law_beside_them"]
 
 
-def test_law_in_a_file_called_like_a_package_of_ours_is_told_to_be_renamed(folder):
+def test_law_with_the_name_of_a_product_package_is_refused_with_advice(folder):
     with pytest.raises(ConfigurationError, match="funnel-hil has a module of that name: rename"):
         find_law("controller:Law")
 
 
-def test_simulation_with_closed_standard_streams_ends_with_its_own_exit_code(
-    tmp_path: Path,
-) -> None:
+def test_simulation_with_closed_standard_streams_ends_with_its_own_exit_code(tmp_path):
     words = [sys.executable, "-m", "deploy.cli", *SHORT, "--out", str(tmp_path / "run")]
     closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *words]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -96,7 +91,7 @@ def test_terminal_of_size_zero_shows_the_same_as_one_of_unknown_size() -> None:
     )
 
 
-def test_kernels_are_compiled_where_numba_is_told_not_to_compile(tmp_path: Path) -> None:
+def test_kernels_are_compiled_although_numba_is_disabled(tmp_path: Path) -> None:
     found = []
     for disabled in ("0", "1"):
         out = tmp_path / disabled

@@ -16,7 +16,7 @@ from deploy.cli.terminal import progress as progress_module
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
 from deploy.run.processes.status import StatusMessage
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_without_a_terminal_the_last_state_is_a_plain_line(console):
     assert line.endswith(", joint [elbow]")
 
 
-def test_runs_of_earlier_commands_are_told_apart_and_have_no_speed(console):
+def test_runs_of_earlier_commands_are_counted_apart_and_have_no_speed(console):
     with CommandProgress(console, "study", 3, "runs") as progress:
         counter = RunCounter(progress)
         counter.done({"error": None}, 4, True)
@@ -85,8 +85,8 @@ def last_live_line(monkeypatch, width, name, joints, worst_mrad, misses):
         handle(StatusMessage("controller", "progress", worst))
         now_s[0] = 15.28
         handle(StatusMessage("plant", "progress", {"time_s": 15.25, "deadline_misses": misses}))
-    said = re.split(r"[\r\n]|\x1b\[2K", console.file.getvalue())
-    return [line for line in said if "of 20 s" in line][-1].rstrip()
+    output = re.split(r"[\r\n]|\x1b\[2K", console.file.getvalue())
+    return [line for line in output if "of 20 s" in line][-1].rstrip()
 
 
 def test_at_80_columns_time_speed_error_and_misses_are_seen(monkeypatch):

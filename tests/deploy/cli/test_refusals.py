@@ -37,35 +37,35 @@ def refuse(funnel_hil, nothing_starts, folder: Path, monkeypatch: pytest.MonkeyP
 
     def run(*words: str) -> str:
         before = {*folder.rglob("*")}
-        code, said = funnel_hil(*(word.replace("HERE", str(folder)) for word in words))
-        said = re.sub(r"\Aruns code of .*\n", "", said.replace(f"{folder}/", ""))
-        assert code == 2, said
-        assert said.startswith("error: ")  # and nothing on standard output
-        assert said.count("error: ") == 1
-        assert "Traceback" not in said
-        assert len(said) < 1000
+        code, output = funnel_hil(*(word.replace("HERE", str(folder)) for word in words))
+        output = re.sub(r"\Aruns code of .*\n", "", output.replace(f"{folder}/", ""))
+        assert code == 2, output
+        assert output.startswith("error: ")  # and nothing on standard output
+        assert output.count("error: ") == 1
+        assert "Traceback" not in output
+        assert len(output) < 1000
         assert {*folder.rglob("*")} == before
-        return said.removeprefix("error: ").rstrip("\n")
+        return output.removeprefix("error: ").rstrip("\n")
 
     return run
 
 
 @pytest.mark.parametrize("row", REFUSED, ids=lambda row: row[0][:40])
 def test_bad_input(refuse, row: tuple[str, ...]) -> None:
-    line, begins, *said = row
+    line, begins, *found = row
     message = refuse(*shlex.split(line))
     assert message.startswith(begins)
-    for text in said:
+    for text in found:
         assert text in message
 
 
 @pytest.mark.parametrize("row", SET, ids=lambda row: row[0][:40])
 def test_bad_setting(refuse, row: tuple[str, ...]) -> None:
-    setting, begins, *said = row
+    setting, begins, *found = row
     message = refuse("run", "paper_arm", "--set", setting)
     shown = f"--set {setting.replace('HERE/', '')}"
     assert message.startswith(f"{shown}: {begins}" if begins else shown[:60])
-    for text in said:
+    for text in found:
         assert text in message
 
 
@@ -76,24 +76,23 @@ def test_impossible_value(refuse, key: str, given: str, shown: str, allowed: str
     assert allowed in message
 
 
-@pytest.mark.parametrize(("scenario", "settings", "said"), TOGETHER)
-def test_settings_that_do_not_fit_together(refuse, scenario: str, settings: str, said: str) -> None:
+@pytest.mark.parametrize(("scenario", "settings", "message"), TOGETHER)
+def test_settings_that_do_not_fit_together(refuse, scenario, settings, message):
     words = [word for each in settings.split(" & ") for word in ("--set", each)]
-    assert said in refuse("run", scenario, *words)
+    assert message in refuse("run", scenario, *words)
 
 
 @pytest.mark.parametrize(("line", "option"), OUT_OF_RANGE)
 def test_option_out_of_its_range(funnel_hil, line: str, option: str) -> None:
-    code, said = funnel_hil(*line.split())
-    assert code == 2
-    assert option in said
+    output = funnel_hil.output(*line.split(), code=2)
+    assert option in output
 
 
-@pytest.mark.parametrize(("value", "said"), NO_YAML, ids=[value[:12] for value, _ in NO_YAML])
-def test_value_that_yaml_cannot_hold(refuse, tmp_path: Path, value: str, said: str) -> None:
+@pytest.mark.parametrize(("value", "message"), NO_YAML, ids=[value[:12] for value, _ in NO_YAML])
+def test_value_that_yaml_cannot_hold(refuse, tmp_path: Path, value: str, message: str) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(re.sub("(?m)^seed:.*\n", "", BASE) + f"\nseed: {value}\n")
-    assert re.match(f"{re.escape(str(file))}: {said}", refuse("simulate", str(file)))
+    assert re.match(f"{re.escape(str(file))}: {message}", refuse("simulate", str(file)))
     assert refuse("simulate", "--set", f"seed={value}").startswith("--set seed=")
 
 
@@ -144,14 +143,13 @@ def test_no_number_may_be_a_boolean() -> None:
 
 def test_last_of_a_key_that_is_set_twice_holds(funnel_hil, tmp_path: Path) -> None:
     twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
-    code, said = funnel_hil("simulate", *twice, "--no-report", "--out", tmp_path / "out")
-    assert code == 0
-    assert "--set duration_s=2: replaced by a later --set" in said
-    assert "set: duration_s=0.1;" in " ".join(said.split())
+    output = funnel_hil.output("simulate", *twice, "--no-report", "--out", tmp_path / "out")
+    assert "--set duration_s=2: replaced by a later --set" in output
+    assert "set: duration_s=0.1;" in " ".join(output.split())
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100
 
 
-def test_what_is_merged_into_a_section_may_be_said_anew(tmp_path: Path) -> None:
+def test_merged_keys_of_a_section_can_be_overridden(tmp_path: Path) -> None:
     file = tmp_path / "merged.yaml"
     file.write_text(
         "extends: paper_arm\nlink:\n  uplink: &way {delay_ms: 2, loss: 0.1}\n"

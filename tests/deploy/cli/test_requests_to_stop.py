@@ -117,9 +117,9 @@ def test_law_that_ends_its_process_never_ends_simulate_with_0(ending, tmp_path):
     does, code = ENDINGS[ending]
     words = ["simulate", *SHORT, "--set", f"controller.law={own_law(tmp_path, does)}"]
     process = funnel_hil(*words, "--out", "out", cwd=tmp_path, stderr=subprocess.PIPE)
-    _, said = process.communicate(timeout=120)
+    _, output = process.communicate(timeout=120)
     assert process.returncode == code
-    assert code == 7 or b"error: the " in said
+    assert code == 7 or b"error: the " in output
     assert not (tmp_path / "out" / "summary.json").exists()
 
 
@@ -133,18 +133,18 @@ def test_sighup_ends_nothing_under_nohup(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("output", "said"),
+    ("output", "message"),
     [
         ("| true", ""), (">&-", ""),
         (">/dev/full", "standard output is lost: No space left on device\n"),
     ],
-    ids=["nobody reads it", "closed", "full"],
+    ids=["no reader", "closed", "full"],
 )  # fmt: skip
-def test_run_without_an_output_goes_on_to_its_end(output, said, tmp_path):
+def test_run_without_an_output_goes_on_to_its_end(output, message, tmp_path):
     shell = f'"$0" -m deploy.cli simulate --set duration_s=0.02 --out "$1" {output}'
     command = ["bash", "-o", "pipefail", "-c", shell, sys.executable, str(tmp_path / "out")]
     ended = subprocess.run(command, cwd=ROOT, check=False, stderr=subprocess.PIPE, text=True)
-    assert (ended.returncode, ended.stderr) == (0, said)
+    assert (ended.returncode, ended.stderr) == (0, message)
     assert (tmp_path / "out" / "summary.json").exists()
     assert (tmp_path / "out" / "report.html").exists()
 

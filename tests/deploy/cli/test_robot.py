@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from deploy.cli.commands import app
 from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -65,28 +63,25 @@ def test_a_xacro_file_is_an_arm_like_any_other(folder):
 def test_urdf_instead_of_a_study_is_refused_with_a_hint(folder, funnel_hil, before):
     arm = folder / "arm.urdf"
     arm.write_text(before + XACRO)
-    code, said = funnel_hil("sweep", arm)
-    assert code == 2
-    assert f"{arm}: must be a mapping of keys to values in YAML, but is XML. " in said
-    assert "belongs under robot.urdf of a scenario; " in said
-    assert said.endswith(f"funnel-hil robot {arm} shows it\n")
+    output = funnel_hil.output("sweep", arm, code=2)
+    assert f"{arm}: must be a mapping of keys to values in YAML, but is XML. " in output
+    assert "belongs under robot.urdf of a scenario; " in output
+    assert output.endswith(f"funnel-hil robot {arm} shows it\n")
 
 
 def test_an_arm_is_a_scenario_and_can_be_written_as_one(folder, funnel_hil, monkeypatch):
     monkeypatch.chdir(folder)
-    code, said = funnel_hil("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
-    assert code == 0, said
-    assert "funnel-hil margin mine.yaml" in said
+    output = funnel_hil.output("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
+    assert "funnel-hil margin mine.yaml" in output
     of_file, of_arm = (load_setup(str(each)) for each in ("mine.yaml", PAPER_ARM.path))
     assert of_file.gains.k_1.tolist() == of_arm.gains.k_1.tolist()
     rotors = of_file.scenario.plant.actuator.rotor_inertia_kg_m2
     np.testing.assert_allclose(rotors, 0.008 * PAPER_ARM.effort_limits_nm, rtol=1e-3)
-    code, said = funnel_hil("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
-    assert code == 2
-    assert "mine.yaml: cannot be written: File exists; --out names another" in said
+    output = funnel_hil.output("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml", code=2)
+    assert "mine.yaml: cannot be written: File exists; --out names another" in output
 
 
-def test_what_xacro_refuses_is_told_by_file(folder):
+def test_error_of_xacro_names_the_file(folder):
     path = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
     path.write_text(path.read_text().replace("2 * 1.5", "twice"))
     with pytest.raises(ScenarioError, match=r"arm\.urdf\.xacro: xacro: .*twice"):
@@ -115,16 +110,13 @@ def test_arguments_and_folders_are_kept_in_the_scenario_that_is_written(
 ):
     monkeypatch.chdir(folder)
     include = ["--include", folder / "elsewhere"]
-    code, said = funnel_hil("robot", two_kinds, *include)
-    assert code == 2
-    assert "kind:=… gives it" in said
+    output = funnel_hil.output("robot", two_kinds, *include, code=2)
+    assert "kind:=… gives it" in output
     written = ["--scenario", "--out", "a.yaml"]
-    code, said = funnel_hil("robot", two_kinds, "kind:=heavy", *include, *written)
-    assert code == 0, said
+    funnel_hil.output("robot", two_kinds, "kind:=heavy", *include, *written)
     setup = load_setup("a.yaml", ["duration_s=0.05"])
     assert setup.governing_inertia_kg_m2[0] == pytest.approx(5 * 0.2**2 + 0.04 + 0.008 * 5)
-    code, said = funnel_hil("simulate", "a.yaml", "--set", "duration_s=0.05", "--out", "run")
-    assert code == 0, said
+    funnel_hil.output("simulate", "a.yaml", "--set", "duration_s=0.05", "--out", "run")
     copy = load_setup("run/scenario.yaml")  # with the arm as it was read
     assert copy.robot.reading == {}
     assert copy.governing_inertia_kg_m2[0] == setup.governing_inertia_kg_m2[0]
@@ -134,11 +126,9 @@ def test_arguments_follow_an_arm_wherever_one_is_given(folder, two_kinds, funnel
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(folder))
     two_kinds.write_text(two_kinds.read_text().replace('effort="5"', 'effort="50"'))
     options = ["--duration", "0.1", "--limit", "4", "--resolution", "4", "--workers", "1"]
-    code, said = funnel_hil("margin", two_kinds, "kind:=heavy", *options, "--out", folder / "m")
-    assert code == 0, said
+    funnel_hil.output("margin", two_kinds, "kind:=heavy", *options, "--out", folder / "m")
     assert Scenario(f"{two_kinds} kind:=heavy").joint_names == ("hinge",)
-    code, said = funnel_hil("robot", PAPER_ARM.path, "kind:=heavy")
-    assert code == 2
+    funnel_hil.output("robot", PAPER_ARM.path, "kind:=heavy", code=2)
     text = SCENARIO.replace("urdf: some", "xacro: {kind: heavy}, urdf: some")
     (folder / "test.yaml").write_text(text)
     assert load_setup(str(folder / "test.yaml")).robot.reading["xacro"] == {"kind": "heavy"}
@@ -146,49 +136,43 @@ def test_arguments_follow_an_arm_wherever_one_is_given(folder, two_kinds, funnel
         load_setup(str(folder / "test.yaml"), ["robot.urdf=paper_arm"])
 
 
-def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
+def test_robot_shows_joints_gains_funnel_and_what_is_held(funnel_hil, tmp_path):
     picture = tmp_path / "arm.png"
-    arguments = ["robot", "panda", *(["--picture", str(picture)] if "bullet" in INSTALLED else [])]
-    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
-    assert result.exit_code == 0, result.output
+    output = funnel_hil.output(
+        "robot", "panda", *(["--picture", picture] if "bullet" in INSTALLED else [])
+    )
     for text in ("7 driven joints", "7 panda_joint7", "governing, for gains", "M_ii, others held",
                  "12 N m", "panda_finger_joint1", "held",
                  "finger", "Gains of fixed_time_adaptive", "k_1", "closes to 0.01"):  # fmt: skip
-        assert text in result.output
+        assert text in output
     assert "bullet" not in INSTALLED or picture.read_bytes().startswith(b"\x89PNG")
 
 
 @needs_pybullet_data
-def test_robot_shows_grippers_slides_and_warnings():
-    for name, texts in {
-        "xarm/xarm6_with_gripper.urdf": (
-            "drive_joint",
-            "others mimic it",
-            "triangle rule by 0.74 %",
-        ),
-        "cartpole.urdf": ("slides", "UNLIMITED"),
-    }.items():
-        arguments = ["robot", f"pybullet_data:{name}"]
-        result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
-        assert result.exit_code == 0, result.output
-        for text in texts:
-            assert text in result.output
+@pytest.mark.parametrize(
+    ("name", "texts"),
+    [
+        ("xarm/xarm6_with_gripper.urdf",
+         ("drive_joint", "others mimic it", "triangle rule by 0.74 %")),
+        ("cartpole.urdf", ("slides", "UNLIMITED")),
+    ],
+)  # fmt: skip
+def test_robot_shows_grippers_slides_and_warnings(funnel_hil, name, texts):
+    output = funnel_hil.output("robot", f"pybullet_data:{name}")
+    assert [text for text in texts if text not in output] == []
 
 
 def test_one_chain_of_a_robot_is_driven_and_written(folder, funnel_hil, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "robot.urdf").write_text(TWO_ARMS)
-    code, said = funnel_hil("robot", "robot.urdf", "--chain", "left")
-    assert code == 0, said
-    code, said = funnel_hil("robot", "robot.urdf")
-    assert "Chains: --chain TIP drives one and holds the rest" in said
+    funnel_hil.output("robot", "robot.urdf", "--chain", "left")
+    output = funnel_hil.output("robot", "robot.urdf")
+    assert "Chains: --chain TIP drives one and holds the rest" in output
     written = ["--chain", "right_two_link", "--scenario", "--out", "right.yaml"]
-    code, said = funnel_hil("robot", "robot.urdf", *written)
-    assert code == 0, said
+    funnel_hil.output("robot", "robot.urdf", *written)
     assert load_setup("right.yaml").robot.joint_names == ("right_one", "right_two")
-    code, said = funnel_hil("robot", "robot.urdf", "--chain", "foot")
-    assert code == 2
-    assert "--chain foot: must be a link" in said
+    output = funnel_hil.output("robot", "robot.urdf", "--chain", "foot", code=2)
+    assert "--chain foot: must be a link" in output
 
 
 @needs_bullet
@@ -202,11 +186,13 @@ def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil
         '<xacro:include filename="$(find some_robot)/links.xacro"/>', f"<xacro:macro{links}"
     ).replace('<link name="base"/>', f'<link name="base">{shape}</link>')
     (tmp_path / "arm.xacro").write_text(arm)
-    code, said = funnel_hil("robot", tmp_path / "arm.xacro", "--picture", tmp_path / "a.png")
-    assert code == 2
-    assert "Bullet cannot draw the arm: a mesh file is damaged or too large (killed by SIG" in said
+    output = funnel_hil.output(
+        "robot", tmp_path / "arm.xacro", "--picture", tmp_path / "a.png", code=2
+    )
+    assert (
+        "Bullet cannot draw the arm: a mesh file is damaged or too large (killed by SIG" in output
+    )
     (tmp_path / "test.yaml").write_text(SCENARIO.replace("some_robot/urdf/arm.urdf", "arm"))
-    code, said = funnel_hil("simulate", tmp_path / "test.yaml", "--out", tmp_path / "run")
-    assert code == 0
-    assert "warning: the report has no pictures of the arm: Bullet cannot draw" in said
+    output = funnel_hil.output("simulate", tmp_path / "test.yaml", "--out", tmp_path / "run")
+    assert "warning: the report has no pictures of the arm: Bullet cannot draw" in output
     assert (tmp_path / "run" / "report.html").exists()

@@ -36,7 +36,7 @@ def shelf(recorded, tmp_path):
         (tmp_path / name).mkdir()
         write_json(tmp_path / name / "manifest.json", manifest | changes)
         write_json(tmp_path / name / "summary.json", summary | more)
-    (tmp_path / "somebody_elses").mkdir()
+    (tmp_path / "foreign").mkdir()
     return tmp_path
 
 
@@ -49,19 +49,17 @@ def test_version(funnel_hil):
 
 
 def test_scenarios_are_listed_with_what_they_are(funnel_hil):
-    code, said = funnel_hil("scenarios")
-    assert code == 0
+    output = funnel_hil.output("scenarios")
     faults = [f"faults/{file.stem}" for file in SHIPPED.glob("faults/*.yaml")]
     assert "faults/encoder_stuck" in faults
     for name in [file.stem for file in (*SHIPPED.glob("*.yaml"), *STUDIES.glob("*.yaml"))] + faults:
-        (line,) = [line for line in said.splitlines() if line.split()[:1] == [name]]
+        (line,) = [line for line in output.splitlines() if line.split()[:1] == [name]]
         assert len(line.split()) > 3
 
 
 def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
-    code, said = funnel_hil("export", recorded, "--csv", "--parquet")
-    assert code == 0
-    assert len(said.split()) == 12
+    output = funnel_hil.output("export", recorded, "--csv", "--parquet")
+    assert len(output.split()) == 12
     data, _ = load_run(recorded)
     folder = recorded / "export"
     for table in (
@@ -76,18 +74,16 @@ def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
 
 def test_export_of_a_series_that_is_none_names_one_that_is(funnel_hil, recorded, tmp_path):
     words = ("--csv", "--series", "trcking", "--out", tmp_path / "out")
-    code, said = funnel_hil("export", recorded, *words)
-    assert code == 2
-    assert "did you mean tracking?" in said
+    output = funnel_hil.output("export", recorded, *words, code=2)
+    assert "did you mean tracking?" in output
     assert not (tmp_path / "out").exists()
 
 
 def test_list_and_tags(funnel_hil, shelf):
     assert funnel_hil("runs", "tag", shelf / "old", "paper", "v1")[1] == "paper, v1\n"
     assert funnel_hil("runs", "tag", shelf / "old", "--remove", "v1")[1] == "paper\n"
-    code, said = funnel_hil("runs", "list", shelf)
-    assert code == 0
-    rows = said.splitlines()[1:]
+    output = funnel_hil.output("runs", "list", shelf)
+    rows = output.splitlines()[1:]
     assert [row.split()[0].rpartition("/")[2] for row in rows] == ["old", "broken", "new"]
     assert "2020-01-01" in rows[0]
     assert "bounds kept" in rows[0]
@@ -99,16 +95,15 @@ def test_list_and_tags(funnel_hil, shelf):
 
 def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shelf):
     (shelf / "broken" / "notes.txt").write_text("mine")
-    code, said = funnel_hil("runs", "prune", shelf, "--older-than", "30")
-    assert code == 0
-    assert "1 would be removed; --yes removes them" in said
-    assert names_in(shelf) == ["broken", "new", "old", "somebody_elses"]
+    output = funnel_hil.output("runs", "prune", shelf, "--older-than", "30")
+    assert "1 would be removed; --yes removes them" in output
+    assert names_in(shelf) == ["broken", "foreign", "new", "old"]
     funnel_hil("runs", "tag", shelf / "old", "paper")
     assert "0 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
     funnel_hil("runs", "tag", shelf / "old", "--remove", "paper")
     assert "1 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
     assert "1 removed" in funnel_hil("runs", "prune", shelf, "--incomplete", "--yes")[1]
-    assert names_in(shelf) == ["broken", "new", "somebody_elses"]
+    assert names_in(shelf) == ["broken", "foreign", "new"]
     assert names_in(shelf / "broken") == ["notes.txt"]
 
 
@@ -126,22 +121,22 @@ def test_list_distinguishes_faulted_and_unfinished_runs(funnel_hil, shelf):
     without = {name: value for name, value in summary.items() if name != "verdict"}
     write_json(shelf / "older" / "summary.json", without)
     rows = funnel_hil("runs", "list", shelf)[1].splitlines()[1:]
-    told = {row.split()[0].rpartition("/")[2]: row for row in rows}
+    output = {row.split()[0].rpartition("/")[2]: row for row in rows}
     ended = {"whole", "of_laws"}
-    assert {name for name, row in told.items() if "faulted" in row} == ended
+    assert {name for name, row in output.items() if "faulted" in row} == ended
     gone = {"broken", "half"}
-    assert {name for name, row in told.items() if "interrupted" in row} == gone
-    assert "older version" in told["older"]  # nobody knows how it ended, so it stays
+    assert {name for name, row in output.items() if "interrupted" in row} == gone
+    assert "older version" in output["older"]  # its end is unknown, so it stays
     assert "2 removed" in funnel_hil("runs", "prune", shelf, "--incomplete", "--yes")[1]
-    assert set(names_in(shelf)) == {*told, "somebody_elses"} - gone
+    assert set(names_in(shelf)) == {*output, "foreign"} - gone
 
 
 def test_through_a_pipe_a_row_is_a_line(funnel_hil, shelf):
     name = "a_name_that_is_longer_than_lines_are_" * 6
     (shelf / "new").rename(shelf / name)
-    said = funnel_hil("runs", "list", shelf)[1].splitlines()
-    assert len(said) == 4
-    (row,) = [line for line in said if line.startswith(f"{shelf / name} ")]
+    output = funnel_hil("runs", "list", shelf)[1].splitlines()
+    assert len(output) == 4
+    (row,) = [line for line in output if line.startswith(f"{shelf / name} ")]
     assert "bounds kept" in row
     pruned = funnel_hil("runs", "prune", shelf, "--older-than", "0")[1].splitlines()
     assert len(pruned) == 5

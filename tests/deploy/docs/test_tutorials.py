@@ -14,7 +14,8 @@ import pytest
 
 from tests.deploy.docs.pages import DOCS, Block, blocks, commands
 from tests.multicast import own_place
-from tests.warm_process import HANG_S, ROOT, WITHOUT_REPORT, WarmProcess
+from tests.waiting import HANG_S
+from tests.warm_process import ROOT, WITHOUT_REPORT, WarmProcess
 
 GROUP = "239.74.163.8"
 """Of the tutorial on drives; tests at the same time need groups and ports of their own."""

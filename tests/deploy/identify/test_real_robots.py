@@ -8,7 +8,7 @@ import pytest
 
 from deploy.scenario.scenario import load_setup
 from tests.arms import shipped_arm
-from tests.warm_process import here
+from tests.warm_process import output_of
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
 SHARED = Path(__file__).parents[4] / "shared"
@@ -38,8 +38,7 @@ def ur(kind: str, folder: Path) -> Path:
 
 
 def identified(folder: Path, *words: object) -> dict:
-    code, output = here("identify", *words, "--out", folder / "found")
-    assert code == 0, output
+    output_of("identify", *words, "--out", folder / "found")
     return json.loads((folder / "found" / "summary.json").read_text())
 
 
@@ -120,6 +119,5 @@ def test_a_log_with_payload_among_others_is_refused_by_name(tmp_path):
     fitted, loaded = (LOGS / UR10E.format(f"19_15harm50sec{each}") for each in ("", "Load"))
     arm = ur("ur10e", tmp_path)
     words = ("identify", fitted, loaded, "--robot", arm, "--out", tmp_path / "found")
-    code, output = here(*words)
-    assert code == 2
+    output = output_of(*words, code=2)
     assert f"{loaded.name}: carries about" in output

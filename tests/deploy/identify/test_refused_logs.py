@@ -10,7 +10,7 @@ from deploy.identify.robot_log import _chosen, read_robot_log
 from deploy.identify.signals import checked
 from deploy.scenario.referenced_files import ROBOTS
 from tests.arms import PAPER_ARM
-from tests.warm_process import here
+from tests.warm_process import here, output_of
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
 NAMES = ("base_yaw", "shoulder", "elbow")
@@ -71,9 +71,8 @@ REFUSED = [
 @pytest.mark.parametrize(("values", "begins", "allowed"), REFUSED)
 def test_unusable_log_is_refused(values, begins, allowed, tmp_path):
     write(tmp_path / "log.csv", values)
-    code, output = here("identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out",
-                        tmp_path / "found")  # fmt: skip
-    assert code == 2, output
+    output = output_of("identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out",
+                        tmp_path / "found", code=2)  # fmt: skip
     assert str(tmp_path / "log.csv") in output
     assert begins in output
     assert allowed in output
@@ -82,8 +81,7 @@ def test_unusable_log_is_refused(values, begins, allowed, tmp_path):
 
 def test_other_joints_are_named(tmp_path):
     write(tmp_path / "log.csv", rows(), ("a", "b", "c"))
-    code, output = here("identify", tmp_path / "log.csv", "--robot", "paper_arm")
-    assert code == 2
+    output = output_of("identify", tmp_path / "log.csv", "--robot", "paper_arm", code=2)
     assert "has no position of each of the 3 joints base_yaw, shoulder, elbow" in output
     assert "position.a" in output
 
@@ -117,8 +115,7 @@ def test_other_joints_are_named(tmp_path):
 def test_unusable_words_are_refused(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "log.csv", rows())
-    code, output = here("identify", *words)
-    assert code == 2, output
+    output = output_of("identify", *words, code=2)
     assert message in output
 
 
@@ -127,8 +124,7 @@ def test_files_of_the_user_are_not_replaced(tmp_path):
     (tmp_path / "robot.urdf").write_text("mine")
     words = ["identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out", tmp_path]
     for more in ([], ["--overwrite"]):
-        code, output = here(*words, *more)
-        assert code == 2, output
+        output = output_of(*words, *more, code=2)
         assert "robot.urdf is there" in output
     assert (tmp_path / "robot.urdf").read_text() == "mine"
 
@@ -167,9 +163,8 @@ def test_stuck_joint_is_listed_as_not_seen(tmp_path):
     values = rows()
     values[:, 3], values[:, 6] = 0.2, 0.0
     write(tmp_path / "log.csv", values)
-    code, output = here("identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out",
+    output = output_of("identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out",
                         tmp_path / "found")  # fmt: skip
-    assert code == 0, output
     assert "all of elbow: move it faster" in output
 
 

@@ -20,7 +20,7 @@ from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
-from tests.warm_process import here
+from tests.warm_process import here, output_of
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
 NAME, SHORT_S = "paper_arm", 25.0
@@ -122,8 +122,7 @@ def _write_bag(file, table: pa.Table) -> None:
 def test_results_are_files_that_other_commands_take(virtual, tmp_path):
     file, truth = virtual
     folder = tmp_path / "found"
-    code, output = here("identify", file, "--robot", NAME, "--out", folder)
-    assert code == 0, output
+    output_of("identify", file, "--robot", NAME, "--out", folder)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["kind"] == "identify"
     assert all(0.0 < j["relative_error_held_out"] < 0.05 for j in summary["joints"])
@@ -135,15 +134,13 @@ def test_results_are_files_that_other_commands_take(virtual, tmp_path):
     group = grouping(model)
     written = group.matrix @ model.body_parameters().ravel()
     assert written == pytest.approx([e["value"] for e in summary["base_parameters"]], abs=1e-6)
-    code, output = here("simulate", folder / "scenario.yaml", "--set", "duration_s=0.1", "--out",
+    output_of("simulate", folder / "scenario.yaml", "--set", "duration_s=0.1", "--out",
                         tmp_path / "run")  # fmt: skip
-    assert code == 0, output
     short = ("--plants", 2, "--values", 4, "--duration", 0.2, "--laws", "pid", "--workers", 1)
-    code, output = here(
+    output_of(
         "margin", folder / "scenario.yaml", "--uncertainty", folder / "uncertainty.yaml", *short,
         "--out", tmp_path / "margin",
     )  # fmt: skip
-    assert code == 0, output
     assert "Measured and predicted torque" in (folder / "report.html").read_text()
     code, output = here("identify", file, "--robot", NAME, "--out", folder)
     assert (code, "holds results" in output) == (2, True)
@@ -207,8 +204,7 @@ def test_dead_time_from_command_to_position_becomes_a_delay_of_the_link(virtual,
     file, folder = tmp_path / "log.csv", tmp_path / "found"
     values = np.column_stack([values, *late])
     np.savetxt(file, values, "%.9g", ",", header=f"{head},{names}", comments="")
-    code, output = here("identify", file, "--robot", NAME, "--out", folder)
-    assert code == 0, output
+    output_of("identify", file, "--robot", NAME, "--out", folder)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["dead_time_ms"]["value"] == pytest.approx(30.0, abs=2.0)
     link = load_setup(str(folder / "scenario.yaml")).scenario.link
@@ -238,22 +234,17 @@ def test_an_arm_is_read_with_the_options_of_robot(tmp_path):
     file.write_text(re.sub(r"<inertial>.*?</inertial>", "", text, flags=re.DOTALL))
     design_file = tmp_path / "d.csv"
     words = ("identify", "--robot", file, "--design", design_file, "--duration", 12)
-    code, output = here(
-        *words, "--joints", "base_yaw,shoulder", "--mass", 20, "--include", tmp_path
-    )
-    assert code == 0, output
+    output_of(*words, "--joints", "base_yaw,shoulder", "--mass", 20, "--include", tmp_path)
     header = design_file.read_text().partition("\n")[0]
     assert "shoulder" in header
     assert "elbow" not in header
-    code, output = here(*words, "--joints", "shoulder,hip")
-    assert code == 2
+    output = output_of(*words, "--joints", "shoulder,hip", code=2)
     assert "hip" in output
 
 
 def test_designed_trajectory_is_a_reference_and_a_joint_trajectory(tmp_path):
     file = tmp_path / "excite.csv"
-    code, output = here("identify", "--robot", NAME, "--design", file, "--duration", 12)
-    assert code == 0, output
+    output = output_of("identify", "--robot", NAME, "--design", file, "--duration", 12)
     assert "condition number" in output
     trajectory = yaml.safe_load(file.with_suffix(".yaml").read_text())
     robot = load_robot(load_setup(NAME).robot.path)

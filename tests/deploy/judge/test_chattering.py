@@ -41,7 +41,7 @@ def test_a_constant_torque_does_not_chatter():
 
 
 @pytest.mark.parametrize(("samples", "rate_hz"), [(1000, 100.0), (1, RATE_HZ), (0, RATE_HZ)])
-def test_what_cannot_be_told_is_not_told(samples, rate_hz):
+def test_chatter_share_is_unknown_for_unsuitable_data(samples, rate_hz):
     assert chatter_shares(np.zeros((samples, 1)), rate_hz) is None
 
 

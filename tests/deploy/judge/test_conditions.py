@@ -27,8 +27,9 @@ def metadata_of(file):
 
 
 def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_hil):
-    code, said = funnel_hil("simulate", "paper_arm", *SHORT, "--set", "seed=7", "--out", tmp_path)
-    assert code == 0
+    output = funnel_hil.output(
+        "simulate", "paper_arm", *SHORT, "--set", "seed=7", "--out", tmp_path
+    )
     page = (tmp_path / "report.html").read_text()
     conditions = conditions_on(page)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
@@ -39,14 +40,13 @@ def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_h
         "fixed_time_neural", "0.05 s", "7",
     )  # fmt: skip
     assert conditions["starts"].startswith("initial offset")
-    assert all(f"{name}: {text}" in said for name, text in conditions.items())
+    assert all(f"{name}: {text}" in output for name, text in conditions.items())
 
 
 def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):
     two_seeds = ("--seeds", "2")  # of which one is run, as nothing is random
     words = ("--laws", "smc", *two_seeds, "--limit", "1", "--resolution", "1")
-    code, _ = funnel_hil("margin", "paper_arm", *words, *SHORT, "--workers", "1", "--out", tmp_path)
-    assert code == 0
+    funnel_hil.output("margin", "paper_arm", *words, *SHORT, "--workers", "1", "--out", tmp_path)
     text = (tmp_path / "table.md").read_text()
     table, title, *_ = text.split("\n\n")
     line = text.rstrip().splitlines()[-1]
@@ -62,28 +62,28 @@ def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):
     assert f"<dd>{conditions['quantity']}</dd>" in page
 
 
-def test_what_a_machine_granted_is_told_by_process():
+def test_granted_settings_are_listed_by_process():
     settings = [
         {"name": "real-time scheduler", "granted": True, "detail": "SCHED_FIFO, priority 50"},
         {"name": "CPU affinity", "granted": True, "detail": "CPU 1"},
         {"name": "timer slack", "granted": True, "detail": "0 ns"},
     ]
     refused = [{"name": "real-time scheduler", "granted": False, "detail": "not permitted"}]
-    told = host_of({"realtime": {"plant": settings, "controller": refused}})["granted"]
-    assert told == "plant SCHED_FIFO, priority 50, CPU 1; controller no real-time scheduler"
+    reported = host_of({"realtime": {"plant": settings, "controller": refused}})["granted"]
+    assert reported == "plant SCHED_FIFO, priority 50, CPU 1; controller no real-time scheduler"
 
 
-def test_where_nobody_told_what_loops_in_real_time_were_granted_it_is_not_known(
-    tmp_path, funnel_hil
-):
+def test_settings_that_no_loop_reported_are_unknown(tmp_path, funnel_hil):
     """A recorder that was started by hand knows nothing of the loops but what they send."""
     funnel_hil("simulate", "paper_arm", *SHORT, "--no-report", "--out", tmp_path)
     simulated, manifest = load_run(tmp_path)[0], read_manifest(tmp_path)
     in_real_time = replace(simulated, clock="realtime")
-    told = {"realtime": {"plant": [{"name": "CPU affinity", "granted": True, "detail": "CPU 1"}]}}
+    reported = {
+        "realtime": {"plant": [{"name": "CPU affinity", "granted": True, "detail": "CPU 1"}]}
+    }
     granted = [
         conditions_of_recording(run, {**manifest, **more})["granted"]
-        for run, more in ((simulated, {}), (in_real_time, {}), (in_real_time, told))
+        for run, more in ((simulated, {}), (in_real_time, {}), (in_real_time, reported))
     ]
     assert granted[0] == "no real-time permissions, because no loop ran in real time"
     assert granted[1].startswith("not known")

@@ -10,7 +10,7 @@ import pytest
 from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, Topic
 from deploy.judge.findings.chattering import chatter_shares
 from deploy.judge.metrics import summarise
-from deploy.judge.run_data import RunData, build_run_data
+from deploy.judge.run_data import build_run_data
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.scenario.scenario import load_setup
@@ -29,9 +29,7 @@ def messages(topic: Topic, ticks: np.ndarray, **columns: np.ndarray) -> list[byt
     return rows(topic, *map(at, ticks))
 
 
-def run_of(
-    ticks: np.ndarray, errors_rad: Any, torques_nm: Any, met: Any, commanded: Any = None
-) -> RunData:
+def run_of(ticks, errors_rad, torques_nm, met, commanded=None):
     """A run of which these ticks are known, with the same error and torque for all joints.
 
     Args:
@@ -62,10 +60,10 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     assert tracking["settling_time_s"] == pytest.approx([0.010] * 3)
     assert summary["recording"]["settling_is_latest"] == [True] * 3
     assert tracking["rms_rad"] == pytest.approx([np.sqrt(5 / 8) * 0.1] * 3)
-    said = " ".join(verdict_on_run(JudgedRun("", run, summary)).reasons)
-    assert "known at 7 of 12 ticks" in said
-    assert "because ticks are missing: base_yaw, shoulder, elbow." in said
-    assert "leave out 0.006 s around the gaps" in said
+    text = " ".join(verdict_on_run(JudgedRun("", run, summary)).reasons)
+    assert "known at 7 of 12 ticks" in text
+    assert "because ticks are missing: base_yaw, shoulder, elbow." in text
+    assert "leave out 0.006 s around the gaps" in text
 
 
 @pytest.mark.parametrize(
@@ -77,9 +75,7 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     ],
     ids=["command before its truth", "on both sides", "fewer commands"],
 )
-def test_torques_stop_at_a_gap_whatever_came_first_behind_it(
-    ticks: list[int], commanded: list[int]
-) -> None:
+def test_torques_stop_at_a_gap_for_any_first_message_after_it(ticks, commanded):
     """A loop sends the truth of a tick after what it has of the command for it."""
     every = np.arange(13)
     torques_nm = np.where(every < 8, 1.0, 101.0) + every

@@ -22,7 +22,7 @@ def run():
     return run_of(ON, "plant.actuator.lag_ms=2", "plant.payload_kg=1", PICKED_UP)
 
 
-def test_every_cycle_tells_what_is_believed(run):
+def test_every_cycle_reports_the_estimates(run):
     status = run.tables["control_status"]
     for name in ("inertia_factor", "payload_kg", "actuator_lag_s", "learned_viscous"):
         assert np.isfinite(status[name]).all()
@@ -34,7 +34,7 @@ def test_every_cycle_tells_what_is_believed(run):
     assert len(np.unique(status["inertia_factor"])) > 10
 
 
-def test_payload_is_in_kilograms_whatever_the_scale_of_the_model():
+def test_payload_is_in_kilograms_for_any_scale_of_the_model():
     quiet = ["plant.friction.enabled=false", "plant.disturbance.enabled=false"]
     for scale in (0.8, 1.0):
         run = run_of(ON, *quiet, f"controller.model_scale={scale}", "plant.payload_kg=2")

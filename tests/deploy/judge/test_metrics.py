@@ -25,7 +25,7 @@ from bus_schema.messages.topics import (
 )
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
-from deploy.judge.run_data import RunData, build_run_data, digest
+from deploy.judge.run_data import build_run_data, digest
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
@@ -54,10 +54,7 @@ def judged(setup: Setup, *messages: Sequence[dict[str, Any]], **others: list[byt
     return summarise(run_of(setup, *messages, **others))
 
 
-def run_of(
-    setup: Setup, truth: Sequence[dict[str, Any]] = (), commands: Sequence[dict[str, Any]] = (),
-    **others: list[bytes],
-) -> RunData:  # fmt: skip
+def run_of(setup, truth=(), commands=(), **others):
     payloads = {
         PLANT_TRUTH.name: rows(PLANT_TRUTH, *truth),
         JOINT_COMMANDS.name: rows(JOINT_COMMANDS, *commands),
@@ -188,14 +185,12 @@ def test_timing_leaves_out_what_is_not_known(setup: Setup) -> None:
     ("met", "misses", "longest"),
     [("1111", 0, 0), ("1011", 1, 1), ("0110", 2, 1), ("1001000", 5, 3), ("0000", 4, 4)],
 )
-def test_misses_and_the_longest_run_of_them(
-    setup: Setup, met: str, misses: int, longest: int
-) -> None:
+def test_misses_and_the_longest_run_of_them(setup, met, misses, longest):
     timing = judged(setup, [at(0.0, deadline_met=int(flag)) for flag in met])["timing"]
     assert (timing["deadline_misses"], timing["deadline_miss_longest_run"]) == (misses, longest)
 
 
-def test_events_tell_how_it_ended(setup: Setup) -> None:
+def test_events_determine_how_a_run_ended(setup: Setup) -> None:
     counts = {"sent": 9, "delivered": 8, "lost": 1, "duplicated": 0, "reordered": 0,
               "rejected": {"stale": 2}}  # fmt: skip
     events = [
@@ -291,15 +286,15 @@ def test_digest_does_not_count_how_often_the_first_state_was_sent() -> None:
 
 
 @pytest.mark.parametrize(
-    "told", [{"kernel": 7, "cycles": 10}, {"kernel": 7, "cycles": 2**52, "newest_cycle_s": 1.0}]
+    "message", [{"kernel": 7, "cycles": 10}, {"kernel": 7, "cycles": 2**52, "newest_cycle_s": 1.0}]
 )
-def test_ends_that_lack_values_or_exaggerate_measure_no_link(told: dict[str, float]) -> None:
+def test_ends_that_lack_values_or_exaggerate_measure_no_link(message: dict[str, float]) -> None:
     """Any program on the bus may send them."""
     run = simulate(load_setup("paper_arm", ["duration_s=0.01"])).data()
     others = [event for event in run.events if event.kind != EventKind.ENDED]
     ends = [
         RunEvent(10**7, "plant", EventKind.ENDED, json.dumps({"kernel": 7, "start_s": 0.0})),
-        RunEvent(10**7, "controller", EventKind.ENDED, json.dumps(told)),
+        RunEvent(10**7, "controller", EventKind.ENDED, json.dumps(message)),
     ]
     found = measured_link(replace(run, clock="realtime", events=[*others, *ends]))
     assert [len(each.delays_ms) for each in found.values()] == [0, 0]

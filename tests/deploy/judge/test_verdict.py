@@ -48,9 +48,9 @@ def run(simulation):
 
 def with_end(run, **changes):
     """The run, whose plant says something else at its end."""
-    told = {**run.last_values(Role.PLANT, EventKind.ENDED), **changes}
+    reported = {**run.last_values(Role.PLANT, EventKind.ENDED), **changes}
     others = [event for event in run.events if event.kind != EventKind.ENDED]
-    end = RunEvent(TICKS * 10**6, "plant", EventKind.ENDED, json.dumps(told))
+    end = RunEvent(TICKS * 10**6, "plant", EventKind.ENDED, json.dumps(reported))
     return replace(run, events=[*others, end])
 
 
@@ -101,7 +101,7 @@ CASES = {
     ),
     "the state is not a number": ("lost", lambda run: with_truth(run, nowhere)),
     "it was stopped": ("interrupted", lambda run: with_end(run, completed=False)),
-    "an end after fewer ticks is said to be the end": (
+    "an earlier end is reported": (
         "interrupted",
         lambda run: with_end(
             with_truth(run, without(101, None)), ticks=100,

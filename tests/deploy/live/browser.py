@@ -15,7 +15,7 @@ from typing import Any
 
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 _FLAGS = (
@@ -33,7 +33,7 @@ class Page:
     def __init__(self, connection: WebSocketClientConnection) -> None:
         self._connection = connection
         self._numbers = count(1)
-        self.said: list[str] = []  # on the console, and what its security policy stopped
+        self.messages: list[str] = []  # on the console, and what its security policy stopped
 
     async def call(self, method: str, **parameters: Any) -> Any:
         number = next(self._numbers)
@@ -47,7 +47,7 @@ class Page:
                 assert "error" not in message, message
                 return message["result"]
             if message.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
-                self.said.append(json.dumps(message["params"]))
+                self.messages.append(json.dumps(message["params"]))
 
     async def value(self, expression: str) -> Any:
         """What a piece of JavaScript gives."""
@@ -57,7 +57,7 @@ class Page:
     async def await_true(self, expression: str) -> None:
         give_up_s = time.monotonic() + HANG_S
         while not await self.value(expression):
-            assert time.monotonic() < give_up_s, f"waited in vain: {expression}; {self.said}"
+            assert time.monotonic() < give_up_s, f"waited in vain: {expression}; {self.messages}"
             time.sleep(0.1)
 
     async def screenshot(self, path: Path) -> None:

@@ -61,7 +61,7 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
             )
             seen["blank_px"] = await page.value(BLANK_BELOW_THE_ARM_PX)
             await page.screenshot(tmp_path / "page.png")
-            seen["said"] = page.said
+            seen["text"] = page.messages
 
     try:
         asyncio.run(look())
@@ -71,7 +71,7 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
     assert len(seen["error"]) == 9  # two bounds and an error for each joint
     assert min(*seen["error"], *seen["torque"], *seen["age"]) >= 2
     assert seen["arm"] > 3
-    assert seen["from_s"] == 0  # all of the last ten seconds, whatever came of them
+    assert seen["from_s"] == 0  # all of the last ten seconds
     low_x, high_x, low_z, high_z = seen["space"]
     assert low_x < high_x
     assert high_x > 5.0
@@ -80,7 +80,7 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
     assert 0 < seen["blank_px"] < 30
     assert (tmp_path / "page.png").stat().st_size > 20_000
     wrong = [
-        said for said in seen["said"] if json.loads(said).get("entry", {}).get("level") != "warning"
+        text for text in seen["text"] if json.loads(text).get("entry", {}).get("level") != "warning"
     ]
     assert wrong == []  # no exception, and nothing that its security policy stopped
 

@@ -70,7 +70,7 @@ async def connected(url):
 
 @contextmanager
 def played():
-    """The address of a viewer that plays a run, once it is told to begin."""
+    """The address of a viewer that plays a run from a start signal on."""
     run, begin, over = short_run(), threading.Event(), threading.Event()
     viewer = Viewer(run.setup, "a test", foxglove_port=0)
     source = playback(run, 1.0, begin.is_set)

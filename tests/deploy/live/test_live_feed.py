@@ -1,4 +1,4 @@
-"""What a recorder passes on to live views, and that nobody waits for who takes it."""
+"""A recorder feeds live views without waiting for them."""
 
 import socket
 from pathlib import Path
@@ -60,7 +60,7 @@ def test_the_newest_of_each_topic_is_shown_and_every_event_and_every_deadline_co
     for number in range(3):
         sampler.take(Message(EVENTS, 99, b"event %d" % number))
     ticks, missed, messages = sampler.snapshot()
-    assert (ticks, missed) == (99, 10)  # the first is told before any has ended
+    assert (ticks, missed) == (99, 10)  # the first is reported before any has ended
     assert [(m.topic.name, m.stamp_ns) for m in messages[:2]] == [
         ("plant_truth", 99), ("joint_states", 99),
     ]  # fmt: skip
@@ -86,7 +86,7 @@ def test_another_recorder_that_clears_up_meanwhile_leaves_a_socket_that_is_about
     assert not folder.exists()
 
 
-def test_who_asks_is_told_the_scenario_and_gets_what_is_recorded(feed, receiver, tmp_path):
+def test_viewer_receives_scenario_and_messages(feed, receiver, tmp_path):
     meet(feed, receiver)
     assert receiver.scenario == tmp_path / "scenario.yaml"
     state = Message(STATES, 7, np.random.default_rng(1).bytes(300))

@@ -15,7 +15,7 @@ from controller.manipulator_model import ManipulatorModel
 from deploy.live.figures import live_figures
 from deploy.live.frames import RunState
 from deploy.live.viewer import Viewer
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def url(viewer):
     return viewer.places().split()[2]
 
 
-def test_the_page_is_for_who_has_its_token(url):
+def test_page_requires_its_token(url):
     status, headers, body = get(url)
     assert status == 200
     assert b"Error inside its funnel" in body
@@ -52,14 +52,14 @@ def test_what_the_page_needs_is_there(url, path):
     assert len(body) > 100
 
 
-def test_nobody_has_a_name_of_theirs_point_here(url):
+def test_other_host_names_are_refused(url):
     for host in ("evil.example", "evil.example:80", "", "127.0.0.1", "localhost:1"):
         assert get(url, Host=host)[0] == 421
     port = urlsplit(url).port
     assert get(url, Host=f"localhost:{port}")[0] == 200
     asked, hosts = url.partition(str(port))[2], f"Host: 127.0.0.1:{port}\r\nHost: evil"
     twice = f"GET {asked} HTTP/1.1\r\n{hosts}\r\n\r\n"
-    assert b" 421 " in said_to(port, twice.encode())
+    assert b" 421 " in printed_for(port, twice.encode())
 
 
 @pytest.mark.parametrize("method", ["HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"])
@@ -71,7 +71,7 @@ def test_it_listens_on_this_machine_alone(viewer):
     assert viewer._page.server_address[0] == "127.0.0.1"
 
 
-def said_to(port, request):
+def printed_for(port, request):
     """What the server answers to raw bytes."""
     with socket.create_connection(("127.0.0.1", port), timeout=60) as client:
         client.sendall(request)
@@ -88,12 +88,12 @@ def said_to(port, request):
     b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 500 + b"\r\n", b"BREW / HTTP/1.1\r\n\r\n",
 ])  # fmt: skip
 def test_garbage_gets_an_error_and_does_nothing(url, garbage):
-    answer = said_to(urlsplit(url).port, garbage)
+    answer = printed_for(urlsplit(url).port, garbage)
     assert b" 200 " not in answer[:20]
     assert get(url)[0] == 200
 
 
-def test_a_flood_of_connections_does_not_keep_the_page_from_who_is_there(viewer, url):
+def test_flood_of_connections_does_not_block_open_viewers(viewer, url):
     events = Events(url)
     idle = [socket.create_connection(("127.0.0.1", urlsplit(url).port)) for _ in range(100)]
     viewer._frames.add({"time_s": 1.0})
@@ -111,7 +111,7 @@ def test_a_page_that_is_frozen_holds_up_neither_the_viewer_nor_another_page(view
     viewer._frames.end()
     *_, last = other.frames()
     assert last["time_s"] == 200.0
-    viewer.close()  # it waits for nobody
+    viewer.close()  # without waiting
     frozen.close()
     other.close()
 
@@ -183,7 +183,7 @@ def test_the_last_of_a_run_is_shown_at_its_end(viewer, monkeypatch):
     assert shown(viewer) == source.ticks
 
 
-def test_who_comes_when_the_run_is_over_sees_it(viewer, url):
+def test_run_that_is_over_is_shown_to_late_viewers(viewer, url):
     viewer._frames.add({"time_s": 1.0})
     viewer._frames.end()
     events = Events(url)

@@ -13,7 +13,7 @@ from deploy.live.playback import Playback
 from deploy.run.network.snapshot import Snapshot
 from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
-from tests.warm_process import HANG_S
+from tests.waiting import HANG_S
 
 
 @cache

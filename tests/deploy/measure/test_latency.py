@@ -21,9 +21,7 @@ MOST_ROWS = 4_000
 
 
 @cache
-def recorded(
-    rate_hz: float, dead_ms: float, lag_ms: float, noise: float, *, feedback: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def recorded(rate_hz, dead_ms, lag_ms, noise, *, feedback=0.0):
     """Times, held commands and noisy responses of a system with gain 0.9, in steps of 0.1 ms."""
     random, step_s = np.random.default_rng(5), 1e-4
     every, dead = round(1.0 / rate_hz / step_s), round(dead_ms * 1e-3 / step_s)
@@ -47,9 +45,7 @@ def recorded(
     ("dead_ms", "lag_ms", "feedback"),
     [(4.0, 20.0, 0.0), (35.0, 60.0, 0.3), (80.0, 15.0, 0.0)],
 )
-def test_known_system_is_recovered(
-    rate_hz: float, dead_ms: float, lag_ms: float, feedback: float
-) -> None:
+def test_known_system_is_recovered(rate_hz, dead_ms, lag_ms, feedback):
     noise = 0.002
     rows = recorded(rate_hz, dead_ms, lag_ms, noise, feedback=feedback)
     found = find_latency(*rows, 0.3, is_held=True)
@@ -68,7 +64,7 @@ def test_intervals_grow_with_noise() -> None:
     assert halves[2] > 20 * halves[0]
 
 
-def test_one_sine_does_not_tell_dead_time_from_lag() -> None:
+def test_one_sine_does_not_distinguish_dead_time_from_lag() -> None:
     times_s = np.arange(0.0, 20.0, 0.01)
     random = np.random.default_rng(1)
     response = np.sin(3.0 * (times_s - 0.05)) + 0.01 * random.standard_normal(len(times_s))
@@ -99,16 +95,13 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     file = tmp_path / "episodes.parquet"
     parquet.write_table(pa.table(table), file)
     words = ("latency", file, "--time", "timestamp", "--response", "observation.state[0]")
-    code, said = funnel_hil(*words, "--command", "action[1]")
-    assert code == 0, said
-    assert "2,000 rows at 100 Hz (the longest of 2 episodes)" in said
-    assert "dead time: 2" in said or "dead time: 19.9" in said
-    code, said = funnel_hil(*words, "--command", "actoin[1]")
-    assert code == 2
-    assert "did you mean action" in said
-    code, said = funnel_hil(*words, "--command", "action[0]")
-    assert code == 2
-    assert "never changes" in said
+    output = funnel_hil.output(*words, "--command", "action[1]")
+    assert "2,000 rows at 100 Hz (the longest of 2 episodes)" in output
+    assert "dead time: 2" in output or "dead time: 19.9" in output
+    output = funnel_hil.output(*words, "--command", "actoin[1]", code=2)
+    assert "did you mean action" in output
+    output = funnel_hil.output(*words, "--command", "action[0]", code=2)
+    assert "never changes" in output
 
 
 def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
@@ -144,27 +137,23 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
     assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
     words = ("latency", file, "--command", "/wanted.effort[1]", "--response")
-    code, said = funnel_hil(*words, "/found.effort[1]")
-    assert code == 0, said
-    assert "307 rows at 76.92 Hz" in said  # responses before the last command, 1000 Hz / 13
+    output = funnel_hil.output(*words, "/found.effort[1]")
+    assert "307 rows at 76.92 Hz" in output  # responses before the last command, 1000 Hz / 13
     for response_name, complaint in (
         ("/fuond.effort[1]", "did you mean /found"),
         ("/found.effort[2]", "/found.effort[2]: cannot be read as a number"),
         ("/found.effort", "/found.effort: cannot be read as a number"),
     ):
-        code, said = funnel_hil(*words, response_name)
-        assert code == 2
-        assert complaint in said
-    code, said = funnel_hil(*words, "/found.effort[1]", "--unit", "ms")
-    assert code == 2
-    assert "MCAP files have log times" in said
+        output = funnel_hil.output(*words, response_name, code=2)
+        assert complaint in output
+    output = funnel_hil.output(*words, "/found.effort[1]", "--unit", "ms", code=2)
+    assert "MCAP files have log times" in output
 
 
 def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
     settings = ("duration_s=2", "link.uplink.delay_ms=2", "link.downlink.delay_ms=6")
     words = [word for each in settings for word in ("--set", each)]
-    code, said = funnel_hil("simulate", "paper_arm", *words, "--out", tmp_path / "run")
-    assert code == 0, said
+    funnel_hil.output("simulate", "paper_arm", *words, "--out", tmp_path / "run")
     names = "/joint_commands.effort[0]", "/joint_states.effort[0]"
     rows = read_series(tmp_path / "run" / "run.mcap", *names, is_held=True)
     found = find_latency(*rows, 0.1, is_held=True)
@@ -204,9 +193,7 @@ def test_interval_of_a_response_that_ends_between_two_rows_has_the_true_dead_tim
 @pytest.mark.parametrize("rate_hz", [30.0, 50.0, 1000.0])
 @pytest.mark.parametrize("periods", [1, 10])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_interval_has_a_dead_time_of_whole_periods(
-    rate_hz: float, periods: int, noise: float
-) -> None:
+def test_interval_has_a_dead_time_of_whole_periods(rate_hz, periods, noise):
     """All dead times of a period give the same rows; the true one is the end of that interval."""
     random, times_s = np.random.default_rng(3), np.arange(1000) / rate_hz
     commands = np.repeat(random.standard_normal(125), 8)
@@ -265,11 +252,10 @@ def write_csv(file: Path, time: str, columns: tuple[np.ndarray, ...]) -> None:
 def test_command_gives_no_intervals_where_the_model_does_not_fit(tmp_path, funnel_hil) -> None:
     file = tmp_path / "sticks.csv"
     write_csv(file, "t", with_stiction(100.0, 0.01))  # the column t is found
-    code, said = funnel_hil("latency", file, "--command", "wanted", "--response", "angle")
-    assert code == 0, said
-    assert "the model does not fit, so there are no intervals: what is left depends on" in said
-    assert "stiction" in said
-    assert "±" not in said
+    output = funnel_hil.output("latency", file, "--command", "wanted", "--response", "angle")
+    assert "the model does not fit, so there are no intervals: what is left depends on" in output
+    assert "stiction" in output
+    assert "±" not in output
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -279,11 +265,9 @@ def test_command_names_the_better_interpolation(tmp_path, funnel_hil, held: bool
         responses = np.interp(times_s - 1 / 60, times_s, commands)
     write_csv(tmp_path / "log.csv", "timestamp", (times_s, commands, responses))
     words = ("latency", tmp_path / "log.csv", "--command", "wanted", "--response", "angle")
-    code, wrong = funnel_hil(*words, *(["--linear"] if held else []))
-    assert code == 0, wrong
+    wrong = funnel_hil.output(*words, *(["--linear"] if held else []))
     assert f"{'without' if held else 'with'} --linear the model fits better" in wrong
-    code, right = funnel_hil(*words, *([] if held else ["--linear"]))
-    assert code == 0, right
+    right = funnel_hil.output(*words, *([] if held else ["--linear"]))
     assert "±" in right
     assert "fits better" not in right
 
@@ -293,22 +277,20 @@ def test_elements_have_names_of_joints(tmp_path: Path, funnel_hil) -> None:
     file = tmp_path / "robot.mcap"
     write_mcap(file, {"/wanted": (times_s, command), "/found": (times_s, response)})
     words = ("latency", file, "--command", "/wanted.effort[elbow]", "--response")
-    code, by_name = funnel_hil(*words, "/found.effort[elbow]")
-    assert code == 0, by_name
-    code, by_number = funnel_hil(*words, "/found.effort[1]")
+    by_name = funnel_hil.output(*words, "/found.effort[elbow]")
+    by_number = funnel_hil.output(*words, "/found.effort[1]")
     assert by_number == by_name
-    code, said = funnel_hil(*words, "/found.effort[elbw]")
-    assert code == 2
-    assert "no element 'elbw'; there are shoulder, elbow" in said
+    output = funnel_hil.output(*words, "/found.effort[elbw]", code=2)
+    assert "no element 'elbw'; there are shoulder, elbow" in output
 
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, nested) -> None:
     times_s, command, response = recorded(100.0, 20.0, 30.0, 0.001)
     names = ["shoulder.pos", "elbow.pos"]
-    told = {"motors": names} if nested else names
+    reported = {"motors": names} if nested else names
     (tmp_path / "meta").mkdir()
-    info = {"features": {"action": {"names": told}, "observation.state": {"names": told}}}
+    info = {"features": {"action": {"names": reported}, "observation.state": {"names": reported}}}
     (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
     (folder := tmp_path / "data" / "chunk-000").mkdir(parents=True)
     columns = {
@@ -317,9 +299,7 @@ def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, n
     }
     parquet.write_table(pa.table({"timestamp": times_s, **columns}), folder / "file.parquet")
     words = ("latency", folder / "file.parquet", "--command", "action[elbow.pos]", "--response")
-    code, said = funnel_hil(*words, "observation.state[elbow.pos]")
-    assert code == 0, said
-    assert "dead time: 2" in said or "dead time: 19.9" in said
-    code, said = funnel_hil(*words, "observation.state[wrist.pos]")
-    assert code == 2
-    assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in said
+    output = funnel_hil.output(*words, "observation.state[elbow.pos]")
+    assert "dead time: 2" in output or "dead time: 19.9" in output
+    output = funnel_hil.output(*words, "observation.state[wrist.pos]", code=2)
+    assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in output

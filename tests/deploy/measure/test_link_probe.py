@@ -62,15 +62,15 @@ def test_known_link_is_recovered(protocol: str) -> None:
         with in_thread(relay.run), socket.socket(type=KINDS[protocol]) as way:
             way.connect(listener.getsockname())
             times = probe(way, 200.0, 150, 1.5, lambda: False, lambda *_: None)
-    measured, told = evaluate(times), relay.counts()
+    measured, reported = evaluate(times), relay.counts()
     assert times.has_one_clock
     assert measured.uncertainty_ms == 0.0
     assert np.nanmin(measured.there.delays_ms) >= 3.0
     assert np.nanmin(measured.back.delays_ms) >= 7.0
     assert len(measured.there.sent_s) == 300
     if protocol == "udp":
-        assert measured.there.lost == told["downlink"]["lost"] > 0
-        assert measured.back.lost == told["uplink"]["lost"] > 0
+        assert measured.there.lost == reported["downlink"]["lost"] > 0
+        assert measured.back.lost == reported["uplink"]["lost"] > 0
     else:
         assert measured.there.lost == measured.back.lost == 0
         assert np.nanmax(measured.there.delays_ms) >= 10.0  # what was sent again
@@ -97,9 +97,7 @@ def test_delay_over_zenoh_is_recovered() -> None:
     assert measured.reordered == (0, 0)
 
 
-def times(
-    offset_ms: float, drift_ppm: float, seconds: float = 60.0, rate_hz: float = 500.0
-) -> tuple[ProbeTimes, np.ndarray]:
+def times(offset_ms, drift_ppm, seconds=60.0, rate_hz=500.0):
     """Those of a link with queues and a clock that is ahead; and its delays there, ms."""
     random = np.random.default_rng(3)
     count = round(seconds * rate_hz)
@@ -131,7 +129,7 @@ def test_uncertainty_covers_a_link_that_is_not_symmetric() -> None:
     assert uncertainty_ns == pytest.approx(5 * MS)
 
 
-def test_losses_are_told_by_direction_and_order_is_counted() -> None:
+def test_losses_are_counted_by_direction_and_order_is_kept() -> None:
     given, _ = times(0.0, 0.0, seconds=1.0, rate_hz=100.0)
     given.received_ns[[10, 20]] = 0  # lost there
     given.returned_ns[[10, 20, 30, 31, 32]] = 0  # the others on the way back
@@ -209,19 +207,3 @@ def test_command_serves_and_measures_over_zenoh(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
     assert "downlink: 100 messages" in ran.stdout
     assert serving.returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        ((), "give a HOST, or --serve"),
-        (("somewhere", "--serve"), "give a HOST, or --serve"),
-        (("127.0.0.1", "--size", "10"), "--size 100 to 60000"),
-        (("127.0.0.1", "--tcp", "--zenoh"), "give --tcp or --zenoh, not both"),
-        (("127.0.0.1", "--rate", "0"), "--rate must be up to 10000 Hz"),
-    ],
-)
-def test_bad_options_are_refused(funnel_hil, words: tuple[str, ...], complaint: str) -> None:
-    code, said = funnel_hil("link", *words)
-    assert code == 2
-    assert complaint in said

@@ -47,9 +47,8 @@ def imported(tmp_path: Path, funnel_hil):
     def run(name: str, text: str, *words: str) -> list[int]:
         file, out = tmp_path / name, tmp_path / "trace.parquet"
         file.write_text(text)
-        code, said = funnel_hil("trace", "import", words[0], file, *words[1:], "--out", out)
-        assert code == 0, said
-        assert "trace: {file:" in said
+        output = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out)
+        assert "trace: {file:" in output
         found = read_trace(out)
         assert found.times_ns[0] == 0
         return np.where(found.delays_ns < 0, LOST_NS, (found.delays_ns + 500) // 1000).tolist()
@@ -69,9 +68,7 @@ def test_ping_says_that_it_measured_round_trips(imported, tmp_path: Path) -> Non
     assert not read_trace(tmp_path / "trace.parquet").is_round_trip
 
 
-def test_round_trips_of_tshark_are_halved_and_packets_without_ack_are_not_lost(
-    imported, tmp_path: Path
-) -> None:
+def test_round_trips_of_tshark_are_halved_and_packets_without_ack_are_not_lost(imported, tmp_path):
     words = ("csv", "--from", "frame.time_relative", "--delay", "tcp.analysis.ack_rtt")
     assert imported("packets.csv", TSHARK, *words) == [1000, 2000]
     trace = read_trace(tmp_path / "trace.parquet")
@@ -107,22 +104,19 @@ def test_csv_is_the_difference_of_two_columns_or_one_of_delays(imported) -> None
 
 def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funnel_hil) -> None:
     settings = ["duration_s=0.1", "link.uplink.delay_ms=2", "link.downlink.delay_ms=3"]
-    code, said = funnel_hil(
+    funnel_hil.output(
         "simulate",
         "paper_arm",
         *(w for s in settings for w in ("--set", s)),
         "--out",
         tmp_path / "run",
     )
-    assert code == 0, said
     log, out = tmp_path / "run" / "run.mcap", tmp_path / "trace.csv"
     words = ("trace", "import", "mcap", log, "--from", "/joint_states", "--out", out)
-    code, said = funnel_hil(*words, "--to", "/joint_commands")
-    assert code == 0, said
+    funnel_hil.output(*words, "--to", "/joint_commands")
     assert len(read_trace(out).delays_ns) > 90
-    code, said = funnel_hil(*words, "--to", "/joint_comands")
-    assert code == 2
-    assert "did you mean /joint_commands" in said
+    output = funnel_hil.output(*words, "--to", "/joint_comands", code=2)
+    assert "did you mean /joint_commands" in output
 
 
 @pytest.mark.parametrize(
@@ -177,15 +171,12 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
         ("", ("mcap", "--from", "/a"), "cannot be read as MCAP"),
     ],
 )
-def test_what_is_no_measurement_is_refused(
-    tmp_path: Path, funnel_hil, text: str, words: tuple[str, ...], complaint: str
-) -> None:
+def test_what_is_no_measurement_is_refused(tmp_path, funnel_hil, text, words, complaint):
     file = tmp_path / "file"
     file.write_text(text)
     out = tmp_path / "trace.csv"
-    code, said = funnel_hil("trace", "import", words[0], file, *words[1:], "--out", out)
-    assert code == 2
-    assert complaint in said
+    output = funnel_hil.output("trace", "import", words[0], file, *words[1:], "--out", out, code=2)
+    assert complaint in output
     assert not out.exists()
 
 

@@ -117,7 +117,7 @@ def test_every_law_is_in_every_figure_in_its_own_colour(comparison):
         ((False, False), "bad", "No law kept its bounds"),
     ],
 )
-def test_the_headline_counts_who_kept_the_bounds(comparison, kept, level, headline):
+def test_headline_counts_the_laws_that_kept_their_bounds(comparison, kept, level, headline):
     runs = [with_bounds(run, kept=k) for run, k in zip(comparison.runs, kept, strict=True)]
     verdict = verdict_on_laws(ComparedRuns(runs))
     assert (verdict.level, verdict.headline) == (level, headline)

@@ -65,34 +65,12 @@ def test_case_that_the_baseline_has_must_be_there():
 def test_sentence_names_what_fell_by_how_much_and_since_when():
     gate = Gate(baseline={"arm, law": delay(20.0)}, tolerance=1.0)
     fell = delay(15.0)
-    said = gate.failures([fell])["arm, law"]
-    assert said == "arm, law: fell by 5 from 20 ms to 15 ms, more than the 1 ms allowed"
+    text = gate.failures([fell])["arm, law"]
+    assert text == "arm, law: fell by 5 from 20 ms to 15 ms, more than the 1 ms allowed"
     values = {"a": 20.0, "b": 21.0, "c": 15.0}
     entries = [Entry(commit, "", {"arm, law": value}) for commit, value in values.items()]
     assert since_when(entries, fell) == "; it was 21 at b, and fell at c"
     assert since_when(entries[2:], fell) == ""
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["simulate", "--at-least", "20ms"], "unit 'ms': must be %"),
-        (["margin", "--at-least", "20%"], "unit '%': must be ms"),
-        (["margin", "--at-least", "much"], "--at-least 'much': must be a number"),
-        (["sweep", "delay_sweep", "--tolerance", "1%"], "needs --baseline"),
-        (
-            ["compare", "--baseline", "nowhere.json"],
-            "nowhere.json: No such file or directory: must be",
-        ),
-    ],
-)
-def test_gate_that_fits_no_result_is_refused_before_anything_runs(
-    words, said, funnel_hil, tmp_path
-):
-    code, told = funnel_hil(*words, "--out", tmp_path / "out")
-    assert code == 2
-    assert said in told
-    assert not (tmp_path / "out").exists()
 
 
 def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkeypatch):
@@ -101,9 +79,8 @@ def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkey
              "--history", tmp_path / "history"]  # fmt: skip
     simulate = ["simulate", *SHORT, "--no-report", *files]
     assert funnel_hil(*simulate, "--at-least", "10%", "--out", tmp_path / "1")[0] == 0
-    code, said = funnel_hil(*simulate, "--at-least", "99%", "--out", tmp_path / "2")
-    assert code == 3
-    assert "must be at least 99 % of the bound" in said
+    output = funnel_hil.output(*simulate, "--at-least", "99%", "--out", tmp_path / "2", code=3)
+    assert "must be at least 99 % of the bound" in output
     suite = ET.parse(tmp_path / "j.xml").getroot()
     assert suite.get("failures") == "1"
     assert "99 %" in suite.find("testcase/failure").get("message")
@@ -113,12 +90,10 @@ def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkey
     entries = (tmp_path / "history" / "history.jsonl").read_text().splitlines()
     assert [json.loads(entry)["commit"] for entry in entries] == ["01234567"] * 2
     assert "history over commits" not in (tmp_path / "history" / "history.html").read_text()
-    code, said = funnel_hil(
+    output = funnel_hil.output(
         "compare", "--laws", "pid", "--set", "funnel.rate_per_s=200", *SHORT,
-        "--baseline", tmp_path / "1", "--out", tmp_path / "3",
-    )  # fmt: skip
-    assert code == 3
-    assert "paper_arm, fixed_time_neural: is missing" in said
+        "--baseline", tmp_path / "1", "--out", tmp_path / "3", code=3)  # fmt: skip
+    assert "paper_arm, fixed_time_neural: is missing" in output
 
 
 def test_numbers_of_studies_are_margins_and_distances_to_the_bound():
@@ -132,13 +107,6 @@ def test_numbers_of_studies_are_margins_and_distances_to_the_bound():
     ]  # fmt: skip
     kept = {row["law"]: row["margin_min"] for row in sweep.rows}
     assert gauged(sweep.summary)[0].value == pytest.approx(100 * kept["smc"])
-
-
-def test_damaged_history_is_refused(tmp_path, funnel_hil):
-    (tmp_path / "history.jsonl").write_text('{"commit": 1}\n')
-    code, said = funnel_hil("simulate", *SHORT, "--history", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
-    assert "history.jsonl, line 1: must be an entry" in said
 
 
 @pytest.mark.parametrize(("change", "code"), [("", 0), ("stiffness=400.0 stiffness=2000.0", 3)])
@@ -193,25 +161,16 @@ MALFORMED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "said"), MALFORMED.values(), ids=MALFORMED)
-def test_unusable_baseline_is_refused_with_its_reason(content, said, tmp_path, funnel_hil):
+@pytest.mark.parametrize(("content", "message"), MALFORMED.values(), ids=MALFORMED)
+def test_unusable_baseline_is_refused_with_its_reason(content, message, tmp_path, funnel_hil):
     file = tmp_path / "baseline.json"
     content = json.dumps(content) if isinstance(content, dict) else content
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
-    code, output = funnel_hil("margin", "--baseline", file, "--out", tmp_path / "out")
-    assert code == 2, output
+    output = funnel_hil.output("margin", "--baseline", file, "--out", tmp_path / "out", code=2)
     assert output.startswith("error: --baseline")
-    assert said in output
+    assert message in output
     assert len(output) < 700
     assert not (tmp_path / "out").exists()
-
-
-def test_margin_is_not_compared_with_a_sweep_of_the_same_unit(tmp_path, funnel_hil):
-    sweep = {"kind": "sweep", "axes": [{"keys": ["seed"]}], "points": [POINT]}
-    (tmp_path / "summary.json").write_text(json.dumps(sweep))
-    code, output = funnel_hil("simulate", "--baseline", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
-    assert "is a result of sweep: must be of runs" in output
 
 
 def test_nan_passes_no_gate():
@@ -222,21 +181,20 @@ def test_nan_passes_no_gate():
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         (b'{"commit": "a", "time": "", "values": {"x": NaN}}', "line 1: must be an entry"),
         (b'{"commit": "a", "time": "", "values": {"x": "1"}}', "line 1: must be an entry"),
+        (b'{"commit": 1}\n', "history.jsonl, line 1: must be an entry"),
         (b"\xff", "no text in UTF-8"),
         (b"[" * 100_000, "line 1: must be an entry"),
     ],
 )
-def test_unusable_history_is_refused_before_anything_runs(line, said, tmp_path, funnel_hil):
+def test_unusable_history_is_refused_before_anything_runs(line, message, tmp_path, funnel_hil):
     (tmp_path / "history.jsonl").write_bytes(line)
-    code, output = funnel_hil("simulate", "--history", tmp_path, "--out", tmp_path / "out")
-    assert code == 2
-    assert said in output
-    code, output = funnel_hil("simulate", "--history", tmp_path / "history.jsonl")
-    assert code == 2
+    output = funnel_hil.output("simulate", "--history", tmp_path, "--out", tmp_path / "out", code=2)
+    assert message in output
+    output = funnel_hil.output("simulate", "--history", tmp_path / "history.jsonl", code=2)
     assert "must be a folder" in output
 
 

@@ -130,7 +130,7 @@ def test_figures_over_time_share_an_instant_and_others_do_not(page):
 def test_the_bar_of_the_instant_can_be_paused_and_says_what_it_is(page):
     bar = re.search(r'<div id="clock"(.*?)</div>', page, re.DOTALL)[1]
     assert 'aria-label="Time of the run, in all figures"' in bar
-    assert '<button type="button">Play</button>' in bar  # at rest until somebody asks
+    assert '<button type="button">Play</button>' in bar  # at rest until a click
     assert 'type="range" min="0" max="2.0' in bar
     assert "prefers-reduced-motion: reduce" in page
 

@@ -62,16 +62,16 @@ def setting(name: str, values: dict[str, object]) -> dict[str, object]:
         ),
     ],
 )
-def test_who_held_up_a_loop_is_told_by_what_it_lacked(held_up, affinity, scheduler, cause):
-    said = shown(
+def test_cause_of_a_delay_follows_from_missing_settings(held_up, affinity, scheduler, cause):
+    text = shown(
         held_up, setting("CPU affinity", affinity), setting("real-time scheduler", scheduler)
     )
-    assert "A loop could not run for 102 ms" in said
-    assert cause in said
-    assert ("the host" in said) == (affinity is scheduler is GRANTED)
+    assert "A loop could not run for 102 ms" in text
+    assert cause in text
+    assert ("the host" in text) == (affinity is scheduler is GRANTED)
 
 
-def test_where_nobody_knows_what_loops_were_granted_the_host_is_not_blamed_alone(held_up):
+def test_unknown_settings_do_not_blame_the_host_alone(held_up):
     assert "could not run for 102 ms, by the host or by other processes:" in shown(held_up)
 
 

@@ -108,19 +108,19 @@ def test_report_names_the_seeds_of_every_run(sweep, margin, page_of):
 def test_the_headline_tells_a_running_loop_from_one_that_starts(margin, page_of):
     margin["cases"].append({**margin["cases"][0], "running": True, "margin": 64.0})
     page, text = page_of(margin), " ".join(shown(margin).split())
-    for said in (
+    for message in (
         "my_arm, a loop that already runs: the largest margin is 64 ms, of pid with compensation.",
         "my_arm: the largest margin is 4 ms, of pid with compensation.",
     ):
-        assert said in page
-        assert said in text
+        assert message in page
+        assert message in text
 
 
 def test_the_headline_names_all_laws_of_the_largest_margin(margin, page_of):
     first = margin["cases"][0]
     margin["cases"] += [{**first, "law": "smc"}, {**first, "law": "tsmc", "compensation": False}]
-    said = "the largest margin is 4 ms, of pid and smc with compensation; of tsmc without"
-    assert said in page_of(margin)
+    text = "the largest margin is 4 ms, of pid and smc with compensation; of tsmc without"
+    assert text in page_of(margin)
 
 
 def test_many_lines_share_a_legend_of_laws_and_settings(margin):

@@ -110,5 +110,5 @@ def test_all_deadlines_are_met_only_if_every_single_one_was():
         ([], []),
     ],
 )
-def test_names_are_told_apart_by_what_they_do_not_share(names, short):
+def test_names_are_shortened_to_the_part_that_differs(names, short):
     assert short_names(names) == short

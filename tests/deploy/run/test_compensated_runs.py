@@ -129,7 +129,7 @@ def test_derived_gains_do_not_overshoot_with_a_payload_from_a_crooked_start():
     assert summarise(data)["bounds"]["kept"]
 
 
-def test_control_status_tells_what_was_foreseen():
+def test_control_status_has_the_prediction():
     data = run(ON, up_ms=10, down_ms=10, duration_s=1.0).data()
     status = data.tables["control_status"]
     assert set(status["horizon_ns"][60:].tolist()) == {20_000_000}

@@ -68,13 +68,10 @@ def test_recording_of_an_engine_that_is_not_installed_is_judged(funnel_hil, tmp_
     scenario = tmp_path / "run/scenario.yaml"
     monkeypatch.setattr(type(ENGINES["mujoco"]), "is_installed", False)
     for command in ("report", "replay"):
-        code, shown = funnel_hil(command, tmp_path / "run")
-        assert code == 0, shown
-    (tmp_path / "run/manifest.json").write_text('{"scenario": 1}')  # which is nobody's
-    code, shown = funnel_hil("report", tmp_path / "run")
-    assert code == 0, shown
-    code, shown = funnel_hil("simulate", scenario, "--out", tmp_path / "again")
-    assert code == 2
+        funnel_hil.output(command, tmp_path / "run")
+    (tmp_path / "run/manifest.json").write_text('{"scenario": 1}')  # of no run
+    funnel_hil.output("report", tmp_path / "run")
+    shown = funnel_hil.output("simulate", scenario, "--out", tmp_path / "again", code=2)
     assert "MuJoCo is not installed (pip install mujoco)" in shown
 
 

@@ -72,7 +72,7 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
 
 
 @pytest.mark.parametrize(
-    ("law", "gains", "told"),
+    ("law", "gains", "message"),
     [
         ("nowhere:Law", "{}", "nowhere cannot be imported: ModuleNotFoundError"),
         ("broken_module:Law", "{}", "broken_module cannot be imported: ZeroDivisionError"),
@@ -83,10 +83,10 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
         ("not a law", "{}", "must be one of fixed_time_neural"),
     ],
 )
-def test_unusable_law_is_refused_before_the_run(law, gains, told):
+def test_unusable_law_is_refused_before_the_run(law, gains, message):
     with pytest.raises(ScenarioError, match=r"--set controller\.") as refused:
         setup_of(law, f"controller.gains.custom={gains}")
-    assert told in str(refused.value)
+    assert message in str(refused.value)
 
 
 def test_law_of_the_tutorial_runs_as_shown(folder):

@@ -82,7 +82,7 @@ def test_run_over_a_harsh_link_goes_to_its_end(harsh):
     assert downlink["sent"] == uplink["delivered"] - downlink["rejected"]["stale"]
 
 
-def test_controller_is_told_which_command_is_in_force(harsh):
+def test_controller_knows_the_command_in_force(harsh):
     status = harsh.tables[topics.PLANT_STATUS.name]
     truth = truth_of(harsh)
     ticks = np.round(status["header.stamp.sec"] * 1e3 + status["header.stamp.nanosec"] * 1e-6)

@@ -1,4 +1,4 @@
-"""A law that raises is the first cause, and is told with its place, whatever command ran it."""
+"""A law that raises is the first cause, reported with its place by every command."""
 
 from __future__ import annotations
 
@@ -49,28 +49,29 @@ def folder(import_folder):
     return import_folder
 
 
-def missing(told, text):
-    return [words for words in told if words not in text]
+def missing(message, text):
+    return [words for words in message if words not in text]
 
 
-def assert_told_everywhere(told, output, out):
+def assert_reported_everywhere(message, output, out):
     fault = json.loads((out / "fault.json").read_text())
     assert fault["source"] == "controller"
     for text in (output, fault["detail"], (out / "report.html").read_text()):
-        assert missing(told, text) == []
+        assert missing(message, text) == []
     first = json.loads((out / "summary.json").read_text())["faults"][0]
-    assert missing(told, first) == []
+    assert missing(message, first) == []
 
 
-@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
-def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tick, told):
+@pytest.mark.parametrize(("at_tick", "message"), [(20, TOLD), (0, EARLY)])
+def test_simulate_reports_what_the_law_raised_and_where(funnel_hil, folder, at_tick, message):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     out = folder / "out"
-    code, output = funnel_hil("simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out)
-    assert code == 1
+    output = funnel_hil.output(
+        "simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out, code=1
+    )
     # of a run without ticks there is nothing to put into tables
     assert [title in output for title in ("Joints, errors", "Timing")] == [at_tick > 0] * 2
-    assert_told_everywhere(told, output, out)
+    assert_reported_everywhere(message, output, out)
 
 
 def in_lockstep(command, *words):
@@ -78,20 +79,19 @@ def in_lockstep(command, *words):
     return cold(command, "mine.yaml", "--set", "clock=lockstep", "--out", "out", *words)
 
 
-@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
-def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, told):
+@pytest.mark.parametrize(("at_tick", "message"), [(20, TOLD), (0, EARLY)])
+def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, message):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     words = [*SHORT, "--set", gains, "--set", "link.reply_timeout_s=60"]
     done = in_lockstep("run", *words)
     assert done.returncode == 1, done.stderr
-    assert_told_everywhere(told, done.stdout, folder / "out")
+    assert_reported_everywhere(message, done.stdout, folder / "out")
 
 
 def test_a_law_that_wants_to_exit_only_fails(funnel_hil, folder):
     gains = "controller.gains.custom={at_tick: 1005}"
     words = ["--set", "duration_s=1.2", "--set", gains, "--out", folder / "out"]
-    code, output = funnel_hil("simulate", "mine.yaml", *words)
-    assert code == 1
+    output = funnel_hil.output("simulate", "mine.yaml", *words, code=1)
     assert "failed at tick 1005: SystemExit: enough" in output
 
 
@@ -106,14 +106,14 @@ HOSTILE = """
 
 
 @pytest.mark.parametrize(
-    ("command", "raised", "told"),
+    ("command", "raised", "message"),
     [
         ("simulate", "KeyboardInterrupt", "KeyboardInterrupt"),
         ("run", 'type("Own", (BaseException,), {})("x")', "raising_law.Own: x"),
         ("run", 'ValueError("a\\0b\\ud800c")', "ValueError: a\ufffdb\ufffdc"),
     ],
 )
-def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raised, told):
+def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raised, message):
     law = LAW.replace('SystemExit("enough")', raised).replace("calls > 1000", "calls > 30")
     (folder / "raising_law.py").write_text(law + HOSTILE)
     gains = "controller.gains.custom={at_tick: 30}"
@@ -121,15 +121,14 @@ def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raise
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     faults = " ".join(json.loads((folder / "out" / "summary.json").read_text())["faults"])
-    raising, closing = f"failed at tick 30: {told} (", "GeneratorExit: cannot close ("
+    raising, closing = f"failed at tick 30: {message} (", "GeneratorExit: cannot close ("
     assert 0 <= faults.find(raising) < faults.find(closing)
 
 
 def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
     out = folder / "out"
     assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
-    code, output = funnel_hil("replay", out, "--allow-custom-law")
-    assert code == 0
+    output = funnel_hil.output("replay", out, "--allow-custom-law")
     assert f"the replay stopped early: {TOLD[0]}" in output
     assert "identical until it failed" in output
 
@@ -139,8 +138,7 @@ def test_a_study_of_which_every_run_failed_says_why_and_ends_with_1(funnel_hil, 
     Path("s.yaml").write_text("{name: s, scenario: mine.yaml, grid: {plant.payload_kg: [0, 1]}}")
     words = ["s.yaml"] if kind == "sweep" else ["mine.yaml", "--laws", NAME, "--offsets", "1"]
     out = folder / "out"
-    code, output = funnel_hil(kind, *words, *SHORT, "--workers", 1, "--out", out)
-    assert code == 1
+    output = funnel_hil.output(kind, *words, *SHORT, "--workers", 1, "--out", out, code=1)
     rows = read_rows(out / f"{kind}.parquet")
     assert rows
     for text in (output, (out / "report.html").read_text(), *(row["error"] for row in rows)):

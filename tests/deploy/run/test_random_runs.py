@@ -1,4 +1,4 @@
-"""Random bad links, limits and laws in virtual time: what has to hold whatever happens."""
+"""Invariants of runs with random bad links, limits and laws in virtual time."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def direction(random: np.random.Generator) -> str:
 
 
 @pytest.mark.parametrize("seed", range(RUNS))
-def test_what_holds_whatever_happens(seed, tmp_path):
+def test_invariants_hold_in_random_runs(seed, tmp_path):
     simulation = simulate(random_setup(np.random.default_rng(seed)))
     run = simulation.data()
     assert_torque_is_within_limits(run)

@@ -1,4 +1,4 @@
-"""Recordings that are damaged, or come from somebody else: judged, not believed."""
+"""Recordings that are damaged or foreign are judged, not trusted."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
-from deploy.cli.export import export
-from deploy.cli.study.recorded import replay, report
 from deploy.judge.bounds import judge_bounds
 from deploy.judge.metrics import summarise
 from deploy.judge.recorded_ticks import known_ticks
@@ -24,9 +20,9 @@ from deploy.live.figures import live_figures
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.yaml_files import ScenarioError
 from tests.damage import damage_at, rewrite
 from tests.deploy.own_laws import own_law as own_law_in
+from tests.warm_process import output_of
 
 TELLTALE = Path("imported")
 
@@ -34,14 +30,6 @@ TELLTALE = Path("imported")
 @pytest.fixture(autouse=True)
 def folder(import_folder):
     return import_folder
-
-
-def left(command, *words):
-    """Exit code, output and exception of a command."""
-    app = typer.Typer()
-    app.command()(command)
-    result = CliRunner().invoke(app, list(map(str, words)))
-    return result.exit_code, result.output, result.exception
 
 
 def short_run(*overrides):
@@ -62,15 +50,11 @@ def own_law(folder):
 
 def test_replay_imports_a_custom_law_only_with_permission(own_law):
     folder, law = own_law
-    code, _, error = left(replay, folder)
-    assert code != 0
-    assert isinstance(error, ScenarioError)  # which is exit code 2
-    assert law in str(error)
-    assert "--allow-custom-law" in str(error)
+    output = output_of("replay", folder, code=2)
+    assert law in output
+    assert "--allow-custom-law" in output
     assert not TELLTALE.exists()
-    code, output, error = left(replay, folder, "--allow-custom-law")
-    assert code == 0, (output, error)
-    assert "identical" in output
+    assert "identical" in output_of("replay", folder, "--allow-custom-law")
     assert TELLTALE.exists()
 
 
@@ -88,8 +72,7 @@ def lost_in_the_middle(folder):
 
 
 def test_what_is_missing_in_the_middle_is_not_claimed(lost_in_the_middle):
-    code, output, error = left(report, lost_in_the_middle)
-    assert code == 1, (output, error)
+    output = output_of("report", lost_in_the_middle, code=1)
     data, _ = load_run(lost_in_the_middle)
     times_s = data.times_s(PLANT_TRUTH)
     known, gap = len(times_s) - 1, int(np.argmax(np.diff(times_s)))
@@ -107,24 +90,20 @@ def test_what_is_missing_in_the_middle_is_not_claimed(lost_in_the_middle):
     assert summary["recording"]["gaps_s"] == [[pytest.approx(first_s), pytest.approx(last_s)]]
     assert not summary["completed"]
     assert "Recording damaged" in (lost_in_the_middle / "report.html").read_text()
-    code, output, _ = left(replay, lost_in_the_middle)
-    assert (code, "damaged" in output) == (1, True)
+    assert "damaged" in output_of("replay", lost_in_the_middle, code=1)
 
 
 def test_an_export_of_a_damaged_recording_says_what_is_missing(lost_in_the_middle):
-    app = typer.Typer()
-    app.command()(export)
-    words = [str(lost_in_the_middle), "--csv", "--series", "tracking"]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 1
-    assert "The recording is damaged" in result.stderr
+    words = ["export", lost_in_the_middle, "--csv", "--series", "tracking"]
+    file, *damage = output_of(*words, code=1).splitlines()
+    assert file == str(lost_in_the_middle / "export" / "tracking.csv")
+    assert "The recording is damaged" in " ".join(damage)
     known = known_ticks(load_run(lost_in_the_middle)[0]).known
-    assert f"known at {known} of 700 ticks" in result.stderr
-    assert result.stdout.split() == [str(lost_in_the_middle / "export" / "tracking.csv")]
+    assert f"known at {known} of 700 ticks" in " ".join(damage)
 
 
 def test_what_is_known_counts_also_without_an_end(lost_in_the_middle):
-    """Where nobody told the end, the ticks are those up to the last that is known."""
+    """Without a reported end, the ticks are those up to the last known one."""
     data, _ = load_run(lost_in_the_middle)
     whole = known_ticks(data)
     assert whole.missing > 0
@@ -156,11 +135,11 @@ MALFORMED = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "said", "named"), MALFORMED)
-def test_malformed_last_words_spoil_nothing(kind, said, named):
+@pytest.mark.parametrize(("kind", "message", "named"), MALFORMED)
+def test_malformed_last_words_spoil_nothing(kind, message, named):
     clean = summarise(short_run().data())
     for source in (Role.PLANT, Role.CONTROLLER):
-        summary = summarise(with_events((source, kind, json.dumps(said))).data())
+        summary = summarise(with_events((source, kind, json.dumps(message))).data())
         notes = summary["recording"]["notes"]
         assert any(named in note and source in note for note in notes), notes
         for same in ("ticks", "completed", "digest", "bounds", "transport", "limits"):
@@ -217,26 +196,24 @@ REWRITTEN = {
 }
 
 
-@pytest.mark.parametrize(("change", "said"), REWRITTEN.values(), ids=REWRITTEN)
-def test_rewritten_recording_is_damaged_in_every_command(change, said, sound, folder):
+@pytest.mark.parametrize(("change", "message"), REWRITTEN.values(), ids=REWRITTEN)
+def test_rewritten_recording_is_damaged_in_every_command(change, message, sound, folder):
     rewrite(sound, folder / "run.mcap", **change)
-    code, output, error = left(report, folder)
-    assert code == 1, (output, error)
-    assert said in " ".join(output.split())
+    output = output_of("report", folder, code=1)
+    assert message in " ".join(output.split())
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] in ("unknown", "nothing")
     assert not summary["completed"]
-    assert any(said in each for each in summary["recording"]["damage"])
+    assert any(message in each for each in summary["recording"]["damage"])
     assert (folder / "report.html").is_file()
-    for command in (replay, lambda run: export(Path(run), csv=True)):
-        code, output, error = left(command, folder)
-        assert code == 1, (output, error)
+    output_of("replay", folder, code=1)
+    output_of("export", folder, "--csv", code=1)
 
 
 def test_recording_written_again_without_a_change_is_as_before(sound, folder):
     none_rejected = {"rejected": {"second_plant": "0"}}
     rewrite(sound, folder / "run.mcap", metadata=none_rejected)
-    assert left(report, folder)[0] == 0
+    output_of("report", folder)
     again = json.loads((folder / "summary.json").read_text())
     assert again["digest"] == load_run(sound)[0].digest
     assert again["verdict"] == "kept"

@@ -32,8 +32,7 @@ def no_workers(monkeypatch):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_folder_with_results_is_refused(funnel_hil, tmp_path, command):
     (tmp_path / "summary.json").write_text("precious")
-    code, output = funnel_hil(*COMMANDS[command], "--out", tmp_path)
-    assert code == 2
+    output = funnel_hil.output(*COMMANDS[command], "--out", tmp_path, code=2)
     assert [word for word in ("--out", str(tmp_path), "summary.json", "--overwrite")
             if word not in output] == []  # fmt: skip
     assert [file.name for file in tmp_path.iterdir()] == ["summary.json"]
@@ -58,8 +57,7 @@ def test_results_are_overwritten_where_that_is_asked_for(funnel_hil, tmp_path, c
 def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in COMMANDS.values():
-        code, output = funnel_hil(*words, "--overwrite")
-        assert code == 2
+        output = funnel_hil.output(*words, "--overwrite", code=2)
         assert "--overwrite: needs --out" in output
     assert list(tmp_path.iterdir()) == []
 
@@ -86,8 +84,7 @@ def no_large_files():
 
 @pytest.mark.usefixtures("no_large_files")
 def test_file_that_the_disk_does_not_take_is_named(funnel_hil, tmp_path):
-    code, output = funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)
-    assert code == 1
+    output = funnel_hil.output(*COMMANDS["simulate"], "--out", tmp_path, code=1)
     assert f"{tmp_path / 'report.html'}: cannot be written: File too large" in output
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert not summary["completed"]
@@ -100,8 +97,7 @@ def test_old_results_stay_where_new_ones_have_no_room(funnel_hil, tmp_path, requ
     assert funnel_hil(*words)[0] == 0
     old = (tmp_path / "run.mcap").read_bytes()
     request.getfixturevalue("no_large_files")
-    code, output = funnel_hil(*words, "--overwrite")
-    assert code == 2
+    output = funnel_hil.output(*words, "--overwrite", code=2)
     assert "the old results are kept, because there is no room for 10 MB" in " ".join(
         output.split()
     )
@@ -141,10 +137,9 @@ def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path,
 
 def test_no_report_leaves_it_for_later(funnel_hil, tmp_path):
     out = tmp_path / "out"
-    code, said = funnel_hil("simulate", "--set", "duration_s=0.1", "--no-report", "--out", out)
-    assert code == 0
+    output = funnel_hil.output("simulate", "--set", "duration_s=0.1", "--no-report", "--out", out)
     assert not (out / "report.html").exists()
-    assert f"funnel-hil report {out} writes the report" in said
+    assert f"funnel-hil report {out} writes the report" in output
     before = (out / "summary.json").read_text()
     assert funnel_hil("report", out)[0] == 0
     assert (out / "report.html").stat().st_size > 100_000

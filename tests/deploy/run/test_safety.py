@@ -28,8 +28,8 @@ def failing_run(folder, outcome, *overrides):
 
 
 def modes(run, role):
-    told = (e for e in run.events if e.source == role and e.kind == EventKind.MODE)
-    return [(mode_in(event.detail), event.stamp_ns) for event in told]
+    reported = (e for e in run.events if e.source == role and e.kind == EventKind.MODE)
+    return [(mode_in(event.detail), event.stamp_ns) for event in reported]
 
 
 @pytest.mark.parametrize("outcome", ["np.full(3, np.nan)", "1 / 0"])
@@ -97,8 +97,8 @@ def test_limits_that_were_met_are_counted_on_both_sides():
     assert limits["plant"]["torque"] == 0  # the controller let nothing through
     fast = np.abs(run.tables[PLANT_TRUTH.name]["velocity"]) > 0.2
     assert limits["plant"]["velocity"] == pytest.approx(fast.any(axis=1).sum(), abs=5)
-    told = [(e.source, e.detail) for e in run.events if e.kind == EventKind.LIMIT]
-    assert ("plant", "reached for the first time: velocity") in told
+    reported = [(e.source, e.detail) for e in run.events if e.kind == EventKind.LIMIT]
+    assert ("plant", "reached for the first time: velocity") in reported
     assert (np.abs(run.tables[JOINT_COMMANDS.name]["effort"]) <= [20.0, 400.0, 60.0]).all()
 
 

@@ -87,10 +87,10 @@ def test_what_is_kept_out_is_counted(name):
 @pytest.mark.parametrize("name", SIMULATED)
 def test_fault_is_announced_and_begins_on_time(name):
     run = measured(name).run
-    told = [event for event in run.events if event.kind == EventKind.INJECTED]
+    reported = [event for event in run.events if event.kind == EventKind.INJECTED]
     fault = run.setup.scenario.faults[0]
-    assert told[0].stamp_ns == fault.start_ns == 1_000_000_000
-    assert told[0].detail == f"{fault}: begins"
+    assert reported[0].stamp_ns == fault.start_ns == 1_000_000_000
+    assert reported[0].detail == f"{fault}: begins"
     states = run.tables[topics.JOINT_STATES.name]
     before = healthy().data().tables[topics.JOINT_STATES.name]
     if name != "faults/payload_dropped":  # its arm is heavier from the start
@@ -109,8 +109,8 @@ def test_fault_of_the_arm_does_the_same_over_can(name):
     outcomes = []
     for overrides in (OVER_CAN, [*OVER_CAN, "link.kind=in_process"]):
         run = simulate(load_setup(f"faults/{name}", overrides)).data()
-        told = [event.stamp_ns for event in run.events if event.kind == EventKind.INJECTED]
-        assert told[0] == 1_000_000_000
+        reported = [event.stamp_ns for event in run.events if event.kind == EventKind.INJECTED]
+        assert reported[0] == 1_000_000_000
         assert run.faults() == []
         assert to_safe_state_ms(run) is None
         outcomes.append(summarise(run)["bounds"])

@@ -72,9 +72,9 @@ def outcome(path):
 def check_all(paths):
     """Simulate each or see why not; how many were simulated."""
     outcomes = {path: outcome(path) for path in paths}
-    refused = {path: said for path, said in outcomes.items() if isinstance(said, str)}
-    for path, said in refused.items():
-        assert any(reason in said for reason in REASONS), (path, said)
+    refused = {path: text for path, text in outcomes.items() if isinstance(text, str)}
+    for path, text in refused.items():
+        assert any(reason in text for reason in REASONS), (path, text)
     return len(outcomes) - len(refused)
 
 

@@ -56,11 +56,12 @@ def test_torque_below_gravity_is_named_with_posture_and_both_numbers(arm):
 
 def test_margin_of_an_arm_that_cannot_hold_itself_up_is_refused(arm, funnel_hil, monkeypatch):
     monkeypatch.chdir(arm(11, 20).parent)
-    code, said = funnel_hil("margin", "two.urdf", "--set", "limits.torque_nm=[0.5, 20.0]")
-    assert code == 2
-    assert "joint0 cannot hold the arm up on its reference" in said
-    assert "N m at" in said
-    assert "its largest torque is 0.5 N m" in said
+    output = funnel_hil.output(
+        "margin", "two.urdf", "--set", "limits.torque_nm=[0.5, 20.0]", code=2
+    )
+    assert "joint0 cannot hold the arm up on its reference" in output
+    assert "N m at" in output
+    assert "its largest torque is 0.5 N m" in output
 
 
 def test_placeholder_torque_is_named_and_no_base_of_estimates(arm):

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import pytest
 from pyarrow import csv, parquet
-from typer.testing import CliRunner
 
-from deploy.cli.commands import app
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import agreement_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError
+from tests.warm_process import output_of
 
 SHORT = ["duration_s=0.3", "metrics.from_s=0"]
 SINUSOIDS = (
@@ -30,9 +29,7 @@ def words_of(*changes: str) -> list[str]:
 
 def exported(folder: Path, name: str = "paper_arm", kind: str = "csv", *changes: str) -> Path:
     path = folder / f"ref.{kind}"
-    words = ["reference", name, *words_of(*changes), f"--{kind}", "--out", str(path)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    output_of("reference", name, *words_of(*changes), f"--{kind}", "--out", path)
     return path
 
 
@@ -66,13 +63,10 @@ def test_what_was_exported_gives_the_same_run_to_the_bit(name: str, tmp_path: Pa
 def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
     path = exported(tmp_path)
     out, again = tmp_path / "run", tmp_path / "again"
-    words = ["simulate", "paper_arm", *words_of(from_file(path)), "--out", str(out)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    output_of("simulate", "paper_arm", *words_of(from_file(path)), "--out", out)
     path.unlink()
     assert "cannot" not in (out / "scenario.yaml").read_text()
-    result = CliRunner().invoke(app, ["simulate", str(out / "scenario.yaml"), "--out", str(again)])
-    assert result.exit_code == 0, result.output
+    output_of("simulate", out / "scenario.yaml", "--out", again)
     data, _ = load_run(out)
     assert data.digest == load_run(again)[0].digest
     for file in out.glob("ref-*.csv"):
@@ -80,9 +74,7 @@ def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
     assert load_run(out)[0].digest == data.digest  # the recording has it too
 
 
-def test_a_path_starts_at_the_scenario_or_at_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_path_starts_at_the_scenario_or_at_the_current_folder(tmp_path, monkeypatch):
     exported(tmp_path)
     monkeypatch.chdir(tmp_path)
     load_setup("paper_arm", [*SHORT, from_file("ref.csv")])
@@ -104,7 +96,7 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
         load_setup("paper_arm", [*longer, from_file(path)])
     assert "duration_s = 0.4: must be within the 0 to 0.3 s of reference.file" in str(refused.value)
     held = load_setup("paper_arm", [*longer, from_file(path, beyond="hold")])
-    assert any("but the arm rests there" in said for said in scenario_warnings(held))
+    assert any("but the arm rests there" in text for text in scenario_warnings(held))
     late = tmp_path / "late.csv"
     lines = path.read_text().splitlines()
     late.write_text("\n".join([lines[0], *lines[100:]]))
@@ -115,13 +107,13 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
 def test_hosts_agree_on_what_the_file_holds(tmp_path: Path) -> None:
     path = exported(tmp_path)
     setup = load_setup("paper_arm", [*SHORT, from_file(path)])
-    told = agreement_of(setup).encode()
+    reported = agreement_of(setup).encode()
     copy = tmp_path / "copy.csv"
 
     def differences(text: str) -> list[str]:
         copy.write_text(text)
         theirs = agreement_of(load_setup("paper_arm", [*SHORT, from_file(copy)]))
-        return theirs.differences(told)
+        return theirs.differences(reported)
 
     assert differences(path.read_text()) == []
     assert differences(path.read_text().replace("\n0,", "\n-0.001,")) == ["reference.file"]
@@ -133,12 +125,10 @@ def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> Non
     cells = lines[7].split(",")
     cells[4] = "NaN"
     path.write_text("\n".join([*lines[:7], ",".join(cells), *lines[8:]]))
-    words = ["run", "paper_arm", *words_of(from_file(path)), "--out", str(tmp_path / "o")]
-    result = CliRunner().invoke(app, words)
-    assert isinstance(result.exception, ScenarioError)
-    said = str(result.exception)
-    assert "ref.csv" in said
-    assert "line 8, column shoulder.position_rad = NaN: must be a finite number" in said
+    words = ["run", "paper_arm", *words_of(from_file(path)), "--out", tmp_path / "o"]
+    output = output_of(*words, code=2)
+    assert "ref.csv" in output
+    assert "line 8, column shoulder.position_rad = NaN: must be a finite number" in output
     assert not (tmp_path / "o").exists()
 
 

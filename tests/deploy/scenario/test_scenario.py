@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,9 +79,7 @@ DRIVES = (
 
 
 @pytest.mark.parametrize(("name", "more"), [*((name, ()) for name in NAMES), ("paper_arm", DRIVES)])
-def test_effective_scenario_says_all_that_was_in_force(
-    name: str, more: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_effective_scenario_says_all_that_was_in_force(name, more, tmp_path):
     short = ["duration_s=0.05", "plant.encoder.velocity_noise_rad_s=0.001", *more]
     if load_setup(name).scenario.link.kind == "can":
         short.append(
@@ -107,9 +104,7 @@ def test_effective_scenario_says_all_that_was_in_force(
         "robot.urdf=arm.urdf",
     ],
 )
-def test_path_that_is_set_starts_in_current_folder(
-    setting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_path_that_is_set_starts_in_current_folder(setting, tmp_path, monkeypatch):
     robot = load_setup("paper_arm").robot
     names = ",".join(f"{name}.position_rad" for name in robot.joint_names)
     files = {

@@ -37,8 +37,8 @@ def test_first_horizon_is_what_is_expected_of_the_round_trip(overrides, expected
 def test_a_real_delay_adds_to_what_is_expected_unless_the_scenario_says():
     expected_ms = 15.0 + 30.0 + 1.0  # emulated, of the relay, a tick for the bus and its processes
     assert first_horizon_ms(knowing_real_delay(setup_of(ON, *DELAYS), 30.0)) == expected_ms
-    said = setup_of(ON, *DELAYS, f"{EXPECTED}=7")
-    assert first_horizon_ms(knowing_real_delay(said, 30.0)) == 7.0
+    text = setup_of(ON, *DELAYS, f"{EXPECTED}=7")
+    assert first_horizon_ms(knowing_real_delay(text, 30.0)) == 7.0
 
 
 def test_drives_add_nothing_by_default():

@@ -50,9 +50,7 @@ def test_files_among_the_shipped_ones_are_found_by_their_names(shipped: Path) ->
         referenced_files.find_urdf("pendulums", shipped)
 
 
-def test_user_files_are_found_by_path_from_any_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_user_files_are_found_by_path_from_any_folder(tmp_path, monkeypatch):
     own, elsewhere = tmp_path / "own", tmp_path / "elsewhere"
     (own / "arms").mkdir(parents=True)
     elsewhere.mkdir()
@@ -75,7 +73,7 @@ def test_shipped_arm_is_the_one_of_pybullet_data_with_its_meshes(name: str, orig
     shipped = load_robot(referenced_files.find_urdf(name, Path()))
     theirs = load_robot(PYBULLET_DATA / original)
     assert shipped.warnings == theirs.warnings
-    assert not [said for said in shipped.warnings if "mesh" in said]
+    assert not [text for text in shipped.warnings if "mesh" in text]
     for shapes in ("named", "drawable"):
         meshes = shipped.resolved_urdf(shapes=shapes)
         assert len(ET.fromstring(meshes).findall(".//mesh")) > 10
@@ -88,7 +86,7 @@ def test_without_pybullet_data_shipped_arms_are_no_odder_and_its_own_say_what_to
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     for name in ("iiwa", "panda"):
         robot = load_robot(referenced_files.find_urdf(name, Path()))
-        assert not [said for said in robot.warnings if "mesh" in said]
+        assert not [text for text in robot.warnings if "mesh" in text]
         assert "<mesh" not in robot.resolved_urdf(shapes="drawable")
     with pytest.raises(RobotDescriptionError, match=r"pip install 'funnel-hil\[bullet\]'"):
         referenced_files.find_urdf("pybullet_data:cartpole.urdf", Path())

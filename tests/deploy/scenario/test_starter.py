@@ -81,7 +81,7 @@ def test_what_is_estimated_is_called_an_estimate(two_links):
     file = two_links(60, 20)
     setup = load_setup(str(file))
     assert setup.scenario.plant.actuator.rotor_inertia_kg_m2.tolist() == [0.48, 0.16]
-    assert any("ESTIMATED" in said for said in scenario_warnings(setup))
+    assert any("ESTIMATED" in text for text in scenario_warnings(setup))
     assert "rotor inertia ESTIMATED" in conditions_of_runs([setup], {})["drives"]
 
 
@@ -123,9 +123,9 @@ def test_reference_beyond_the_largest_torque_causes_a_warning(two_links):
     flat = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": 0.0}]}
     values = {"name": "flat", "duration_s": 1, "reference": flat}
     values["robot"] = {"urdf": str(two_links(11.0, 20.0))}
-    (said,) = [each for each in scenario_warnings(build_setup(values, two_links(11.0, 20.0)))
+    (text,) = [each for each in scenario_warnings(build_setup(values, two_links(11.0, 20.0)))
                if "the reference needs" in each]  # fmt: skip
-    assert "joint0 to deliver 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in said
+    assert "joint0 to deliver 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in text
 
 
 def test_payload_is_a_share_of_what_the_arm_holds_up(two_links):
@@ -152,10 +152,10 @@ def test_gears_bend_as_a_first_resonance_asks(two_links):
     setup = load_setup(str(two_links(60, 20)), ["plant.actuator.gear_resonance_hz=15"])
     actuator = setup.scenario.plant.actuator
     assert actuator.encoder_side == "motor"  # through the link's no law can damp the gear
-    assert not any("encoder_side" in said for said in scenario_warnings(setup))
+    assert not any("encoder_side" in text for text in scenario_warnings(setup))
     by_link = ["plant.actuator.gear_resonance_hz=15", "plant.actuator.encoder_side=link"]
     warned = scenario_warnings(load_setup(str(setup.source), by_link))
-    assert any("encoder_side: link measures on the output side" in said for said in warned)
+    assert any("encoder_side: link measures on the output side" in text for text in warned)
     stiffness = actuator.gear_stiffness_nm_rad
     assert stiffness[0] == pytest.approx(3.0 * stiffness[1])  # as the largest torques
     mass = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)

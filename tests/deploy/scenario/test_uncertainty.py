@@ -70,7 +70,7 @@ def test_a_quantity_has_a_stream_of_its_own():
     assert len(set(alone)) == 3
 
 
-def test_keys_that_belong_together_take_the_same_draw_in_whatever_order():
+def test_tied_keys_take_the_same_draw_in_any_order():
     both = "link.uplink.delay_ms, link.downlink.delay_ms"
     plant = drawn(1, {both: UNIFORM})
     assert plant.values["link.uplink.delay_ms"] == plant.values["link.downlink.delay_ms"]

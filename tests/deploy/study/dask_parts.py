@@ -19,7 +19,7 @@ def scheduler() -> None:
 
 
 def worker() -> None:
-    """A worker that nobody starts again when it dies."""
+    """A worker that is not restarted when it dies."""
     dask.config.set({"distributed.worker.profile.enabled": False})
     dask_worker.main()
 

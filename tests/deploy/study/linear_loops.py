@@ -125,9 +125,7 @@ def rigid(mass_matrix, proportional, derivative, integral, period_s) -> LinearLo
     return LinearLoop(dynamics, inputs, gains, np.hstack([np.diag(integral), none]), period_s)
 
 
-def geared(
-    rotor, link, stiffness, damping, proportional, derivative, integral, period_s
-) -> LinearLoop:
+def geared(rotor, link, stiffness, damping, proportional, derivative, integral, period_s):
     """One joint with an elastic gear, measured and driven at the rotor."""
     dynamics = np.zeros((4, 4))  # rotor, link, and their rates
     dynamics[:2, 2:] = np.eye(2)

@@ -67,6 +67,12 @@ def conduct(study, path, workers):
     return whole, folder
 
 
+def case_of(study, folder):
+    """The only case of a study."""
+    (case,) = study.summary(folder.rows)["cases"]
+    return case
+
+
 NOISE = {"plant.encoder.velocity_noise_rad_s": 1e-5}
 """With which another seed is another run."""
 

@@ -47,7 +47,7 @@ def test_a_scheduler_under_tls_is_used_with_the_certificates_of_dasks_configurat
         assert team.count == 1
 
 
-def test_who_has_no_certificate_is_told_and_not_let_in(tls_scheduler):
+def test_client_without_certificate_is_refused_with_a_message(tls_scheduler):
     with pytest.raises(ScenarioError, match="--scheduler tls://"):
         DaskWorkers(scheduler=tls_scheduler)
 
@@ -71,9 +71,9 @@ def test_an_open_scheduler_is_warned_of(tmp_path, capsys):
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1",
         dashboard_address=None,
     ) as cluster:  # fmt: skip
-        said = warning_of(cluster.scheduler_address, tmp_path, capsys)
-    assert "can run code" in said
-    assert "TLS" in said
+        text = warning_of(cluster.scheduler_address, tmp_path, capsys)
+    assert "can run code" in text
+    assert "TLS" in text
 
 
 def test_one_under_tls_is_not_warned_of(credentials, tls_scheduler, tmp_path, capsys):

@@ -25,6 +25,7 @@ from deploy.study.runner import carry_out
 from deploy.study.sweep import load_sweep
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import Here
+from tests.waiting import HANG_S, await_true
 from tests.warm_process import ROOT, WarmProcess
 
 # Runs of the latter begin when they are let, so that a sweep can be caught in the middle.
@@ -40,21 +41,12 @@ GATED = """if not hasattr(self, "has_begun"):
     while place > (here / "let").stat().st_size:  # its content would be an input of the run
         time.sleep(0.01)"""
 EVERY = 10**6
-WAIT_S = 300.0
-
-
-def wait_for(condition):
-    deadline_s = time.monotonic() + WAIT_S
-    while not (found := condition()):
-        assert time.monotonic() < deadline_s, "what was waited for did not come"
-        time.sleep(0.05)
-    return found
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
     """A scheduler and two workers, each a process of its own: its address, and the worker that
-    nobody starts again when it dies.
+    is not restarted when it dies.
     """
     folder = tmp_path_factory.mktemp("cluster")
     own_law(folder, DEADLY, "deadly")
@@ -68,8 +60,8 @@ def cluster(tmp_path_factory):
         )  # fmt: skip
 
     processes = [start_part("scheduler", "--host", "127.0.0.1", "--port", "0")]
-    wait_for(place.exists)
-    wait_for(lambda: place.read_text().endswith("}"))
+    await_true(place.exists)
+    await_true(lambda: place.read_text().endswith("}"))
     processes += [
         start_part(part, "--nthreads", "1", "--no-nanny") for part in ("lasting_worker", "worker")
     ]
@@ -119,7 +111,7 @@ class Gate:
 
     def wait_for(self, runs):
         """Wait until so many runs are at the gate or through it."""
-        wait_for(lambda: self._begun.stat().st_size >= runs)
+        await_true(lambda: self._begun.stat().st_size >= runs)
 
     def let_until(self, condition):
         """Let one run after another begin until something is so."""
@@ -167,8 +159,7 @@ def test_a_sweep_on_a_cluster_gives_the_rows_of_one_process(
 ):
     address, _ = cluster
     out = tmp_path / "out"
-    code, output = funnel_hil("sweep", definition, "--scheduler", address, "--out", out)
-    assert code == 0, output
+    output = funnel_hil.output("sweep", definition, "--scheduler", address, "--out", out)
     assert "12 of 12 runs" in output
     assert_as_done_here(out / "sweep.parquet", definition, tmp_path / "here")
 
@@ -192,7 +183,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil,
     gate.wait_for(6)  # each worker is in the middle of a run
     worker.kill()
     gate.let(EVERY)
-    assert command.wait(timeout=WAIT_S) == 0
+    assert command.wait(timeout=HANG_S) == 0
     rows = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pylist()
     assert [(row["point"], row["seed"]) for row in rows] == [
         (point, seed) for point in ("00000", "00001") for seed in range(1, 31)
@@ -214,14 +205,14 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
     gate.let_until(lambda: rows_in(out) > kept)
     stopped.send_signal(signal.SIGINT)
     gate.let(EVERY)
-    output = stopped.communicate(timeout=WAIT_S)[0]
+    output = stopped.communicate(timeout=HANG_S)[0]
     assert stopped.returncode == 130, output
     assert f"{kept} runs were there from before" in output
     assert "repeat the same command to continue" in output
     assert kept < rows_in(out) < 80
     # who does the rest does not matter
     last = start(definition, out, "--scheduler", cluster[0], cwd=tmp_path)
-    assert last.wait(timeout=WAIT_S) == 0
+    assert last.wait(timeout=HANG_S) == 0
     monkeypatch.chdir(tmp_path)
     assert_as_done_here(out / "sweep.parquet", definition, tmp_path / "here")
 
@@ -240,11 +231,11 @@ def test_workers_of_our_own_leave_no_files(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_workers_compile_is_said_once_and_by_the_command(monkeypatch, caplog, capfd):
+def test_compilation_in_workers_is_reported_once_by_the_command(monkeypatch, caplog, capfd):
     monkeypatch.delenv(compiled.HAS_SAID)
     with DaskWorkers(2) as team:
         team._client.run(compile_something)
-        wait_for(lambda: caplog.messages)
+        await_true(lambda: caplog.messages)
     ours = [each.message for each in caplog.records if each.name.startswith("bus_schema.")]
     assert ours == [compiled.COMPILES]  # Dask may complain of a connection that ends
     assert compiled.COMPILES not in capfd.readouterr().err
@@ -258,7 +249,7 @@ def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):
     laws = {"controller.law": ["pid", own_law(tmp_path, DEADLY, "deadly")]}
     definition = write_sweep(tmp_path / "d.yaml", laws)
     command = start(definition, tmp_path / "out", "--scheduler", cluster[0], cwd=tmp_path)
-    assert command.wait(timeout=WAIT_S) == 0
+    assert command.wait(timeout=HANG_S) == 0
     survivor, deadly = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pylist()
     assert survivor["error"] is None
     assert "ended the process of every worker" in deadly["error"]

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.reports.kinds import gauged
 from tests.deploy.own_laws import own_law
-from tests.warm_process import here
+from tests.warm_process import output_of
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,7 @@ def made(tmp_path_factory):
         "--set", "duration_s=0.4", "--set", "metrics.from_s=0.2",
         "--network", folder / "calm.csv", "--out", folder / "out",
     )  # fmt: skip
-    code, output = here(*words)
-    assert code == 0, output
+    output = output_of(*words)
     return folder / "out", words, output
 
 
@@ -54,8 +53,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
 def test_the_same_command_does_nothing_again_and_its_gate_fails(made):
     out, words, _ = made
     before = summary_of(out)
-    code, output = here(*words, "--at-least", "127.5ms")
-    assert code == 3, output
+    output = output_of(*words, "--at-least", "127.5ms", code=3)
     assert "gate: " in output
     assert summary_of(out)["parts"] == before["parts"]
     assert "runs were there from before" in output
@@ -73,20 +71,17 @@ def test_its_report_is_made_again_from_its_parts(made):
     out, _, _ = made
     before = summary_of(out)
     (out / "report.html").unlink()
-    code, output = here("report", out)
-    assert code == 0, output
+    output_of("report", out)
     assert summary_of(out)["parts"] == before["parts"]
     assert "The arm in the worst window" in (out / "report.html").read_text()
 
 
 def test_a_folder_with_other_results_is_refused(made, tmp_path):
     out, words, _ = made
-    code, output = here(*words, "--set", "plant.substeps=2")
-    assert code == 2, output
+    output = output_of(*words, "--set", "plant.substeps=2", code=2)
     assert "has another data sheet" in output
     (tmp_path / "summary.json").write_text("{}")
-    code, output = here(*words[:-1], tmp_path)
-    assert code == 2, output
+    output = output_of(*words[:-1], tmp_path, code=2)
     assert "holds results (summary.json)" in output
     assert summary_of(out)["kind"] == "datasheet"
 
@@ -95,24 +90,6 @@ def test_a_law_that_fails_in_every_run_is_an_error(tmp_path, monkeypatch):
     law = own_law(tmp_path, "raise ValueError('no such luck')")
     monkeypatch.chdir(tmp_path)
     words = ("--quick", "--set", "duration_s=0.1", "--set", "metrics.from_s=0", "--workers", "1")
-    code, output = here("datasheet", "paper_arm", "--law", law, *words, "--out", "out")
-    assert code == 1, output
+    output = output_of("datasheet", "paper_arm", "--law", law, *words, "--out", "out", code=1)
     assert "every run failed: " in output
     assert "no such luck" in output
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--network", "nowhere"], "nowhere"),
-        (["--law", "smcc"], "did you mean smc?"),
-        (["--confirm"], "--confirm: must be left out"),
-        (["--plants", "-1"], "--plants"),
-        (["--set", "duration_s=abc"], "duration_s"),
-    ],
-)
-def test_unusable_options_end_it_with_2(words, said, tmp_path):
-    code, output = here("datasheet", "paper_arm", "--quick", "--out", tmp_path / "out", *words)
-    assert code == 2, output
-    assert said in output
-    assert not (tmp_path / "out").exists()

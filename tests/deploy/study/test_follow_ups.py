@@ -19,8 +19,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
-from deploy.study.runner import retrace
-from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
+from tests.deploy.study.studies import Here, case_of, conduct, made_up, margin_of
 
 PLAIN = {"set": {}, "laws": ["pid"], "seeds": 1, "offsets": [1.0, 0.5], "resolution": 4}
 LOST = {"violation_fraction": 0.1, "margin_min": -0.2}
@@ -37,11 +36,6 @@ def below_six(run):
     if value < 6.0 or (change in HELPS and change is not None):
         return made_up(run) | {"margin_min": HELPS.get(change, 0.1)}
     return made_up(run, **LOST)
-
-
-def case_of(study, folder):
-    (case,) = study.summary(folder.rows)["cases"]
-    return case
 
 
 def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_path):
@@ -61,10 +55,10 @@ def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_pat
     best = helps["best"]
     assert (best["change"], best["margin_min"]) == ("drive loop", 0.42)
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
-    (said,) = [
+    (text,) = [
         each for each in margin_sentences(study.summary(folder.rows)) if "what helps" in each
     ]
-    assert said.startswith(
+    assert text.startswith(
         "paper_arm, pid, 8 ms: what helps: compensation (31 % of the bound left), drive loop (42 %"
         " of the bound left), not twice the rate and not half the gains. The best, drive loop:"
         " funnel-hil simulate"
@@ -79,8 +73,8 @@ def test_where_nothing_helps_the_result_says_so(tmp_path):
     assert helps["best"] is None
     # What is in force already is not tried again.
     assert [each["change"] for each in helps["tried"]] == ["twice the rate", "half the gains"]
-    said = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
-    assert said in " ".join(margin_sentences(study.summary(folder.rows)))
+    text = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
+    assert text in " ".join(margin_sentences(study.summary(folder.rows)))
 
 
 @pytest.mark.parametrize(
@@ -111,21 +105,6 @@ def test_what_never_fails_needs_no_help(tmp_path):
     _, folder = conduct(study, tmp_path / "out", Here(made_up))
     assert case_of(study, folder)["what_helps"] is None
     assert study.summary(folder.rows)["completed"]
-
-
-def test_the_remedies_go_on_where_they_stopped_and_are_reproducible(tmp_path):
-    _, folder = conduct(helped(), tmp_path / "a", Here(below_six, seed=1))
-    stopped = len(folder.rows) - 3
-    first, workers = Here(below_six, seed=2, at_most=stopped), Here(below_six, seed=3)
-    first.count = workers.count = 1  # a second worker would try what may not be needed
-    assert not conduct(helped(), tmp_path / "b", first)[0]
-    assert conduct(helped(), tmp_path / "b", workers)[0]
-    assert len(workers.submitted) == 3
-    rows = [(tmp_path / name / "margin.parquet").read_bytes() for name in "ab"]
-    assert rows[0] == rows[1]
-    again = helped()
-    retrace(again, folder := folder_of(again, tmp_path / "b"))
-    assert case_of(again, folder)["what_helps"]["best"]["change"] == "drive loop"
 
 
 def test_a_gate_after_a_margin_does_no_run_again(tmp_path):
@@ -230,11 +209,11 @@ def test_losses_late_messages_and_overtaking_have_their_stated_size():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "said"),
+    ("sizes", "message"),
     [({"late_share": 2}, "disturbances.late_share"), ({"lost": 2}, "disturbances.lost")],
 )
-def test_impossible_sizes_of_disturbances_are_refused(sizes, said):
-    with pytest.raises(ScenarioError, match=said):
+def test_impossible_sizes_of_disturbances_are_refused(sizes, message):
+    with pytest.raises(ScenarioError, match=message):
         disturbed(disturbances=sizes)
 
 
@@ -267,12 +246,12 @@ def test_gate_of_every_pattern_ends_the_command_and_compares_with_its_like(funne
     words = ["margin", "--study", file, "--seeds", "1", "--workers", "1", "--at-least", "1ms"]
     words = [*words, "--set", "funnel.rate_per_s=10"]  # else runs of 1 s are too short
     assert funnel_hil(*words, "--out", tmp_path / "out")[0] == 0
-    code, output = funnel_hil(*words, "--pattern", "any", "--out", tmp_path / "out")
-    assert code == 3
+    output = funnel_hil.output(*words, "--pattern", "any", "--out", tmp_path / "out", code=3)
     assert "with compensation, every pattern of delays: 0 ms, must be at least 1 ms" in output
     assert len(list(Path(tmp_path / "out").glob("worst_pattern-000-*.csv"))) == 2
-    code, output = funnel_hil(*words, "--baseline", tmp_path / "out", "--out", tmp_path / "new")
-    assert code == 2
+    output = funnel_hil.output(
+        *words, "--baseline", tmp_path / "out", "--out", tmp_path / "new", code=2
+    )
     assert "is a result of margin of delay, every pattern of delays: must be of" in output
 
 
@@ -350,5 +329,5 @@ def test_known_rotors_are_not_varied(tmp_path, values):
     [({}, True), ({"at_least": "40 ms"}, None), ({"plants": 20}, None), ({"study": "a"}, None),
      ({"at_least": "40 ms", "smaller_rotors": True}, True)],
 )  # fmt: skip
-def test_a_gate_asks_for_smaller_rotors_only_if_told(given, is_tried):
+def test_gate_varies_rotors_only_on_request(given, is_tried):
     assert MarginOptions(**given).definition().get("smaller_rotors") is is_tried

@@ -160,7 +160,7 @@ def test_a_kill_right_after_the_folder_has_become_another_loses_nothing(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"seeds": 1}, "seeds = [1]: must have all of [1, 2]"),
         ({"grid": {TIED: [0]}}, f"grid.{TIED} = [0]: must have all of [0, 1]"),
@@ -170,31 +170,36 @@ def test_a_kill_right_after_the_folder_has_become_another_loses_nothing(tmp_path
         ({"name": "other"}, "name = 'other': must be 's'"),
     ],
 )
-def test_whatever_else_differs_is_named(values, said, tmp_path):
+def test_any_other_difference_is_named(values, message, tmp_path):
     given = {"grid": {TIED: [0, 1]}, "seeds": 2}
     path = create_folder(make_sweep(tmp_path, **given), tmp_path / "s")
     before = read_yaml(path / "study.yaml")
     with pytest.raises(ScenarioError) as refused:
         find_folder(make_sweep(tmp_path, **{**given, **values}), path)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert str(path / "study.yaml") in str(refused.value)
     assert read_yaml(path / "study.yaml") == before
 
 
-def test_another_kind_of_study_or_a_changed_scenario_is_refused(tmp_path):
+def test_another_kind_of_study_or_a_changed_scenario_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     path = create_folder(make_sweep(tmp_path, {TIED: [0]}), tmp_path / "s")
     with pytest.raises(ScenarioError, match="kind = 'margin': must be 'sweep'"):
         find_folder(margin_of(), path)
     own = tmp_path / "own.yaml"
     own.write_text("extends: paper_arm\nname: own\n")
     path = create_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), tmp_path / "o")
+    create_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), None)
     for changed in ("name: own\nduration_s: 3", "name: other"):
         own.write_text(f"extends: paper_arm\n{changed}\n")
         with pytest.raises(ScenarioError, match="scenario own: has changed"):
             find_folder(make_sweep(tmp_path, {TIED: [0, 1]}, scenario=str(own)), path)
+    own.write_text("extends: paper_arm\nname: own\nduration_s: 3\n")
+    with pytest.raises(ScenarioError, match="scenario own: has changed"):
+        find_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), None)  # by its name
 
 
-def test_scenarios_of_one_name_are_refused_as_rows_tell_them_by_it(tmp_path):
+def test_two_scenarios_with_one_name_are_refused(tmp_path):
     for name in "ab":
         (tmp_path / f"{name}.yaml").write_text("extends: paper_arm\nname: same\n")
     with pytest.raises(ScenarioError, match=r"a\.yaml and .*b\.yaml are both called 'same'"):
@@ -204,22 +209,21 @@ def test_scenarios_of_one_name_are_refused_as_rows_tell_them_by_it(tmp_path):
 def test_real_runs_from_the_command_and_from_python(tmp_path, funnel_hil):
     changes = {"duration_s": 0.1, "metrics.from_s": 0, **NOISE}
     grid = {"link.uplink.delay_ms": [1]}
-    told = []
+    reported = []
     interface.sweep("paper_arm", grid, changes, seeds=1, out=tmp_path / "grown")
     grid["link.uplink.delay_ms"].append(0)
     grown = interface.sweep(
         "paper_arm", grid, changes, seeds=2, out=tmp_path / "grown",
-        progress=lambda *counts: told.append(counts),
+        progress=lambda *counts: reported.append(counts),
     )  # fmt: skip
     at_once = interface.sweep("paper_arm", grid, changes, seeds=2)
     assert grown.rows == at_once.rows
-    assert told[-1] == (4, 4)
+    assert reported[-1] == (4, 4)
     table = parquet.read_table(tmp_path / "grown" / "sweep.parquet")
     assert table.column("digest").to_pylist() == [row["digest"] for row in at_once.rows]
-    code, said = funnel_hil(
+    funnel_hil.output(
         "simulate", tmp_path / "grown" / "scenarios" / "00001.yaml", "--out", tmp_path / "one"
     )
-    assert code == 0, said
     one = interface.load_run(tmp_path / "one")
     assert one.summary["digest"] == table.to_pylist()[2]["digest"]
 
@@ -276,13 +280,11 @@ def test_a_report_of_a_study_whose_scenario_has_changed_says_what_was_run(tmp_pa
     before = [(out / name).read_bytes() for name in ("summary.json", "sweep.parquet")]
     (out / "report.html").unlink()
     scenario.write_text("{extends: iiwa, name: other, duration_s: 3}")
-    code, said = funnel_hil("report", out)
-    assert code == 0, said
-    assert "scenario own: has changed" in said
+    output = funnel_hil.output("report", out)
+    assert "scenario own: has changed" in output
     assert [(out / name).read_bytes() for name in ("summary.json", "sweep.parquet")] == before
-    assert "other" not in said
+    assert "other" not in output
     assert "0.1 s" in (out / "report.html").read_text(encoding="utf-8")
     (out / "summary.json").unlink()
-    code, said = funnel_hil("report", out)
-    assert code == 2
-    assert "scenario own: has changed" in said
+    output = funnel_hil.output("report", out, code=2)
+    assert "scenario own: has changed" in output

@@ -64,18 +64,18 @@ def test_what_chance_may_give_grows_with_the_number_of_quantities():
 
 
 @pytest.mark.parametrize("lost_of_20", [0, 2, 18, 20])
-def test_nothing_is_said_of_too_few(lost_of_20):
+def test_too_few_plants_give_no_effects(lost_of_20):
     found = rank_losses([RISING], np.arange(20)[None, :] < lost_of_20)
     assert found["effects"] is None
     assert found["chance_level"] is None
     assert (found["lost_plants"], found["kept_plants"]) == (lost_of_20, 20 - lost_of_20)
 
 
-def test_the_commonest_error_is_the_first_of_a_run_whatever_followed_from_it():
+def test_commonest_error_is_the_first_of_each_run():
     errors = [
         "law my:Law failed at tick 50: boom; no valid command for 200 ms: safe stop",
         "law my:Law failed at tick 51: boom; the controller has left the bus",
         "no valid command for 200 ms: safe stop", None,
     ]  # fmt: skip
-    said = commonest_error([{"error": error} for error in errors])
-    assert said == "law my:Law failed at tick 50: boom"
+    text = commonest_error([{"error": error} for error in errors])
+    assert text == "law my:Law failed at tick 50: boom"

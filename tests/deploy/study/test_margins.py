@@ -1,4 +1,4 @@
-"""Margins: those of the worst start and seed, in whatever order workers deliver."""
+"""Margins are those of the worst start and seed, in any order of the workers' rows."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.folder import create_folder
 from deploy.study.margin import MarginDefinition
 from deploy.study.quantities import MarginSearch, Steps
-from deploy.study.runner import retrace
 from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
-from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
+from tests.deploy.study.studies import Here, conduct, limits, made_up, margin_of
 
 
 def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
@@ -34,27 +33,6 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
     # Of the 4 runs at 8 ms, the two from the second start are outside at 1 % of their ticks.
     assert probe["violation_fraction"] == {"mean": 0.005, "lowest": 0.0, "highest": 0.01}
     assert (probe["runs"], probe["runs_kept"]) == (4, 2)
-
-
-@pytest.mark.parametrize("exhaustive", [False, True])
-def test_a_search_goes_on_where_it_stopped(tmp_path, exhaustive):
-    def study():
-        return margin_of(exhaustive=exhaustive)
-
-    _, folder = conduct(study(), tmp_path / "a", Here(limits, seed=1))
-    workers = Here(limits, seed=2, at_most=17)
-    done, kept = conduct(study(), tmp_path / "b", workers)
-    assert not done
-    before = len(kept.rows)
-    workers = Here(limits, seed=3)
-    assert conduct(study(), tmp_path / "b", workers)[0]
-    assert before == 17 or not exhaustive  # else some were ahead of their request
-    assert len(workers.submitted) >= len(folder.rows) - before
-    rows = [(tmp_path / name / "margin.parquet").read_bytes() for name in "ab"]
-    assert rows[0] == rows[1]
-    again = study()
-    retrace(again, folder_of(again, tmp_path / "b"))
-    assert [search.margin for search in again.searches] == [6, 14]
 
 
 def test_a_run_that_fails_does_not_hold(tmp_path):
@@ -83,16 +61,14 @@ def test_a_run_that_fails_by_accident_leaves_the_margin_open(
     words = ["margin", "--laws", law, "--limit", "2", "--resolution", "1"]
     words += ["--seeds", "1", "--offsets", "0.1", "--set", "duration_s=0.02"]
     words += ["--set", "metrics.from_s=0", "--workers", "1", "--out", out]
-    code, output = funnel_hil(*words)
-    assert code == 1
+    output = funnel_hil.output(*words, code=1)
     assert "repeat the same command to continue" in output
     assert "1 of" in output
     assert "MemoryError" in output
     (case,) = json.loads((out / "summary.json").read_text())["cases"]
     assert (case["completed"], case["first_failure"]) == (False, None)
     assert case["probes"][-1]["held"] is None
-    code, output = funnel_hil(*words)  # tries it again, and nothing else
-    assert code == 0
+    funnel_hil.output(*words)  # tries it again, and nothing else
     (case,) = json.loads((out / "summary.json").read_text())["cases"]
     assert (case["completed"], case["margin"]) == (True, 2.0)
     assert len(runs.read_text()) == 3 + 1 + 1  # theory asks the law once more
@@ -115,8 +91,7 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     margin = margin_of()
     path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(limits))
-    code, output = funnel_hil("report", path)
-    assert code == 0
+    output = funnel_hil.output("report", path)
     assert "7 ms" in output
     assert json.loads((path / "summary.json").read_text())["cases"][0]["margin"] == 3.0
     assert "| `smc` | 7 ms |" in (path / "table.md").read_text()
@@ -124,7 +99,7 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     assert all(f'id="{name}-paper_arm"' in page for name in ("margins", "outside", "rms"))
 
 
-def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp_path):
+def test_table_is_readable_without_a_terminal_width(funnel_hil, tmp_path):
     margin = margin_of(laws=["fixed_time_model_based"], compensation=[False, True], limit=128)
     path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))
@@ -190,18 +165,12 @@ def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
     assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 15, 20]
 
 
-def test_what_fails_at_zero_has_no_margin():
-    search, probed = found(lambda _: False)
-    assert probed == [0]
-    assert search.margin is None
-    assert search.first_failure == 0
-
-
-def test_what_never_fails_holds_at_the_limit():
-    search, probed = found(lambda _: True, limit=50)
-    assert probed[-1] == 50
-    assert search.margin == 50
-    assert search.first_failure is None
+@pytest.mark.parametrize(
+    ("holds", "last", "margin", "first_failure"), [(False, 0, None, 0), (True, 50, 50, None)]
+)
+def test_search_ends_at_a_failing_zero_or_at_the_limit(holds, last, margin, first_failure):
+    search, probed = found(lambda _: holds, limit=50)
+    assert (probed[-1], search.margin, search.first_failure) == (last, margin, first_failure)
 
 
 def test_larger_values_that_hold_again_are_reported_and_do_not_count():

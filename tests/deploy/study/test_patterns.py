@@ -18,8 +18,7 @@ from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.follow_ups.patterns import HANDFUL, catalogue, neighbours
-from deploy.study.runner import retrace
-from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
+from tests.deploy.study.studies import Here, case_of, conduct, folder_of, made_up, margin_of
 
 ON = "controller.delay_compensation.enabled"
 LAW = "fixed_time_adaptive"
@@ -46,11 +45,6 @@ def squares_lose(run):
     """Constant delays hold to 9 ms, square waves to 5, the other patterns to 7."""
     shape = pattern_in(run).get("shape")
     return judged(run, {None: 9.0, "square": 5.0}.get(shape, 7.0))
-
-
-def case_of(margin, folder):
-    (case,) = margin.summary(folder.rows)["cases"]
-    return case
 
 
 def test_without_playout_the_worst_pattern_is_found(tmp_path):
@@ -89,36 +83,6 @@ def test_a_neighbour_that_loses_lowers_the_margin(tmp_path):
     assert worst["pattern"]["phase_ms"] > 0
 
 
-def test_a_search_over_patterns_goes_on_where_it_stopped_and_is_reproducible(tmp_path):
-    _, folder = conduct(patterns_of(), tmp_path / "a", Here(squares_lose, seed=1))
-    assert not conduct(patterns_of(), tmp_path / "b", Here(squares_lose, seed=2, at_most=30))[0]
-    workers = Here(squares_lose, seed=3)
-    assert conduct(patterns_of(), tmp_path / "b", workers)[0]
-    assert len(workers.submitted) == len(folder.rows) - 30
-    rows = [(tmp_path / name / "margin.parquet").read_bytes() for name in "ab"]
-    assert rows[0] == rows[1]
-    again = patterns_of()
-    retrace(again, folder := folder_of(again, tmp_path / "b"))
-    assert again.summary(folder.rows)["completed"]
-    assert case_of(again, folder)["worst_pattern"]["margin"] == 4.0
-
-
-def test_an_interrupted_search_over_patterns_is_not_completed(tmp_path):
-    margin, stopped = patterns_of(), Here(squares_lose, at_most=20)
-    _, folder = conduct(margin, tmp_path / "out", stopped)
-    summary = margin.summary(folder.rows)
-    assert not summary["completed"]
-    assert summary["cases"][0]["worst_pattern"] is None
-
-
-def test_a_study_of_constant_delays_grows_by_patterns(tmp_path):
-    _, folder = conduct(patterns_of(pattern=None), tmp_path / "out", Here(squares_lose))
-    workers = Here(squares_lose)
-    assert conduct(patterns_of(), tmp_path / "out", workers)[0]
-    assert all(run.columns["pattern"] is not None for run in workers.submitted)
-    assert folder.rows
-
-
 @pytest.mark.parametrize(
     ("link", "guaranteed"),
     [({}, 8.0), ({"link.playout_ms": 8}, 8.0), ({"link.playout_ms": 5}, None)],
@@ -135,8 +99,8 @@ def test_with_a_playout_above_the_margin_four_patterns_confirm_the_guarantee(
     assert (case["patterns"]["tried"] == len(HANDFUL)) == is_levelled
     assert (case["worst_pattern"] is None) == is_levelled
     assert case["patterns"]["motions"] == (1 if is_levelled else None)
-    said = "holds for every delay up to 8 ms that arrives in order and is not lost"
-    assert (said in " ".join(margin_sentences(margin.summary(folder.rows)))) == is_levelled
+    text = "holds for every delay up to 8 ms that arrives in order and is not lost"
+    assert (text in " ".join(margin_sentences(margin.summary(folder.rows)))) == is_levelled
 
 
 def test_patterns_with_another_motion_give_no_guarantee(tmp_path):

@@ -201,9 +201,9 @@ def test_margin_prints_theory_beside_what_it_found(tmp_path):
     assert pid["margin"] == 13.5
     assert pid["theory"] == {"constant_ms": 13.54, "any_pattern_ms": 8.94, "joint": "j0"}
     assert set(smc["theory"]) == {"reason"}
-    said = margin_sentences(summary)
-    assert any("up to a constant 13.54 ms, and below 8.94 ms for every pattern" in s for s in said)
-    assert any("No theoretical margin, because it has no slope at zero error" in s for s in said)
+    text = margin_sentences(summary)
+    assert any("up to a constant 13.54 ms, and below 8.94 ms for every pattern" in s for s in text)
+    assert any("No theoretical margin, because it has no slope at zero error" in s for s in text)
 
 
 @pytest.mark.parametrize("name", RIGID)

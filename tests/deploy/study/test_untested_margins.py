@@ -42,9 +42,9 @@ def gate_failures(summary):
 )
 def test_runs_that_are_too_short_test_nothing(values, least_s, tmp_path):
     summary = summary_of(tmp_path, by_value, **{**DELAYED, **values})
-    said = margin_sentences(summary)[0]
-    assert ("Not tested: runs of" in said) is (least_s is not None)
-    assert least_s is None or f"must last {least_s:g} s" in said
+    text = margin_sentences(summary)[0]
+    assert ("Not tested: runs of" in text) is (least_s is not None)
+    assert least_s is None or f"must last {least_s:g} s" in text
     assert bool(gate_failures(summary)) is (least_s is not None)
 
 

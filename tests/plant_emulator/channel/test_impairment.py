@@ -222,18 +222,18 @@ def test_every_message_is_accounted_for(gaps_ns, loss, duplicate, reorder, rate_
     assert channel.next_due_ns == NEVER_NS
     assert all(due_ns >= sent_ns for due_ns, (_, sent_ns) in out)
     assert [due_ns for due_ns, _ in out] == sorted(due_ns for due_ns, _ in out)
-    said = counts(channel)
-    assert said["sent"] == len(gaps_ns)
-    assert said["delivered"] == len(out)
-    assert said["duplicated"] == len(out) - len({number for _, (number, _) in out})
-    assert said["sent"] + said["duplicated"] == said["delivered"] + said["lost"]
+    text = counts(channel)
+    assert text["sent"] == len(gaps_ns)
+    assert text["delivered"] == len(out)
+    assert text["duplicated"] == len(out) - len({number for _, (number, _) in out})
+    assert text["sent"] + text["duplicated"] == text["delivered"] + text["lost"]
 
 
 def test_statistics_are_those_of_the_delays():
     channel = uplink(delay_ms=8, jitter_ms=3, distribution="normal", loss=0.1, reorder=True)
     delays = np.array(list(delays_ms(passed(channel)).values()))
-    said = channel.statistics().summary()["delay_ms"]
-    assert said["mean"] == pytest.approx(delays.mean(), abs=1e-3)
+    text = channel.statistics().summary()["delay_ms"]
+    assert text["mean"] == pytest.approx(delays.mean(), abs=1e-3)
     for name, q in [("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999), ("max", 1.0)]:
         exact = np.quantile(delays, q, method="inverted_cdf")
-        assert said[name] == pytest.approx(exact, abs=0.6e-3)  # rounded to whole microseconds
+        assert text[name] == pytest.approx(exact, abs=0.6e-3)  # rounded to whole microseconds

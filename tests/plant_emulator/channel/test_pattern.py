@@ -47,7 +47,7 @@ def test_random_delays_are_constant_within_a_period_and_independent_of_each_othe
     assert each.mean() == pytest.approx(5, abs=4 * 2.89 / 100)
     assert each.std() == pytest.approx(10 / np.sqrt(12), abs=0.1)
     assert abs(np.corrcoef(each[1:], each[:-1])[0, 1]) < 0.04
-    assert shape([17], **pattern) == [each[4]]  # whatever was asked for before
+    assert shape([17], **pattern) == [each[4]]  # with any earlier request
     assert shape([17], seed=2, **pattern) != [each[4]]
 
 
@@ -92,7 +92,7 @@ def test_the_largest_delay_is_what_controller_and_deadline_expect():
 
 
 @pytest.mark.parametrize(
-    ("pattern", "said"),
+    ("pattern", "message"),
     [
         ({"shape": "sawtooth", "period_ms": 4, "duty": 0.2}, "without duty unless shape"),
         ({"shape": "square", "period_ms": 4, "seed": 2}, "without seed unless shape"),
@@ -101,6 +101,6 @@ def test_the_largest_delay_is_what_controller_and_deadline_expect():
         ({"shape": "triangle", "period_ms": 4}, "'square'"),
     ],
 )
-def test_values_without_effect_are_refused(pattern, said):
-    with pytest.raises(ValueError, match=said):
+def test_values_without_effect_are_refused(pattern, message):
+    with pytest.raises(ValueError, match=message):
         PatternConfiguration(**pattern)

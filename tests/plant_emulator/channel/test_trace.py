@@ -56,7 +56,7 @@ def test_scale_and_offset_come_on_top_of_the_delay_of_the_channel(file: Path) ->
     assert found == [0, 0, 3.5, 3.5, None, None, 7.5, 7.5, 2.5, 1.5]
 
 
-def test_trace_begins_again_at_its_end_and_where_it_is_told(file: Path) -> None:
+def test_trace_repeats_from_its_end_and_starts_where_it_is_set(file: Path) -> None:
     assert delays_ms(uplink(file, start_s=0.03), 8, 10) == [5, 2, 1, 3, None, 5, 2, 1]
 
 
@@ -175,9 +175,7 @@ def test_replayed_round_trips_are_those_measured(pings: tuple[Path, np.ndarray],
         assert np.percentile(replayed_ms, percent) == pytest.approx(wanted_ms, rel=0.08)
 
 
-def test_halves_of_a_round_trip_stay_together_where_the_channel_does_more(
-    pings: tuple[Path, np.ndarray],
-) -> None:
+def test_halves_of_a_round_trip_stay_together_where_the_channel_does_more(pings):
     file, _ = pings
     found = []
     for more in ({}, {"delay_ms": 1.0}):

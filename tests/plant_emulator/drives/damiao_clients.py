@@ -68,7 +68,7 @@ def fetch_wheel(name: str, version: str, folder: Path) -> str | None:
         folder: where its wheel stays.
     """
     module, package = name.replace("-", "_"), folder / f"{name}-{version}"
-    if importlib.util.find_spec(module) is not None:  # somebody has installed it
+    if importlib.util.find_spec(module) is not None:  # it is installed already
         return None
     if not package.exists():
         words = ["pip", "download", "--no-deps", "--only-binary=:all:", f"{name}=={version}"]

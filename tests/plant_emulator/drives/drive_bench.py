@@ -6,10 +6,12 @@ import struct
 
 import canopen
 from canopen.objectdictionary import ODVariable
+from dialects import DIALECTS
 
 from bus_schema.can.cia402.codec import Cia402Settings
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CIA402_EDS
+from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveSettings, JointReading
 
@@ -49,6 +51,13 @@ class Bench:
             self.drive.advance(self.now_ns)
         if duration_ms == 0:
             self.drive.advance(self.now_ns)
+
+    def answer(self, data, identifier=NODE):
+        """Send a frame; return the only answer."""
+        self.take()
+        assert self.drive.receive(CanFrame(identifier, data), self.now_ns)
+        (answer,) = self.take()
+        return answer
 
     def hear(self, identifier, *data, remote=False):
         return self.drive.receive(CanFrame(identifier, bytes(data), is_remote=remote), self.now_ns)
@@ -114,3 +123,55 @@ class Bench:
             self.control(word, torque)
         assert self.state == "OPERATION_ENABLED"
         self.take()
+
+
+class Bank:
+    """Drives of a protocol, and their master.
+
+    Attributes:
+        bank: the drives.
+        dialect: frames between them and their master.
+    """
+
+    def __init__(self, protocol, nodes=(1, 2, 3), **settings):
+        self.protocol, self.dialect, self.nodes = protocol, DIALECTS[protocol], nodes
+        self._sent = []
+        drives = [self.dialect.settings(node, **settings) for node in nodes]
+        self.bank = DriveBank(self.dialect.drive, drives, self._sent.append)
+        self.bank.advance(0)
+
+    def send(self, *frames):
+        """Send frames; return the answers."""
+        self.take()
+        for frame in frames:
+            self.bank.receive(frame, 0)
+        return self.take()
+
+    def take(self):
+        """Return the frames sent since the last call."""
+        taken, self._sent[:] = self._sent[:], []
+        return taken
+
+    def enable(self, torque_nm=0.0):
+        for node in self.nodes:
+            self.send(*self.dialect.start(node), self.dialect.torque(node, torque_nm))
+        self.bank.take_targets()
+
+    def target(self, node, torque_nm):
+        self.send(self.dialect.torque(node, torque_nm))
+
+    def sample(self):
+        """Request all states; return the answers."""
+        return self.send(*dict.fromkeys(self.dialect.request(node) for node in self.nodes))
+
+    @property
+    def torque_nm(self):
+        """Torque of the first drive."""
+        return float(self.bank.torque_nm[0])
+
+    def assert_refused(self, frame):
+        """Send a frame that has to be counted and change nothing."""
+        before = sum(self.bank.rejections.counts.values()), self.torque_nm, self.bank.braked[0]
+        self.send(frame)
+        after = sum(self.bank.rejections.counts.values()) - 1, self.torque_nm, self.bank.braked[0]
+        assert before == after, frame

@@ -5,50 +5,17 @@ import struct
 import numpy as np
 import pytest
 from dialects import DIALECTS
+from drive_bench import Bank
 
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
-from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.drive import DriveFault
 
-NODES = (1, 2, 3)
 MS = 1_000_000
-
-
-class Bank:
-    """Three drives of a protocol, and their master."""
-
-    def __init__(self, protocol):
-        self.sent, self.protocol, self.dialect = [], protocol, DIALECTS[protocol]
-        drives = [self.dialect.settings(node, watchdog_ms=50) for node in NODES]
-        self.bank = DriveBank(self.dialect.drive, drives, self.sent.append)
-        self.bank.advance(0)
-
-    def hear(self, identifier, form="", *values):
-        self.send(CanFrame(identifier, struct.pack("<" + form, *values)))
-
-    def send(self, *frames):
-        for frame in frames:
-            self.bank.receive(frame, 0)
-
-    def enable(self):
-        for node in NODES:
-            self.send(*self.dialect.start(node), self.dialect.torque(node, 0.0))
-        self.bank.take_targets()
-        self.sent.clear()
-
-    def target(self, node, torque_nm):
-        self.send(self.dialect.torque(node, torque_nm))
-
-    def sample(self):
-        """Request all states; return the answers."""
-        self.sent.clear()
-        self.send(*dict.fromkeys(self.dialect.request(node) for node in NODES))
-        return self.sent
 
 
 @pytest.fixture(params=DIALECTS)
 def rig(request):
-    made = Bank(request.param)
+    made = Bank(request.param, watchdog_ms=50)
     made.enable()
     return made
 
@@ -71,7 +38,7 @@ def test_cycle_is_a_sampling_and_a_target_for_every_axis(rig):
 def test_silent_node_receives_and_sends_nothing_and_is_not_awaited(rig):
     rig.bank.inject(1, DriveFault.SILENT, 0)
     assert len(rig.sample()) == 2
-    for node in NODES:
+    for node in rig.nodes:
         rig.target(node, 5.0)
     assert rig.bank.take_targets()
     step = rig.dialect.torque_step
@@ -109,10 +76,10 @@ def test_bus_off_stops_drives_until_the_bus_is_back(rig):
     for tick in range(1, 400):
         rig.bank.advance(tick * MS)
     assert rig.bank.braked.all() == (rig.protocol != "moteus")  # which damps its joint
-    assert not rig.sent
+    assert not rig.take()
     rig.bank.receive(CanFrame(BUS_RESTARTED, is_error=True), 400 * MS)
     rig.bank.advance(600 * MS)
-    assert rig.sent or rig.sample()  # an emergency, or an answer
+    assert rig.take() or rig.sample()  # an emergency, or an answer
 
 
 @pytest.mark.parametrize(
@@ -127,30 +94,35 @@ def test_bus_off_stops_drives_until_the_bus_is_back(rig):
 )
 def test_frames_for_no_drive_are_counted_and_change_nothing(rig, frame):
     before = rig.bank.torque_nm.copy()
-    rig.bank.receive(frame, 0)
-    assert sum(rig.bank.rejections.counts.values()) == 1
+    rig.assert_refused(frame)
     np.testing.assert_array_equal(rig.bank.torque_nm, before)
 
 
-def test_frames_go_to_an_identifier_from_when_a_cia402_drive_is_given_it():
-    bank = Bank("cia402")
-    bank.enable()
-    bank.hear(0x345, "Hh", 15, 100)
-    assert bank.bank.rejections.counts == {"unknown_identifier": 1}
-    bank.hear(0x602, "BHBI", 0x23, 0x1400, 1, 0x8000_0202)  # RPDO 1 of node 2 is not valid
-    bank.hear(0x602, "BHBI", 0x23, 0x1400, 1, 0x345)
-    bank.hear(0x345, "Hh", 15, 100)
-    bank.hear(0x202, "Hh", 15, 50)
-    assert bank.bank.torque_nm.tolist() == pytest.approx([0.0, 2.0, 0.0])
-    assert bank.bank.rejections.counts == {"unknown_identifier": 2}
+def sdo(node, index, value):
+    return CanFrame(0x600 + node, struct.pack("<BHBI", 0x23, index, 1, value))
 
 
-def test_frames_go_to_an_address_from_when_a_damiao_motor_is_given_it():
-    bank = Bank("damiao")
-    bank.hear(9, "7sB", b"\xff" * 7, 0xFC)
-    assert bank.bank.rejections.counts == {"unknown_identifier": 1}
-    bank.hear(0x7FF, "HBBI", 2, 0x55, 8, 9)  # ESC_ID
-    bank.hear(9, "7sB", b"\xff" * 7, 0xFC)
-    bank.hear(2, "7sB", b"\xff" * 7, 0xFC)
-    assert ["ENABLED" in each for each in bank.bank.statuses] == [False, True, False]
+ENABLE_MOTOR = b"\xff" * 7 + b"\xfc"
+ESC_ID_OF_2_IS_9 = CanFrame(0x7FF, struct.pack("<HBBI", 2, 0x55, 8, 9))
+MOVED = {
+    "cia402": (0x345, 0x202, struct.pack("<Hh", 15, 100),
+               [sdo(2, 0x1400, 0x8000_0202), sdo(2, 0x1400, 0x345)]),  # RPDO 1 of node 2
+    "damiao": (9, 2, ENABLE_MOTOR, [ESC_ID_OF_2_IS_9]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("protocol", MOVED)
+def test_frames_follow_a_drive_to_another_identifier(protocol):
+    new, old, data, move = MOVED[protocol]
+    bank = Bank(protocol)
+    if protocol == "cia402":
+        bank.enable()
+    bank.assert_refused(CanFrame(new, data))
+    bank.send(*move, CanFrame(new, data))
+    reached = bank.bank.torque_nm.tolist(), bank.bank.statuses
+    bank.assert_refused(CanFrame(old, data))
     assert bank.bank.rejections.counts == {"unknown_identifier": 2}
+    if protocol == "cia402":
+        assert reached[0] == pytest.approx([0.0, 2.0, 0.0])
+    else:
+        assert ["ENABLED" in each for each in reached[1]] == [False, True, False]

@@ -23,6 +23,7 @@ from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
 from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from tests.arms import PAPER_ARM
+from tests.waiting import await_true
 
 ROBOT = PAPER_ARM
 START = np.array([0.2, -1.0, 0.9])
@@ -92,14 +93,6 @@ class Rig:
         self.arm.close()
 
 
-def until(condition):
-    """Wait until a condition holds."""
-    give_up_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < give_up_s, "it never came"
-        time.sleep(0.002)
-
-
 def patient_node(node_id):
     """canopen's client, which on a busy machine waits for longer than by default.
 
@@ -144,7 +137,7 @@ def canopen_client(rig, node_id, mode, pdo=1):
         node.nmt.state = "OPERATIONAL"
         network.sync.start(0.01)
         node.op_mode = mode
-        until(lambda: node.op_mode == mode)
+        await_true(lambda: node.op_mode == mode)
         yield node
     finally:
         network.sync.stop()
@@ -178,7 +171,7 @@ def check_motion(node):
     )
     node.state = "OPERATION ENABLED"
     moved = 0.15
-    until(lambda: bool(seen) and abs(seen[-1][0] - start) > moved)
+    await_true(lambda: bool(seen) and abs(seen[-1][0] - start) > moved)
     position_rad, velocity_rad_s = next(row for row in seen if abs(row[0] - start) > moved)
     assert_energy_agrees(per_mille * 1e-3 * rated_nm, position_rad, velocity_rad_s)
     node.state = "SWITCHED ON"
@@ -192,8 +185,8 @@ def check_fault(node):
     node.sdo[0x1400][5].raw = 50
     node.rpdo[1]["Target torque"].raw = 0
     node.rpdo[1].transmit()
-    until(lambda: node.state == "FAULT")
-    until(lambda: bool(emergencies))
+    await_true(lambda: node.state == "FAULT")
+    await_true(lambda: bool(emergencies))
     assert [error.code for error in emergencies] == [0x8250]
     node.sdo[0x1400][5].raw = 0
     node.reset_from_fault()

@@ -18,7 +18,8 @@ from bus_schema.link.can_configuration import DamiaoConfiguration
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.drive import DriveFault
 from tests.plant_emulator.drives.damiao_clients import DAMIAO_MOTOR, fetch_lerobot, fetch_wheel
-from tests.plant_emulator.drives.test_clients import PATIENCE_S, Rig, until
+from tests.plant_emulator.drives.test_clients import PATIENCE_S, Rig
+from tests.waiting import await_true
 
 SETUP = load_setup("openarm", [])
 START = np.array([0.3, 0.2, -0.2, 1.0, 0.1, 0.2, -0.3])
@@ -75,7 +76,7 @@ def connected(bus):
             return False
         return True
 
-    until(try_it)
+    await_true(try_it)
     try:
         yield bus
     finally:
@@ -91,7 +92,7 @@ def test_lerobot_connects_configures_reads_moves_and_disconnects(motors, use_can
     with rig_of(**FD if use_can_fd else {}) as rig:
         with connected(motors(rig, use_can_fd=use_can_fd)) as bus:
             bus.configure_motors()
-            until(lambda: np.allclose(degrees(bus), np.degrees(START), atol=0.05))
+            await_true(lambda: np.allclose(degrees(bus), np.degrees(START), atol=0.05))
             assert set(degrees(bus, "Temperature_Rotor")) == {25.0}
             for name, values in GAINS.items():
                 bus.sync_write(name, dict(zip(NAMES, values, strict=True)))
@@ -102,11 +103,11 @@ def test_lerobot_connects_configures_reads_moves_and_disconnects(motors, use_can
                 bus.sync_write("Goal_Position", goals)
                 return np.abs(degrees(bus) - target).max() < 3.0  # gravity against 240 N m/rad
 
-            until(has_arrived)
+            await_true(has_arrived)
             states = bus.sync_read_all_states()
             assert abs(states["joint_2"]["torque"]) < 40.0
         assert bus.canbus is None
-        until(lambda: all("DISABLED" in each for each in rig.bank.statuses))
+        await_true(lambda: all("DISABLED" in each for each in rig.bank.statuses))
         assert rig.bank.braked.all()
     assert rig.bank.rejections.counts == {}
 
@@ -118,7 +119,7 @@ def test_lerobot_makes_zero(motors):
             bus.set_zero_position(["joint_4"])
             return abs(bus.sync_read("Present_Position", ["joint_4"])["joint_4"]) < 0.05
 
-        until(is_zero)
+        await_true(is_zero)
 
 
 def test_missing_fd_flag_shows_as_motors_that_do_not_answer(motors):
@@ -136,20 +137,20 @@ def test_wrong_mode_shows_as_an_arm_that_does_not_move(motors, caplog):
         data = struct.pack("<HBBI", 4, 0x55, 10, 3)
         with can.Bus(interface="virtual", channel=rig.channel) as other:
             other.send(can.Message(arbitration_id=0x7FF, data=data, is_extended_id=False))
-            until(lambda: "ENABLED (VEL)" in rig.bank.statuses[3])
+            await_true(lambda: "ENABLED (VEL)" in rig.bank.statuses[3])
         caplog.set_level(logging.DEBUG)
         while bus.canbus.recv(0.05):  # else it would take the answer to the other for a state
             pass
         bus.write("Goal_Position", "joint_4", 90.0)
         assert "No response from joint_4 after MIT control command" in caplog.text
-        until(lambda: rig.bank.rejections.counts == {"wrong_mode": 1})
+        await_true(lambda: rig.bank.rejections.counts == {"wrong_mode": 1})
         assert rig.bank.braked[3]
-        until(lambda: abs(degrees(bus)[3] - np.degrees(START[3])) < 0.05)
+        await_true(lambda: abs(degrees(bus)[3] - np.degrees(START[3])) < 0.05)
 
 
 def test_lost_motor_shows_as_its_last_known_state(motors, caplog):
     with rig_of(**FD) as rig, connected(motors(rig)) as bus:
-        until(lambda: np.allclose(degrees(bus), np.degrees(START), atol=0.05))
+        await_true(lambda: np.allclose(degrees(bus), np.degrees(START), atol=0.05))
         rig.bank.inject(4, DriveFault.SILENT, 0)
         caplog.clear()
 
@@ -158,7 +159,7 @@ def test_lost_motor_shows_as_its_last_known_state(motors, caplog):
             assert last == pytest.approx(np.degrees(START[4]), abs=0.05)
             return "Packet drop: joint_5 (ID: 0x15). Using last known state" in caplog.text
 
-        until(is_missed)
+        await_true(is_missed)
 
         def read_fails():
             try:
@@ -167,7 +168,7 @@ def test_lost_motor_shows_as_its_last_known_state(motors, caplog):
                 return "No response from motor 'joint_5'" in str(error)
             return False
 
-        until(read_fails)
+        await_true(read_fails)
     with rig_of(**FD) as rig:
         rig.bank.inject(4, DriveFault.SILENT, 0)
 
@@ -176,7 +177,7 @@ def test_lost_motor_shows_as_its_last_known_state(motors, caplog):
                 motors(rig).connect()
             return "did not respond: ['joint_5']" in str(failed.value)
 
-        until(only_the_lost_one_is_missed)
+        await_true(only_the_lost_one_is_missed)
 
 
 @contextmanager
@@ -215,7 +216,7 @@ def test_damiao_motor_reads_and_writes_registers_and_moves_in_every_mode(request
                 send(target)
                 return abs(motor.state["pos"] - target) < 0.05
 
-            until(has_arrived)
+            await_true(has_arrived)
         assert motor.state["status"] == "ENABLED"
         assert motor.state["t_rotor"] == 25.0
 
@@ -225,8 +226,8 @@ def test_damiao_motor_shows_a_timeout_and_clears_it(request):
         motor.set_can_timeout(20)
         motor.enable()
         motor.send_cmd_mit(START[3], 0.0, 100.0, 3.0, 0.0)
-        until(lambda: "LOST_COMMUNICATION" in rig.bank.statuses[3])
+        await_true(lambda: "LOST_COMMUNICATION" in rig.bank.statuses[3])
         motor.request_motor_feedback()
-        until(lambda: motor.state["status"] == "LOST_COMM")
+        await_true(lambda: motor.state["status"] == "LOST_COMM")
         motor.clear_error()
-        until(lambda: motor.state["status"] == "DISABLED")
+        await_true(lambda: motor.state["status"] == "DISABLED")

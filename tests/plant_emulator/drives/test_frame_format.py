@@ -16,8 +16,8 @@ from bus_schema.link.can_configuration import CanConfiguration
 from deploy.cli.rig import examine_rig
 from deploy.scenario.scenario import load_setup
 from tests.multicast import own_place
-from tests.plant_emulator.drives.test_clients import until
 from tests.plant_emulator.drives.test_damiao_clients import FD, rig_of
+from tests.waiting import await_true
 
 CLASSICAL = {"fd": False, "fd_process_data": False}
 ASK = RegisterFrame(1, Request.REFRESH).packed()
@@ -47,9 +47,7 @@ def place(request: pytest.FixtureRequest) -> dict:
     return {"interface": request.param, "channel": group, "port": port}
 
 
-def test_fd_master_and_classical_motors_both_report_the_format(
-    place: dict,
-) -> None:
+def test_fd_master_and_classical_motors_both_report_the_format(place):
     with rig_of(**place) as rig, master_at(place, **FD) as (master, _):
         with pytest.raises(DriveError, match=r"no answer from drive 1, 2, .* to CAN FD frames"):
             master.enable(0.5, never)
@@ -70,7 +68,7 @@ def test_dry_run_names_the_frame_format(place: dict) -> None:
     words = [f"link.can.{key}={value}" for key, value in (place | CLASSICAL).items()]
     words.append("rate_hz=250")
     with rig_of(**place, **FD) as rig:
-        until(lambda: rig.events)
+        await_true(lambda: rig.events)
         found = {each.name: each.found for each in examine_rig(load_setup("openarm", words))}
         assert found["joint1, drive 1"] == "CAN FD is 1, not 0"
     with rig_of(**place):

@@ -4,10 +4,10 @@ import can
 import numpy as np
 import pytest
 from dialects import AK80_9, DISABLE, ENABLE, command, to_float, unpacked
+from drive_bench import NODE, Bench
 
-from bus_schema.can.frame import CanFrame
 from bus_schema.can.mit.protocol import MitSettings
-from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings, JointReading
+from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings
 from plant_emulator.drives.mit.drive import MitDrive
 from tests.plant_emulator.drives.test_clients import (
     JOINT,
@@ -17,34 +17,21 @@ from tests.plant_emulator.drives.test_clients import (
     START,
     Rig,
     assert_energy_agrees,
-    until,
 )
+from tests.waiting import await_true
 
-NODE = 5
 P_MAX, V_MAX, _, _, T_MAX = AK80_9
 
 
-class Bench:
-    """One drive and what it sent."""
-
-    def __init__(self, **own):
-        self.sent = []
-        self.drive = MitDrive(DriveSettings(NODE, 15.0, MitSettings(**own)), self.sent.append)
-
-    def send(self, data):
-        """Send a frame; return its reply."""
-        assert self.drive.receive(CanFrame(NODE, data), 0)
-        return self.sent[-1]
-
-    def at(self, position, velocity=0.0, torque=0.0):
-        self.drive.measure(JointReading(position, velocity, torque))
+def bench_of(**own):
+    return Bench(MitDrive, DriveSettings(NODE, 15.0, MitSettings(**own)))
 
 
 def test_every_frame_is_answered_with_the_state_in_steps_of_the_protocol():
-    bench = Bench()
-    bench.at(1.2345, -3.21, 4.5)
+    bench = bench_of()
+    bench.move(1.2345, -3.21, 4.5)
     for data in (ENABLE, command(), DISABLE, command()):
-        reply = bench.send(data)
+        reply = bench.answer(data)
         assert reply.identifier == 0
         node, *state = unpacked(reply.data)
         assert node == NODE
@@ -56,23 +43,23 @@ def test_every_frame_is_answered_with_the_state_in_steps_of_the_protocol():
 
 
 def test_older_firmware_replies_with_six_bytes_to_the_masters_identifier():
-    bench = Bench(reply_bytes=6, reply_identifier=0x50)
-    assert bench.send(ENABLE) == CanFrame(0x50, bench.sent[0].data)
-    assert len(bench.sent[0].data) == 6
+    bench = bench_of(reply_bytes=6, reply_identifier=0x50)
+    reply = bench.answer(ENABLE)
+    assert (reply.identifier, len(reply.data)) == (0x50, 6)
 
 
 def test_torque_is_that_of_the_loop_where_the_joint_is():
-    bench = Bench()
-    bench.at(0.5, 0.2)
-    bench.send(ENABLE)
+    bench = bench_of()
+    bench.move(0.5, 0.2)
+    bench.answer(ENABLE)
     assert bench.drive.demand() == AT_REST  # nothing was commanded yet
-    bench.send(command(p=0.51, v=0.3, kp=100.0, kd=2.0, t=3.0))
+    bench.answer(command(p=0.51, v=0.3, kp=100.0, kd=2.0, t=3.0))
     wanted = 100.0 * 0.01 + 2.0 * 0.1 + 3.0
     assert bench.drive.demand().torque_nm == pytest.approx(wanted, abs=0.1)
     loop = bench.drive.demand().loop
     assert loop.torque_nm(0.52, 0.2) == pytest.approx(wanted - 2.0, abs=0.1)
     assert loop.torque_nm(-0.5, 0.2) == 15.0  # the motor's limit
-    bench.send(command(t=3.0))
+    bench.answer(command(t=3.0))
     assert bench.drive.demand().loop is None
     assert bench.drive.demand().torque_nm == pytest.approx(3.0, abs=0.01)
 
@@ -82,9 +69,9 @@ def test_torque_is_that_of_the_loop_where_the_joint_is():
     [(DriveFault.OVER_TEMPERATURE, 110, 1), (DriveFault.ENCODER, 25, 5), (DriveFault.DRIVE, 25, 2)],
 )
 def test_replies_report_temperature_and_error(fault, temperature_c, error):
-    bench = Bench()
+    bench = bench_of()
     bench.drive.inject(fault, 0)
-    assert list(bench.send(ENABLE).data[6:]) == [temperature_c + 40, error]
+    assert list(bench.answer(ENABLE).data[6:]) == [temperature_c + 40, error]
 
 
 ARM = (4.0, 8.0, 2000.0, 200.0, 400.0)
@@ -119,7 +106,7 @@ def test_foreign_client_pushes_a_joint():
             moved[:] = exchange(push)
             return abs(moved[0] - START[JOINT]) > 0.3
 
-        until(has_moved)
+        await_true(has_moved)
         half = np.array([ARM[0] / 0xFFFF, ARM[1] / 0xFFF])  # replies are cut off
         position, velocity = moved + half
         assert_energy_agrees(pushed_nm, position, velocity)

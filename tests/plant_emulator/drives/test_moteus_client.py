@@ -15,7 +15,8 @@ from plant_emulator.drives.cascade import UNTUNED
 from plant_emulator.drives.drive import DriveFault, DriveSettings, JointReading
 from plant_emulator.drives.moteus.drive import MoteusDrive
 from tests.plant_emulator.drives.damiao_clients import fetch_wheel
-from tests.plant_emulator.drives.test_clients import JOINT, PATIENCE_S, START, Rig, until
+from tests.plant_emulator.drives.test_clients import JOINT, PATIENCE_S, START, Rig
+from tests.waiting import await_true
 
 WHEELS = {"moteus": "1.1.1", "pyserial": "3.5", "importlib-metadata": "8.7.0"}
 TURN_RAD = 2.0 * math.pi
@@ -72,7 +73,7 @@ def test_it_reads_moves_and_stops(moteus):
         assert at_rest[register.POSITION] * TURN_RAD == pytest.approx(START[JOINT], abs=2e-3)
         assert moved[register.MODE] == POSITION
         assert (stopped[register.MODE], stopped[register.FAULT]) == (STOPPED, 0)
-        until(lambda: rig.bank.braked.all())
+        await_true(lambda: rig.bank.braked.all())
 
 
 def test_a_command_that_is_not_repeated_ends_in_a_timeout_until_it_is_stopped(moteus):

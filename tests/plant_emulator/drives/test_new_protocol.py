@@ -16,9 +16,6 @@ from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.master import CanMaster
 from bus_schema.can.protocol import PROTOCOLS, DriveProtocol
-from bus_schema.drive_feedback import DriveGains
-from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.robot_description import RobotDescription
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -130,9 +127,7 @@ class ToyProtocol(DriveProtocol):
     largest_node_id = 9
     master = ToyMaster
 
-    def codec(
-        self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains | None = None
-    ) -> ToyCodec:
+    def codec(self, can, robot, gains=None):
         return ToyCodec(self.node_ids(can, robot.joints))
 
 

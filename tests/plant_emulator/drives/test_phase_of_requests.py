@@ -71,9 +71,7 @@ class MastersBus:
         answers: how many were sent.
     """
 
-    def __init__(
-        self, clock: MastersTime, read_ns: int, wakes_late_ns: int, jitter_ns: int
-    ) -> None:
+    def __init__(self, clock, read_ns, wakes_late_ns, jitter_ns):
         self._clock, self._read_ns, self._wakes_late_ns = clock, read_ns, wakes_late_ns
         self._next = self.answers = self._stray_ns = 0
         self._frames = REQUESTS
@@ -113,13 +111,7 @@ class MastersBus:
 class Motors:
     """The plant's link to the motors of `openarm`, whose time is a `MastersTime`."""
 
-    def __init__(
-        self,
-        monkeypatch: pytest.MonkeyPatch,
-        read_ns: int,
-        wakes_late_ns: int = 0,
-        jitter_ns: int = 0,
-    ) -> None:
+    def __init__(self, monkeypatch, read_ns, wakes_late_ns=0, jitter_ns=0):
         setup = load_setup("openarm", ["duration_s=20", "clock=realtime", "rate_hz=500"])
         self.clock, self._arm = MastersTime(), setup.arm()
         self.bus = MastersBus(self.clock, read_ns, wakes_late_ns, jitter_ns)
@@ -148,9 +140,7 @@ class Motors:
     ("read_ns", "busy_ns", "jitter_ns"),
     [(45_000, 0, 0), (70_000, 150_000, 0), (45_000, 450_000, 0), (20_000, 350_000, 200_000)],
 )
-def test_ticks_stay_ahead_of_requests_on_a_slow_host(
-    monkeypatch: pytest.MonkeyPatch, read_ns: int, busy_ns: int, jitter_ns: int
-) -> None:
+def test_ticks_stay_ahead_of_requests_on_a_slow_host(monkeypatch, read_ns, busy_ns, jitter_ns):
     """Seven requests take 0.3 ms to read, and more: that is no sign of a late master.
 
     Else the clock would be set back until requests come before the tick, and are answered with the
@@ -165,9 +155,7 @@ def test_ticks_stay_ahead_of_requests_on_a_slow_host(
     motors.close()
 
 
-def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(monkeypatch):
     """A request that was sent after the tick is there when the host wakes up for it."""
     motors = Motors(monkeypatch, read_ns=5_000, wakes_late_ns=LEAD_NS + 100_000)
     answers_before_tick = []
@@ -180,9 +168,7 @@ def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(
     motors.close()
 
 
-def test_a_second_master_that_asks_one_drive_turns_the_clock_little(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_second_master_that_asks_one_drive_turns_the_clock_little(monkeypatch):
     """Its request comes after the sampling of each tick, and begins no other one."""
     motors = Motors(monkeypatch, read_ns=5_000)
     for tick in range(1, 600):
@@ -194,9 +180,7 @@ def test_a_second_master_that_asks_one_drive_turns_the_clock_little(
     motors.close()
 
 
-def test_requests_that_are_read_in_a_row_after_a_hold_up_keep_their_own_times(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_requests_that_are_read_in_a_row_after_a_hold_up_keep_their_own_times(monkeypatch):
     """Four cycles have waited for the plant until 7.5 ms, and the fifth comes at 8 ms.
 
     Timed by the first, the fifth would seem to come 0.5 ms early, and put the clock forward.

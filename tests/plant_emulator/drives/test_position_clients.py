@@ -15,7 +15,8 @@ from odrive_can.utils import get_dbc_path
 
 from bus_schema.link.can_configuration import CANSIMPLE_DBC
 from deploy.scenario.scenario import load_setup
-from tests.plant_emulator.drives.test_clients import PATIENCE_S, START, Rig, canopen_client, until
+from tests.plant_emulator.drives.test_clients import PATIENCE_S, START, Rig, canopen_client
+from tests.waiting import await_true
 
 TUNED = load_setup("paper_arm", []).tuned_drive
 MOVED_RAD = 0.2
@@ -40,7 +41,7 @@ def follow_targets(node):
         node.rpdo[3]["Target position"].raw = start + (end - start) * step // 50
         node.rpdo[3].transmit()
         time.sleep(0.005)
-    until(lambda: abs(node.sdo[0x6064].raw - end) < NEAR_RAD * per_rad)
+    await_true(lambda: abs(node.sdo[0x6064].raw - end) < NEAR_RAD * per_rad)
     assert node.state == "OPERATION ENABLED"
     node.state = "SWITCH ON DISABLED"
 

@@ -120,9 +120,7 @@ class HeldUpBus:
 class Held:
     """A link in real time whose loop is held up."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, before_sync: Sequence[CanFrame] = (), *overrides: str
-    ) -> None:
+    def __init__(self, monkeypatch, before_sync=(), *overrides):
         self.setup = load_setup("paper_arm_can", ["duration_s=20", "clock=realtime", *overrides])
         self.clock = HandClock()
         self.bus = HeldUpBus(self.clock, before_sync)
@@ -186,9 +184,7 @@ def test_what_came_while_the_loop_was_held_up_is_read_before_it_goes_on(held: He
     assert held.bus.frames == []
 
 
-def test_drives_answer_with_nothing_before_their_joints_were_measured(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_drives_answer_with_nothing_before_their_joints_were_measured(monkeypatch):
     """The SYNC that began the run waits: at 0 rad they are not."""
     held = Held(monkeypatch, [CanFrame(0x000, bytes([1, 0]))])  # all nodes operational
     held.clock.set_ms(20)
@@ -201,9 +197,7 @@ def test_drives_answer_with_nothing_before_their_joints_were_measured(
     held.arm.close()
 
 
-def test_run_whose_first_sampling_is_read_late_has_the_time_of_the_master(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_run_whose_first_sampling_is_read_late_has_the_time_of_the_master(monkeypatch):
     sampling = [CanFrame(node << 5 | 0x09, is_remote=True) for node in (1, 2, 3)]
     # The process was held up for 7 ms, in which the master went on.
     held = Held(monkeypatch, sampling * 4, "link.can.protocol=cansimple")
@@ -244,7 +238,7 @@ def test_run_without_a_bus_is_ended_by_its_cause(held: Held, error: Exception) -
     assert not outcome.completed
 
 
-def test_a_fault_after_a_hold_up_names_the_host_and_who_else_is_there(held: Held) -> None:
+def test_fault_after_a_delay_names_the_host_and_other_nodes(held: Held) -> None:
     held.bus.frames += [CanFrame(0x183, bytes(8))]
     held.measure()
     held.link.wait_until(held.clock, 2 * MS)

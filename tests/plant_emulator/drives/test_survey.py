@@ -19,8 +19,9 @@ from deploy.cli.rig import examine_rig
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.drive import DriveFault
 from tests.eds_decoding import EdsDecoder
-from tests.plant_emulator.drives.test_clients import Rig, until
+from tests.plant_emulator.drives.test_clients import Rig
 from tests.plant_emulator.drives.test_damiao_clients import FD, rig_of
+from tests.waiting import await_true
 
 ASKED = {
     "cia402": {"rated torque in mN m (0x6076)", "encoder increments per turn (0x608F)", "CAN FD"},
@@ -33,7 +34,7 @@ ASKED = {
 def rig_and_bus(protocol: str) -> Iterator[tuple[Rig, CanBus]]:
     with Rig(protocol, node_ids=(3, 5, 9)) as rig:
         place = CanConfiguration(interface="virtual", channel=rig.channel)
-        until(lambda: rig.events)  # they have booted
+        await_true(lambda: rig.events)  # they have booted
         with closing(open_can_bus(place)) as bus:
             yield rig, bus
 
@@ -96,6 +97,6 @@ def test_dry_run_on_a_bus_that_is_not_there() -> None:
 
 
 def test_mit_drives_are_not_asked() -> None:
-    place = ["link.can.interface=virtual", "link.can.channel=nobody"]
+    place = ["link.can.interface=virtual", "link.can.channel=unused"]
     _, drives = examine_rig(load_setup("paper_arm_mit", place))
     assert drives.found == "MIT drives answer nothing but commands"

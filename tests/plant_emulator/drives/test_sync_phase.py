@@ -38,9 +38,7 @@ def in_time(ticks: int, noise_ns: int = 0) -> list[int]:
 
 
 @pytest.mark.parametrize("held_up_ns", [300_000, 7 * MS, 31 * MS])
-def test_start_that_is_read_late_is_mended_as_soon_as_a_sampling_is_read_in_time(
-    held_up_ns: int,
-) -> None:
+def test_start_that_is_read_late_is_mended_as_soon_as_a_sampling_is_read_in_time(held_up_ns):
     # What was sent meanwhile waited, and is read at once.
     read_ns = [max(sent_ns, held_up_ns) for sent_ns in in_time(24)]
     assert error_after(read_ns, off_ns=held_up_ns) == 0

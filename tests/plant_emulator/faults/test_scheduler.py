@@ -17,10 +17,10 @@ def test_actions_are_done_once_in_the_order_of_their_instants():
 
 
 def test_action_is_reported_before_it_is_done():
-    told = []
-    schedule = FaultScheduler([ScheduledAction(5, "begins", lambda _: told.append("done"))])
-    schedule.run_due(5, told.append)
-    assert told == ["begins", "done"]
+    reported = []
+    schedule = FaultScheduler([ScheduledAction(5, "begins", lambda _: reported.append("done"))])
+    schedule.run_due(5, reported.append)
+    assert reported == ["begins", "done"]
 
 
 def test_what_is_to_come_can_be_postponed_and_added_to():

@@ -1,4 +1,4 @@
-"""Standard output is back where it was, whoever else was kept quiet meanwhile."""
+"""Standard output is restored, also with several silent calls at a time."""
 
 from __future__ import annotations
 

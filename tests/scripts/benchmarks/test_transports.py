@@ -45,7 +45,7 @@ def test_output_without_a_histogram_is_refused(output):
         cyclictest.parse_histogram(output)
 
 
-def test_cyclictest_that_is_missing_is_said_to_be(monkeypatch):
+def test_missing_cyclictest_is_reported(monkeypatch):
     monkeypatch.setenv("PATH", "")
     assert "not installed" in cyclictest.why_not()
 

@@ -1,4 +1,4 @@
-"""Arms made at random, and the table of arms that nobody tuned for."""
+"""Random arms, and the table of arms without tuned gains."""
 
 import numpy as np
 import pytest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,7 @@ from plant_emulator.arm_plant import Mode
 
 VIRTUAL = ("link.can.interface=virtual", "link.can.answer_timeout_s=60")
 FEEDBACK = "controller.drive_feedback.enabled=true"
+MOTEUS = "link.can.protocol=moteus"
 CANSIMPLE = ("link.can.protocol=cansimple", "link.can.cansimple.input_torque_scale=40")
 
 
@@ -62,9 +64,13 @@ class CanRun:
         return [line.split()[2] for line in self.can_log.read_text().splitlines()]
 
     def frames(self) -> list[tuple[int, str]]:
-        """Identifier and content of each logged classical frame."""
-        fields = [frame.split("#") for frame in self.logged]
+        """Identifier and content of each logged frame."""
+        fields = [frame.replace("##1", "#").split("#") for frame in self.logged]
         return [(int(identifier, 16), content) for identifier, content in fields]
+
+    def contents(self, identifier: int) -> list[bytes]:
+        """Content of each logged frame with an identifier."""
+        return [bytes.fromhex(content) for each, content in self.frames() if each == identifier]
 
 
 def run_over_can(scenario: str, *overrides: str, folder: Path | None = None) -> CanRun:
@@ -72,3 +78,9 @@ def run_over_can(scenario: str, *overrides: str, folder: Path | None = None) -> 
     log = None if folder is None else folder / "can.log"
     setup = load_setup(scenario, [*VIRTUAL, *overrides])
     return CanRun(simulate(setup, can_log=log).data(), log)
+
+
+def holds_in_one_piece(values: Sequence[float] | Vector, wanted: Vector) -> bool:
+    """Whether `wanted` stands somewhere in `values`; there is more before and after a run."""
+    starts = range(len(values) - len(wanted) + 1)
+    return any(np.array_equal(values[start : start + len(wanted)], wanted) for start in starts)

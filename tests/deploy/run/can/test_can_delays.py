@@ -34,9 +34,7 @@ def over_zenoh(*overrides: str) -> CanRun:
 
 @pytest.mark.parametrize("feedback", [(), (FEEDBACK,)])
 @pytest.mark.parametrize("protocol", [(), CANSIMPLE])
-def test_delays_over_can_do_what_they_do_over_zenoh(
-    protocol: tuple[str, ...], feedback: tuple[str, ...]
-) -> None:
+def test_delays_over_can_do_what_they_do_over_zenoh(protocol, feedback):
     can, zenoh = simulated(*DELAYS, *protocol, *feedback), over_zenoh(*feedback)
     ours, reference = can.summary, zenoh.summary
     assert ours["completed"]

@@ -59,7 +59,5 @@ def digest(lines: list[str]) -> str:
         ("paper_arm_mit", [FEEDBACK], "9abd708122f30be9", "bc930cfb469e7e3d"),
     ],
 )
-def test_frames_equal_the_stored_ones(
-    scenario: str, overrides: list[str], start: str, cycles: str, tmp_path: Path
-) -> None:
+def test_frames_equal_the_stored_ones(scenario, overrides, start, cycles, tmp_path):
     assert digests(tmp_path, scenario, *overrides) == (start, cycles)

@@ -10,7 +10,6 @@ import cantools
 import numpy as np
 import pytest
 
-from bus_schema.arrays import Vector
 from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.can.cia402.master import MASTER_NODE
 from bus_schema.can.frame import CanFrame
@@ -20,12 +19,19 @@ from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from tests.deploy.run.can.can_runs import CANSIMPLE, FEEDBACK, CanRun, run_over_can
+from tests.deploy.run.can.can_runs import (
+    CANSIMPLE,
+    FEEDBACK,
+    MOTEUS,
+    CanRun,
+    holds_in_one_piece,
+    run_over_can,
+)
 from tests.eds_decoding import EdsDecoder
 from tests.multicast import own_bus
 
 STRUCK_S = 0.5
-MOTEUS = "iiwa_can link.can.protocol=moteus"
+ON_MOTEUS = f"iiwa_can {MOTEUS}"
 COMPENSATED = "controller.delay_compensation.enabled=true"
 TICK_S = 0.002
 SLOW_DOWN_S = 0.3
@@ -49,9 +55,10 @@ def cansimple(tmp_path_factory: pytest.TempPathFactory) -> CanRun:
     [
         "paper_arm_can", f"paper_arm_can {CANSIMPLE[0]}",
         "paper_arm_can plant.drive_feedback.enabled=true",  # drives could take targets
-        "paper_arm_mit controller.law=fixed_time_neural", MOTEUS, "iiwa_can",
+        "paper_arm_mit controller.law=fixed_time_neural", ON_MOTEUS, "iiwa_can",
         "openarm link.can.fd=false link.can.fd_process_data=false rate_hz=250",
-        f"{MOTEUS} {FEEDBACK} {COMPENSATED}", f"{MOTEUS} link.uplink.delay_ms=4 {COMPENSATED}",
+        f"{ON_MOTEUS} {FEEDBACK} {COMPENSATED}",
+        f"{ON_MOTEUS} link.uplink.delay_ms=4 {COMPENSATED}",
     ],
 )  # fmt: skip
 def test_bounds_are_kept_and_quantisation_alone_changes_errors(scenario: str) -> None:
@@ -86,12 +93,6 @@ def test_log_decodes_completely_with_our_eds(cia402: CanRun) -> None:
     assert holds_in_one_piece(per_mille, np.rint(commands["effort"][:, 1] / rated_nm * 1000))
 
 
-def holds_in_one_piece(values: list[float], wanted: Vector) -> bool:
-    """Whether `wanted` stands somewhere in `values`; there is more before and after a run."""
-    starts = range(len(values) - len(wanted) + 1)
-    return any(np.array_equal(values[start : start + len(wanted)], wanted) for start in starts)
-
-
 def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
     database = cantools.database.load_file(CANSIMPLE_DBC)
     decoded = 0
@@ -107,9 +108,9 @@ def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
 @pytest.mark.parametrize(
     ("scenario", "fault", "reason", "emergency"),
     [
-        (MOTEUS, "drive:2@500ms", "drive 2: error 33", None),
-        (MOTEUS, "encoder:2@500ms", "drive 2: error 35", None),
-        (MOTEUS, "over-temperature:3@500ms", "drive 3: error 38", None),
+        (ON_MOTEUS, "drive:2@500ms", "drive 2: error 33", None),
+        (ON_MOTEUS, "encoder:2@500ms", "drive 2: error 35", None),
+        (ON_MOTEUS, "over-temperature:3@500ms", "drive 3: error 38", None),
         ("paper_arm_can", "drive:2@500ms", "node 2: short circuit", "082#2023"),
         ("paper_arm_can", "over-temperature:3@500ms", "node 3: over-temperature", "083#1043"),
         ("paper_arm_can", "silent:2@500ms", "no answer from drive 2", None),
@@ -122,9 +123,7 @@ def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
         ("openarm", "silent:2@500ms", "no answer from drive 2", None),
     ],
 )
-def test_all_axes_come_to_rest_when_one_drive_fails(
-    scenario: str, fault: str, reason: str, emergency: str | None, tmp_path: Path
-) -> None:
+def test_all_axes_come_to_rest_when_one_drive_fails(scenario, fault, reason, emergency, tmp_path):
     struck = (
         "duration_s=1.5",
         f"link.can.faults.drives=['{fault}']",
@@ -158,9 +157,7 @@ def test_axes_stop_when_the_masters_heartbeat_stops(tmp_path: Path) -> None:
     assert run.at_rest_from_s() <= 0.07 + SLOW_DOWN_S + 4 * TICK_S
 
 
-def test_hostile_frames_are_counted_and_change_nothing(
-    cia402: CanRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hostile_frames_are_counted_and_change_nothing(cia402, monkeypatch):
     """A stranger sends what is malformed, oversized, unknown or for other nodes, now and then."""
     place, sample, ticks = own_bus(), CanMaster.sample, count()
     setup = load_setup("paper_arm_can", [*place, "link.can.fd=true"])
@@ -197,9 +194,7 @@ def test_hostile_frames_are_counted_and_change_nothing(
     assert sum(rejected.values()) > 50
 
 
-def test_emergency_of_a_drive_that_goes_on_is_a_fault_of_the_run(
-    cia402: CanRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_emergency_of_a_drive_that_goes_on_is_a_fault_of_the_run(cia402, monkeypatch):
     """It moves nothing, and many of them are reported once: anyone can send the frame."""
     place, sample, ticks = own_bus(), CanMaster.sample, count()
     stranger = open_can_bus(load_setup("paper_arm_can", place).scenario.link.can)

@@ -28,7 +28,7 @@ def test_defaults_give_way_to_free_ports() -> None:
 
 
 def test_free_ports_are_none_that_linux_gives_to_connections_that_go_out() -> None:
-    """From 32768 on one that was free may be taken before whoever it was chosen for listens."""
+    """From 32768 on a free port may be taken before its process listens."""
     assert max(free_ports(50)) < 32_768
 
 
@@ -70,10 +70,10 @@ def test_multicast_bus_that_is_given_is_used() -> None:
     assert can_place("link.can.interface=socketcan") == ("vcan0", 43_113)
 
 
-def test_processes_are_told_of_the_bus_and_who_runs_it_again_is_not() -> None:
+def test_children_receive_the_bus_and_the_saved_scenario_does_not() -> None:
     setup = load_setup("paper_arm_can")
-    told = effective_values(with_free_endpoints(setup))["link"]["can"]
-    assert {"channel", "port"} <= told.keys()
+    reported = effective_values(with_free_endpoints(setup))["link"]["can"]
+    assert {"channel", "port"} <= reported.keys()
     assert not {"channel", "port"} & effective_values(setup)["link"]["can"].keys()
 
 

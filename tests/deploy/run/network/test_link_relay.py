@@ -33,9 +33,7 @@ HERE = ("127.0.0.1", 0)
 
 
 @contextmanager
-def relaying(
-    target: tuple[str, int], kind: int = socket.SOCK_STREAM, seed: int = 1, **channels: dict
-) -> Iterator[tuple[tuple[str, int], LinkRelay]]:
+def relaying(target, kind=socket.SOCK_STREAM, seed=1, **channels):
     """Where a relay takes what it passes on to a target, and the relay."""
     over = threading.Event()
     with socket.socket(socket.AF_INET, kind) as listener:
@@ -68,15 +66,15 @@ def connection(**of_relay: Any) -> Iterator[tuple[socket.socket, socket.socket]]
 
 def send_until(end: socket.socket, deadline_s: float) -> None:
     while time.monotonic() < deadline_s:
-        end.sendall(b"to nobody")
+        end.sendall(b"to no receiver")
         time.sleep(0.01)
 
 
 def received(end: socket.socket, count: int) -> bytes:
-    heard = bytearray()
-    while len(heard) < count and (chunk := end.recv(30_000)):
-        heard += chunk
-    return bytes(heard)
+    received = bytearray()
+    while len(received) < count and (chunk := end.recv(30_000)):
+        received += chunk
+    return bytes(received)
 
 
 def test_bytes_come_no_sooner_than_their_delay_and_so_does_the_end() -> None:
@@ -105,7 +103,7 @@ def test_every_byte_comes_through_a_receiver_that_takes_little_at_a_time() -> No
         assert received(far, len(sent)) == sent
 
 
-def test_sender_is_held_up_where_nobody_reads() -> None:
+def test_sender_waits_for_a_receiver_that_does_not_read() -> None:
     with connection() as (near, _):
         near.settimeout(0.5)
         accepted = 0
@@ -171,12 +169,12 @@ def test_datagrams_that_are_lost_are_those_of_the_seeded_link() -> None:
             ),
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as near,
         ):
-            heard = []
+            received = []
             for number in range(200):
                 near.sendto(bytes([number]), place)
                 if number in expected:  # one at a time, so that no buffer is full
-                    heard += target.recv(100)
-    assert heard == expected
+                    received += target.recv(100)
+    assert received == expected
     counts = relay.counts()
     assert counts["downlink"]["lost"] == 200 - len(expected)
     assert counts["chunks"] == len(expected)

@@ -1,4 +1,4 @@
-"""The run's clock on the bus: whoever stamps commands with it answers the newest state."""
+"""The run's clock on the bus: a command with its stamp answers the newest state."""
 
 from __future__ import annotations
 
@@ -11,15 +11,8 @@ from bus_schema.messages.types import type_hash
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.run.network.more_topics import with_clock
 from plant_emulator.command_gate import CommandGate
-from tests.bus_schema.zenoh.zenoh_pair import (
-    HANG_S,
-    JOINTS,
-    await_true,
-    fresh_link,
-    plant_on,
-    state,
-    status,
-)
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, JOINTS, fresh_link, plant_on, state, status
+from tests.waiting import await_true
 
 ROS = get_typestore(Stores.ROS2_JAZZY)
 
@@ -59,11 +52,11 @@ def test_command_stamped_with_the_clock_answers_the_newest_state() -> None:
         clocked = with_clock(plant)
         await_true(plant._states.has_subscribers)
 
-        def is_heard() -> bool:
+        def is_received() -> bool:
             clocked.send_state(state(0), status())
             return hardware.states > 0
 
-        await_true(is_heard)
+        await_true(is_received)
         gate = CommandGate(JOINTS)
         for stamp_ns in (1_000_000, 1_500_000_000, 2_000_000_123):
             clocked.send_state(state(stamp_ns), status())

@@ -1,4 +1,4 @@
-"""What a machine does not grant is told in one line, with a text to copy that mends it."""
+"""One line names the settings that a machine refuses, with a command that grants them."""
 
 from __future__ import annotations
 
@@ -40,26 +40,25 @@ def test_one_line_for_all_processes_of_a_run():
     assert "doctor --fix" in line
 
 
-def test_nothing_is_said_where_all_is_granted():
+def test_no_warning_where_everything_is_granted():
     assert (
         missing_settings([vars(realtime.RealtimeSetting(realtime.SCHEDULER, True, "SCHED_FIFO"))])
         == ""
     )
 
 
-def test_what_no_right_mends_is_said_with_its_reason():
-    said = missing_settings(refused(realtime.AFFINITY))
-    assert "why CPU affinity" in said
-    assert "--fix" not in said
+def test_setting_that_no_permission_can_grant_is_reported_with_its_reason():
+    text = missing_settings(refused(realtime.AFFINITY))
+    assert "why CPU affinity" in text
+    assert "--fix" not in text
 
 
 def test_fix_is_a_script_for_every_right_that_is_asked_for(funnel_hil):
-    code, said = funnel_hil("doctor", "--fix")
-    assert code == 0
-    assert said == remedy() + "\n"
-    subprocess.run(["bash", "-n"], input=said, text=True, check=True)
+    output = funnel_hil.output("doctor", "--fix")
+    assert output == remedy() + "\n"
+    subprocess.run(["bash", "-n"], input=output, text=True, check=True)
     for part in ("rtprio 50", "memlock unlimited", "nice -10", "cpu_dma_latency", "limits.d"):
-        assert part in said
+        assert part in output
 
 
 def test_user_without_a_name_or_a_home_gets_the_script_and_a_sentence(monkeypatch):

@@ -23,7 +23,8 @@ from deploy.run.processes import recorder as recorder_module
 from deploy.run.processes.recorder import EventBudget, GapCounter, PlantSenders, Recorder
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, state
+from tests.waiting import await_true, free_endpoint
 
 OURS, FOREIGN = b"o" * 16, b"f" * 16
 
@@ -53,10 +54,10 @@ class Bench:
         self._publishers[topic.name].put(payload, attachment)
 
     def await_messages(self, count: int) -> None:
-        await_true(lambda: self.heard >= count)
+        await_true(lambda: self.received >= count)
 
     @property
-    def heard(self) -> int:
+    def received(self) -> int:
         """Messages in the recording but those that the recorder makes for viewers."""
         return sum(self.recorder._log.written[topic.name] for topic in TOPICS)
 
@@ -114,10 +115,10 @@ def test_gaps_in_the_numbers_of_each_sender_are_losses(bench: Bench) -> None:
     bench.await_messages(len(sent))
     log = bench.leave()
     assert bench.recorder.lost == {"joint_states": 5 + 1}
-    assert bench.heard == len(sent)
+    assert bench.received == len(sent)
     assert log.metadata["recorder"] == {"messages": str(bench.recorder.messages), "lost": "6"}
     assert log.metadata["lost"] == {"joint_states": "6"}
-    # Of what only a plant sends: two by somebody else, and two that had come.
+    # Of what only a plant sends: two from another sender, and two that had come.
     assert log.metadata["rejected"] == {"second_plant": "4"}
     assert log.sequences["joint_states"] == [1, 2, 5, 6, 10, 1, 3, 10, 9, 11]
     assert log.complete
@@ -142,7 +143,7 @@ def test_what_waits_for_a_bundle_that_never_comes_is_recorded_in_the_end(bench: 
     bundles = bench.session.publisher(bundle_key_expression(0, Role.PLANT))
 
     def send(bundle: int, sequence: int) -> None:
-        """Nobody keeps it: whoever asks gets no answer."""
+        """It is not kept: requests get no answer."""
         name, attachment, payload = b"joint_states", number(sequence), state(sequence)
         head = HEAD.pack(len(name), len(attachment), len(payload))
         bundles.put(head + name + attachment + payload, Span(1, bundle, OURS).encode())
@@ -182,14 +183,12 @@ def test_flood_of_run_events_is_left_out_and_takes_no_place_of_others() -> None:
 
 
 @pytest.mark.parametrize("gid", [b"", FOREIGN], ids=["without numbers", "numbered"])
-def test_commands_that_the_plant_received_and_that_never_came_are_losses(
-    bench: Bench, gid: bytes
-) -> None:
+def test_commands_that_the_plant_received_and_that_never_came_are_losses(bench, gid):
     for sequence in (1, 2, 5):
         attachment = number(sequence, gid) if gid else b""
         bench.send(JOINT_COMMANDS, state(sequence), attachment)
-    said = json.dumps({COMMANDS_RECEIVED: 3003})
-    counts = RunEvent(0, Role.PLANT, EventKind.COUNTS, said).encode()
+    text = json.dumps({COMMANDS_RECEIVED: 3003})
+    counts = RunEvent(0, Role.PLANT, EventKind.COUNTS, text).encode()
     bench.send(RUN_EVENTS, counts, number(1))
     bench.await_messages(4)
     log = bench.leave()
@@ -198,9 +197,7 @@ def test_commands_that_the_plant_received_and_that_never_came_are_losses(
 
 
 @pytest.mark.parametrize(("clock", "published_ns"), [("realtime", 123), ("lockstep", 7)])
-def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
-    begin: Callable[..., Bench], clock: str, published_ns: int
-) -> None:
+def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(begin, clock, published_ns):
     bench = begin(f"clock={clock}")
     bench.send(JOINT_STATES, state(7), number(1, source_time_ns=123))
     bench.await_messages(1)
@@ -211,9 +208,7 @@ def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
     assert times == [(7, published_ns)] * 2
 
 
-def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
-    begin: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(begin, monkeypatch):
     """In real time: the backlog is bounded, and what does not fit in is counted."""
     monkeypatch.setattr(recorder_module, "_LARGEST_BACKLOG_BYTES", 2_000_000)
     disk_works = threading.Event()
@@ -231,7 +226,7 @@ def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
     for index in range(1, count + 1):
         bench.send(JOINT_STATES, state(index) + padding, number(index))
     disk_works.set()
-    await_true(lambda: bench.heard + bench.recorder.lost.total() == count)
+    await_true(lambda: bench.received + bench.recorder.lost.total() == count)
     log = bench.leave()
     kept = log.sequences["joint_states"]
     assert log.complete

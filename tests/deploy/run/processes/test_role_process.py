@@ -28,9 +28,9 @@ def test_role_ends_as_its_command_does(tmp_path, monkeypatch, name):
     output = tmp_path / "output.log"
     process, _ = start_role("plant", plant, RoleOptions(name), tmp_path, output)
     process.join()
-    said = output.read_text(errors="replace")
-    assert said.startswith("error: ")
-    assert f"{name}: rate_hz = 'fast'".encode(errors="backslashreplace").decode() in said
+    text = output.read_text(errors="replace")
+    assert text.startswith("error: ")
+    assert f"{name}: rate_hz = 'fast'".encode(errors="backslashreplace").decode() in text
     assert process.exitcode == 2
 
 
@@ -52,8 +52,8 @@ def test_what_a_role_prints_is_no_message_and_is_kept(tmp_path, monkeypatch):
     assert output.read_text() == '{"kind": "realtime"}\n'
 
 
-def test_role_is_told_by_its_command_line_and_keeps_what_it_printed_when_killed(tmp_path):
-    """`ps`, and whoever looks for the controller of a run, sees what was started."""
+def test_role_is_visible_in_its_command_line_and_its_output_survives_a_kill(tmp_path):
+    """`ps` shows which role was started."""
     output = tmp_path / "output.log"
     process, channel = start_role("recorder", waits, None, tmp_path, output)
     channel.recv()
@@ -135,7 +135,7 @@ def _has_ended(pid: int) -> bool:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
         return True
-    return state == "Z"  # in a container there may be nobody to take note of it
+    return state == "Z"  # in a container no process may collect it
 
 
 def test_what_starts_the_fork_server_loads_no_numerical_library() -> None:

@@ -30,9 +30,7 @@ print(*(os.readlink(own / name) for name in os.listdir(own) if (own / name).is_s
     ("usable", "left"),
     [({0}, {0}), ({2, 5}, {2, 5}), ({0, 1, 2}, {1}), ({3, 0, 9, 4, 1}, {1, 3, 4})],
 )
-def test_the_first_and_the_last_cpu_are_the_loops(
-    usable: set[int], left: set[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_and_the_last_cpu_are_the_loops(usable, left, monkeypatch):
     taken: list[set[int]] = []
     monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: usable)
     monkeypatch.setattr(os, "sched_setaffinity", lambda _pid, cpus: taken.append(set(cpus)))

@@ -55,8 +55,8 @@ def test_unit_is_valid(root: Path, role: str) -> None:
 @pytest.mark.parametrize("role", ROLES)
 def test_unit_exposes_little(root: Path, role: str) -> None:
     unit = f"funnel-hil-{role}@paper_arm.service"
-    said = analyze(root, "security", "--offline=true", unit).stdout
-    (exposure,) = re.findall(r"Overall exposure level for \S+: ([\d.]+)", said)
+    output = analyze(root, "security", "--offline=true", unit).stdout
+    (exposure,) = re.findall(r"Overall exposure level for \S+: ([\d.]+)", output)
     assert float(exposure) <= HIGHEST_EXPOSURE
 
 

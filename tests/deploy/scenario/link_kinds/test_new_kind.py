@@ -91,6 +91,5 @@ def test_fault_that_it_reports_ends_the_run_by_its_name() -> None:
 
 def test_commands_ask_it_whether_the_machine_will_do(funnel_hil, nothing_starts) -> None:
     words = [word for value in SHORT for word in ("--set", value)]
-    code, said = funnel_hil("run", "paper_arm", *words)
-    assert code == 2
-    assert "link.kind = 'loopback': this machine has no loopback" in said
+    output = funnel_hil.output("run", "paper_arm", *words, code=2)
+    assert "link.kind = 'loopback': this machine has no loopback" in output

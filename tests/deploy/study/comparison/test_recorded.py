@@ -1,4 +1,4 @@
-"""Recorded runs side by side: what is told of them, in the terminal, in files and from Python."""
+"""Recorded runs side by side: in the terminal, in files and from Python."""
 
 from __future__ import annotations
 
@@ -99,12 +99,11 @@ def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     assert "the same at every tick" in verdict_on_runs(compared).headline
 
 
-def test_clocks_are_told_by_what_the_runs_were(folder, tmp_path, funnel_hil):
-    """A simulation is never in real time, whatever its scenario says."""
+def test_clocks_are_those_that_the_runs_had(folder, tmp_path, funnel_hil):
+    """A simulation is never in real time, whichever clock its scenario names."""
     changes = [word for change in (*SHORT, "clock=lockstep") for word in ("--set", change)]
     out = tmp_path / "lockstep"
-    code, said = funnel_hil("run", "paper_arm", *changes, "--out", out, "--no-report")
-    assert code == 0, said
+    funnel_hil.output("run", "paper_arm", *changes, "--out", out, "--no-report")
     compared = recorded_runs([tmp_path / "lockstep", folder / "first"])
     assert compared.partings == [None, None]
     clocks = rows_of(recorded_table(compared))["Clock"]
@@ -119,15 +118,14 @@ def test_ticks_that_are_missing_are_no_parting(folder, tmp_path, funnel_hil, ord
     damage_at(tmp_path / "gap" / "run.mcap", 250_000_000)
     compared = recorded_runs([tmp_path / name for name in order])
     assert compared.partings == [None, None]
-    code, said = funnel_hil("diff", *compared.paths, "--out", tmp_path / "diff", "--no-report")
-    assert code == 0, said
-    said = " ".join(said.split())
-    assert "leaves" not in said
-    assert "they are the same at every tick that is known of both" in said
+    output = funnel_hil.output("diff", *compared.paths, "--out", tmp_path / "diff", "--no-report")
+    output = " ".join(output.split())
+    assert "leaves" not in output
+    assert "they are the same at every tick that is known of both" in output
     known = known_ticks(compared.runs[order.index("gap")].data)
     inside = f"inside its bounds at the {known.known} of 700 ticks at which it is known"
-    assert f"gap: {inside}" in said
-    assert f"gap: The true motion is known at {known.known} of 700 ticks; those at" in said
+    assert f"gap: {inside}" in output
+    assert f"gap: The true motion is known at {known.known} of 700 ticks; those at" in output
 
 
 def test_a_parting_behind_missing_ticks_is_at_its_tick(folder, tmp_path):
@@ -153,7 +151,7 @@ def test_a_run_that_ends_before_another_is_the_same_until_then(folder, tmp_path)
 def test_runs_part_at_the_tick_at_which_something_else_happens(folder):
     compared = recorded_runs([folder / "first", folder / "pushed"])
     parting = compared.partings[1]
-    # A torque from 0.1 s on is on the joint at tick 100, and in what is told of it a tick later.
+    # A torque from 0.1 s on is on the joint at tick 100, and in its measurement a tick later.
     assert parting.tick in (100, 101)
     runs = [interface.load_run(path) for path in compared.paths]
     first, pushed = (run.table("plant_truth")["position"] for run in runs)
@@ -172,8 +170,8 @@ def test_numbers_are_those_of_each_summary(folder):
     rms, usage, travel = recorded_joint_tables(compared)
     for joint, name in enumerate(summaries[0]["tracking"]["joint_names"]):
         values = [1e3 * summary["tracking"]["rms_rad"][joint] for summary in summaries]
-        *told, ratio = rms.rows[joint][1:]
-        assert told == pytest.approx(values)
+        *reported, ratio = rms.rows[joint][1:]
+        assert reported == pytest.approx(values)
         assert ratio.startswith("× ")
         assert travel.rows[joint][0] == name
     worst = np.array([row[1:3] for row in usage.rows]).max(axis=0) / 100.0
@@ -190,10 +188,9 @@ def test_numbers_are_those_of_each_summary(folder):
 
 def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil):
     out = tmp_path / "diff"
-    code, said = funnel_hil("diff", folder / "first", folder / "pushed", "--out", out)
-    assert code == 0, said
+    output = funnel_hil.output("diff", folder / "first", folder / "pushed", "--out", out)
     for part in ("First tick that differs", "Worst error in % of its bound", "faults", "Timing"):
-        assert part in said
+        assert part in output
     summary = json.loads((out / "summary.json").read_text())
     assert summary["kind"] == "diff"
     assert summary["completed"]
@@ -203,11 +200,10 @@ def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil
         assert f'id="{panel}"' in page
     assert 'id="round-trip"' not in page  # always 0: there is nothing to draw
     (out / "report.html").unlink()
-    code, said = funnel_hil("report", out)
-    assert code == 0, said
+    funnel_hil.output("report", out)
     assert (out / "report.html").read_text() == page
-    code, said = funnel_hil("runs", "list", tmp_path)
-    assert "first pushed" in said
+    output = funnel_hil.output("runs", "list", tmp_path)
+    assert "first pushed" in output
 
 
 def test_files_are_compared_as_they_were_recorded(tmp_path, funnel_hil):
@@ -226,8 +222,7 @@ def test_files_are_compared_as_they_were_recorded(tmp_path, funnel_hil):
         )
     (tmp_path / "reference.csv").unlink()
     delays.unlink()
-    code, said = funnel_hil("diff", *(tmp_path / run for run in "ab"), "--out", tmp_path / "diff")
-    assert code == 0, said
+    funnel_hil.output("diff", *(tmp_path / run for run in "ab"), "--out", tmp_path / "diff")
     assert recorded_runs([tmp_path / "a", tmp_path / "b"]).differing == {}
     other = recorded_runs([tmp_path / "a", tmp_path / "c"])
     assert other.differing == {"reference.file": ["file 1", "file 2"]}
@@ -240,7 +235,7 @@ def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "message"),
     [
         (["first"], "needs two recorded runs or more"),
         (["first", "first"], "is given twice"),
@@ -248,20 +243,18 @@ def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
         (["first", "nowhere"], "has no run.mcap"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(names, said, folder, tmp_path, funnel_hil):
+def test_what_cannot_be_compared_is_refused(names, message, folder, tmp_path, funnel_hil):
     out = tmp_path / "diff"
-    code, told = funnel_hil("diff", *(folder / name for name in names), "--out", out)
-    assert code == 2
-    assert said in told
+    output = funnel_hil.output("diff", *(folder / name for name in names), "--out", out, code=2)
+    assert message in output
     assert not out.exists()
 
 
 def test_a_comparison_is_no_run(folder, tmp_path, funnel_hil):
     changes = [word for change in SHORT for word in ("--set", change)]
     funnel_hil("compare", "--laws", "smc,pid", *changes, "--out", tmp_path / "laws")
-    code, told = funnel_hil("diff", folder / "first", tmp_path / "laws")
-    assert code == 2
-    assert "is not a run but has results of kind comparison, with runs in" in told
+    output = funnel_hil.output("diff", folder / "first", tmp_path / "laws", code=2)
+    assert "is not a run but has results of kind comparison, with runs in" in output
     compared = recorded_runs([tmp_path / "laws" / "smc", tmp_path / "laws" / "pid"])
     assert compared.labels == ["smc", "pid"]
 
@@ -278,14 +271,13 @@ def test_from_python_it_is_arrays_rows_and_figures(folder, tmp_path):
     assert isinstance(figure, go.Figure)
     assert {"first", "pushed"} <= {trace.name for trace in figure.data}
     with pytest.raises(interface.InputError, match="must be one of"):
-        compared["nobody"]
+        compared["missing"]
 
 
-def test_what_no_recording_knows_is_kept_when_it_is_judged_again(folder, tmp_path, funnel_hil):
+def test_unrecorded_faults_are_kept_when_a_run_is_judged_again(folder, tmp_path, funnel_hil):
     path = record(tmp_path / "killed", faults=("the controller was killed by SIGKILL",))
     before = read_summary(path)
-    code, said = funnel_hil("report", path)
-    assert code == 0, said
+    funnel_hil.output("report", path)
     assert read_summary(path)["faults"] == before["faults"]
     assert not read_summary(path)["completed"]
     assert interface.load_run(path).faults == before["faults"]
@@ -297,8 +289,7 @@ def test_a_comparison_reported_later_keeps_how_the_process_ended(tmp_path, funne
     out = tmp_path / "laws"
     words = ["--set", "controller.process=[sh, -c, 'echo no such robot >&2; exit 3']"]
     words += [word for change in SHORT for word in ("--set", change)]
-    code, said = funnel_hil("compare", "--laws", "process", *words, "--out", out)
-    assert code == 1, said
+    funnel_hil.output("compare", "--laws", "process", *words, "--out", out, code=1)
     (faults,) = (run["faults"] for run in read_summary(out)["laws"].values())
     assert "no such robot" in faults[0]
     funnel_hil("report", out)

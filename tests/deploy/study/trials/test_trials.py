@@ -6,7 +6,6 @@ import pytest
 
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.study.folder import create_folder, find_folder
-from deploy.study.runner import retrace
 from tests.deploy.study.studies import NOISE, Here, conduct, folder_of, limits, made_up, margin_of
 from tests.deploy.study.test_robustness import heavy_ones_lost, robustness_of
 
@@ -112,12 +111,3 @@ def test_other_physics_get_all_runs():
     assert margin_of(confirm=True).definition.is_exhaustive
     assert not any(run.ends_early for run in margin_of(confirm=True).first())
     assert all(run.ends_early for run in margin_of().first())
-
-
-def test_a_reported_study_knows_what_was_saved(tmp_path):
-    margin = margin_of()
-    conduct(margin, tmp_path / "out", Here(limits))
-    again = margin_of()
-    folder = folder_of(again, tmp_path / "out")
-    retrace(again, folder)
-    assert again.summary(folder.rows) == margin.summary(folder.rows)

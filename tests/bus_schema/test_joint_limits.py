@@ -51,7 +51,7 @@ INWARDS = [4.0, -4.0, -4.0]
     ],
     ids=["within", "clipped", "beyond the range", "counted", "too fast", "counted too"],
 )
-def test_torque_is_limited_and_what_it_hit_is_told(wanted, motion, changes, torque, hits):
+def test_torque_is_limited_and_the_limit_is_named(wanted, motion, changes, torque, hits):
     assert limited(wanted, motion, **changes) == (torque, hits)
 
 

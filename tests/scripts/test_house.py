@@ -1,0 +1,70 @@
+"""Limits on the product's source that no linter checks."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = ("bus_schema", "controller", "plant_emulator", "deploy")
+MOST_PARAMETERS, MOST_PRIVATE_NAMES = 8, 5
+
+
+@cache
+def sources() -> dict[str, ast.Module]:
+    files = (file for room in ROOMS for file in sorted((ROOT / room).rglob("*.py")))
+    return {str(file.relative_to(ROOT)): ast.parse(file.read_text()) for file in files}
+
+
+def parameters(function: ast.FunctionDef) -> int:
+    """Number of parameters without `self`."""
+    given = function.args
+    return len([*given.posonlyargs, *given.args, *given.kwonlyargs]) - 1
+
+
+def private_names(tree: ast.Module) -> Iterator[str]:
+    """Names with an underscore in front that a module takes from others than our own."""
+    modules: dict[str, str] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            names = [
+                (each.asname or each.name, f"{node.module}.{each.name}") for each in node.names
+            ]
+        elif isinstance(node, ast.Import):
+            names = [(each.asname or each.name.split(".")[0], each.name) for each in node.names]
+        else:
+            continue
+        modules |= {name: path for name, path in names if path.split(".")[0] not in ROOMS}
+    yield from (path for path in modules.values() if any(map(is_private, path.split("."))))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and is_private(node.attr):
+            root = ast.unparse(node).split(".")[0]
+            if root in modules:
+                yield f"{modules[root]}.{node.attr}"
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+def test_no_constructor_takes_more_than_eight_parameters() -> None:
+    """Data classes and pydantic models have none of their own, and may have more fields."""
+    constructors = {
+        f"{file}: {each.name}": parameters(method)
+        for file, tree in sources().items()
+        for each in ast.walk(tree)
+        if isinstance(each, ast.ClassDef)
+        for method in each.body
+        if isinstance(method, ast.FunctionDef) and method.name == "__init__"
+    }
+    assert len(constructors) > 100
+    assert {name: n for name, n in constructors.items() if n > MOST_PARAMETERS} == {}
+
+
+def test_few_private_names_of_libraries_are_used() -> None:
+    """Names that are found by their module; objects are not followed."""
+    found = {name for tree in sources().values() for name in private_names(tree)}
+    found -= {"os._exit", "__future__.annotations"}  # documented
+    assert len(found) <= MOST_PRIVATE_NAMES, found
