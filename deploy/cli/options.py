@@ -113,8 +113,8 @@ class GateOptions:
         str | None,
         typer.Option(
             metavar="N",
-            help="Exit with 3 if a margin is smaller, e.g. 20ms; for simulate, compare and"
-            " sweep a share of the bound, e.g. 15%.",
+            help="Exit with 3 if a margin is smaller: a delay, e.g. 20ms, of margin; the distance"
+            " to the bound, e.g. 15%, of simulate, compare and sweep.",
         ),
     ] = None
     baseline: Annotated[

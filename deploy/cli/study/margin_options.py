@@ -172,7 +172,7 @@ class MarginOptions(StudyOptions):
     running: Annotated[
         str | None,
         typer.Option(
-            metavar="off,on", help="off: full size from the start; on: ramp from 1 s to 3 s."
+            metavar="off,on", help="off: full size from the start; on: it grows from 1 s to 3 s."
         ),
     ] = None
     excitation: Annotated[

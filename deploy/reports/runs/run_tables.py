@@ -74,7 +74,7 @@ def timing_table(summary: dict[str, Any]) -> Table:
         for key, title in run_numbers.TIMES.items()
     }
     always_0 = [title for title, values in times.items() if not any(v != 0 for v in values)]
-    always = f" Always 0: {', '.join(always_0).lower()}." if always_0 else ""
+    always = f" All samples are 0: {', '.join(always_0).lower()}." if always_0 else ""
     return Table(
         "Timing",
         [

@@ -64,14 +64,16 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
     best, *others = texts.robustness_sentences(summary)
-    explained = (
-        f"At this {summary['title']}, and at all smaller ones that were tried, at least {share} of"
+    explained = [
+        f"At this {summary['title']} and at every smaller one that was tried, at least {share} of"
         " the plants kept their bounds."
-    )
+    ]
+    if all(case["kept_up_to"] is None for case in cases):
+        explained = []
     return Page(
         f"margins of {summary['quantity']} over uncertain plants",
         summary["name"],
-        verdict=ReportHead("mixed", best, [*others, explained]),
+        verdict=ReportHead("mixed", best, [*others, *explained]),
         facts=[
             Fact("Plants", str(summary["plants"])),
             Fact("Plant seed", str(summary["plant_seed"])),

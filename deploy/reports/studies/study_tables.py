@@ -259,9 +259,7 @@ def losses_table(summary: Summary) -> Table:
             Column("Plants lost / kept", brief="Lost /\nkept"),
         ],
         rows,
-        "Effect: rank-biserial correlation, +1 where every lost plant had more of it than every"
-        " kept one, −1 where less, 0 where it makes no difference; all values at which some were"
-        " lost and some kept count together. The strongest of so many effects exceeds the chance"
-        " level in 5 % of shuffles though nothing matters: what lies below it says nothing, what"
-        " lies above it is an association, no proof of a cause.",
+        "Effect: +1 if every lost plant had more of the quantity than every kept one, −1 if less, 0"
+        " if it makes no difference (rank-biserial correlation). Effects below the chance level are"
+        " likely to be chance; above it, the quantity goes with losses but need not cause them.",
     )
