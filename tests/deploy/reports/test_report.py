@@ -191,7 +191,7 @@ def test_events_are_in_the_order_of_their_time_and_in_words():
 def test_times_that_are_always_0_take_no_row(run):
     table = timing_table(summarise(run))
     assert [row[0] for row in table.rows] == ["Command age", "Control step"]
-    assert table.note.endswith("Always 0: round trip, state age, wake-up lateness.")
+    assert table.note.endswith("All samples are 0: round trip, state age, wake-up lateness.")
 
 
 def test_the_network_learns_what_the_report_compares_it_with(run):
