@@ -34,7 +34,7 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.warnings import all_warnings
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import find_yaml, override, read_yaml
-from deploy.study.provenance import provenance_of
+from deploy.study.execution.provenance import provenance_of
 from deploy.study.statistics import commonest_error, seeds_of
 from plant_emulator.plant_loop import PlantLoop
 

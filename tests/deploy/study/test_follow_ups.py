@@ -17,9 +17,9 @@ from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.folder import create_folder, find_folder
+from deploy.study.execution.folder import create_folder, find_folder
+from deploy.study.execution.runner import retrace
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
-from deploy.study.runner import retrace
 from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
 
 PLAIN = {"set": {}, "laws": ["pid"], "seeds": 1, "offsets": [1.0, 0.5], "resolution": 4}

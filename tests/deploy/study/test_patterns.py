@@ -17,8 +17,8 @@ from deploy.reports.studies.study_texts import margin_sentences
 from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from deploy.study.execution.runner import retrace
 from deploy.study.follow_ups.patterns import HANDFUL, catalogue, neighbours
-from deploy.study.runner import retrace
 from tests.deploy.study.studies import Here, conduct, folder_of, made_up, margin_of
 
 ON = "controller.delay_compensation.enabled"
