@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from deploy.cli.commands import app
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
+from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.effective import agreement_of
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError
 
 SHORT = ["duration_s=0.3", "metrics.from_s=0"]

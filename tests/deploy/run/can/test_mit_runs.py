@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bus_schema.can.mit.codec import MitRanges, Special, command_of, reply_of, special
+from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.warnings import scenario_warnings
 from tests.deploy.run.can.can_runs import FEEDBACK, VIRTUAL, CanRun, run_over_can
 
 LAW = "controller.law=fixed_time_neural"
