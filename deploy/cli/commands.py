@@ -23,7 +23,7 @@ from bus_schema.foreign_text import printable
 from deploy.run.closed_output import outlive_readers
 from deploy.run.exit_codes import with_exit_codes
 from deploy.run.stop_signals import stop_at_once
-from deploy.scenario.foreign_code import code_is_named
+from deploy.scenario.checking.foreign_code import code_is_named
 from deploy.scenario.xacro_arguments import join_arguments
 
 PANELS = {

@@ -40,8 +40,8 @@ from deploy.run.stop_signals import (
     stop_at_once,
     stop_between_steps,
 )
+from deploy.scenario.checking.warnings import all_warnings
 from deploy.scenario.setup import Setup
-from deploy.scenario.warnings import all_warnings
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 

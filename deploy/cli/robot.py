@@ -23,15 +23,15 @@ from deploy.reports.figures.arm_pictures import arm_picture
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
-from deploy.scenario.checks import check, check_plant
+from deploy.scenario.checking.checks import check, check_plant
+from deploy.scenario.checking.explanation import Origin
+from deploy.scenario.checking.plausibility import damping_warnings, weak_joint_warnings
+from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.explanation import Origin
-from deploy.scenario.plausibility import damping_warnings, weak_joint_warnings
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import drives_of, starter_scenario
-from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 

@@ -64,7 +64,7 @@ _OF_ANY_PART = {
 """Columns that a run has that ended at its loss; the others are for whole runs."""
 
 PROVENANCE = "provenance"
-"""Column that says what made a row, see `deploy.study.provenance`."""
+"""Column that says what made a row, see `deploy.study.execution.provenance`."""
 Row = dict[str, Any]
 _DIGEST = b"funnel_hil.sha256"
 """In the schema's metadata: checksum of names, rows and conditions."""

@@ -20,8 +20,8 @@ from deploy.run.execute import JudgedRun
 from deploy.run.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_summary
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.comparison.recorded import read_again
-from deploy.study.folder import STUDY_FILE, StudyFolder, changes_since
-from deploy.study.runner import retrace
+from deploy.study.execution.folder import STUDY_FILE, StudyFolder, changes_since
+from deploy.study.execution.runner import retrace
 from deploy.study.study import StudyOfRuns
 
 Again = tuple[ResultFolder, Callable[[], Results]]

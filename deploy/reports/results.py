@@ -29,7 +29,7 @@ from deploy.study.comparison.comparison import COLUMNS, KIND, ComparedRuns, comp
 
 if TYPE_CHECKING:
     from deploy.study.comparison.recorded import RecordedRuns
-    from deploy.study.folder import StudyFolder
+    from deploy.study.execution.folder import StudyFolder
     from deploy.study.study import StudyOfRuns
 
 TABLE_FILE = "table.md"

@@ -38,11 +38,11 @@ from deploy.run.recording import (
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
+from deploy.scenario.checking.warnings import all_warnings
 from deploy.scenario.effective import write_scenario
 from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.warnings import all_warnings
 from deploy.scenario.yaml_files import ScenarioError, plain
 
 _LIBRARIES = (

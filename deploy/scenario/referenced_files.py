@@ -20,8 +20,8 @@ from bus_schema.user_files import is_file
 from controller.configuration import ControllerConfiguration
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
+from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.explanation import Origin
 from plant_emulator.channel.jitter import read_delays_ms
 from plant_emulator.channel.trace_file import read_trace
 

@@ -17,10 +17,10 @@ from bus_schema.configuration import ConfigurationError, shown
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.configuration import PROCESS
-from deploy.scenario.checks import check
+from deploy.scenario.checking.checks import check
+from deploy.scenario.checking.explanation import Origin
+from deploy.scenario.checking.foreign_code import name_code
 from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.explanation import Origin
-from deploy.scenario.foreign_code import name_code
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import ARM_FILES, starter_scenario
 from deploy.scenario.xacro_arguments import split_arguments

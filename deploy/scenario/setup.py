@@ -18,8 +18,8 @@ from bus_schema.runtime.clock import TickGrid
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
 from controller.reference import Reference
+from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.explanation import Origin
 from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
 from deploy.scenario.plant_count import FunnelCounter
 from deploy.scenario.playout import horizon_settings, resolved_link

@@ -17,7 +17,7 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
-from deploy.scenario.plausibility import loads_of, placeholders
+from deploy.scenario.checking.plausibility import loads_of, placeholders
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD

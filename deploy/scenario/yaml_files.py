@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from bus_schema.configuration import ConfigurationError, shortened, shown
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.user_files import is_file, read_text
-from deploy.scenario.explanation import Origin, explain
+from deploy.scenario.checking.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
 
 # Several times as fast, where it is available.

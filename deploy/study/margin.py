@@ -12,9 +12,9 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Number, Positive
 from deploy.judge.run_rows import Row, tolerated
+from deploy.scenario.checking.warnings import ROTORS, require_hold, tenth_of_rotors
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
-from deploy.scenario.warnings import ROTORS, require_hold, tenth_of_rotors
 from deploy.scenario.yaml_files import override
 from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, StudyOfCases
 from deploy.study.doubts import doubts

@@ -27,14 +27,14 @@ from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import InProcess, execute
 from deploy.run.run_folder import RunFolder, provenance
+from deploy.scenario.checking.warnings import all_warnings
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.warnings import all_warnings
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import find_yaml, override, read_yaml
-from deploy.study.provenance import provenance_of
+from deploy.study.execution.provenance import provenance_of
 from deploy.study.statistics import commonest_error, seeds_of
 from plant_emulator.plant_loop import PlantLoop
 

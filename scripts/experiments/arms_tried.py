@@ -31,8 +31,8 @@ from bus_schema.urdf.checks import mass_of
 from bus_schema.urdf.link_tree import LinkTree
 from deploy.cli.robot import at_rest, robot_warnings
 from deploy.run.execute import execute
-from deploy.scenario.checks import check_plant
-from deploy.scenario.plausibility import loads_of
+from deploy.scenario.checking.checks import check_plant
+from deploy.scenario.checking.plausibility import loads_of
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.starter import ESTIMATED, drives_of, starter_scenario
 from scripts.experiments.arms_of_others import ROWS

@@ -14,10 +14,10 @@ from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study
 from deploy.run.new_folder import new_folder
-from deploy.study.conduct import conduct
-from deploy.study.folder import StudyFolder, here
+from deploy.study.execution.conduct import conduct
+from deploy.study.execution.folder import StudyFolder, here
+from deploy.study.execution.runner import Workers
 from deploy.study.robustness import margin_study
-from deploy.study.runner import Workers
 from deploy.study.study import PlannedRun, StudyOfRuns, row_of
 from deploy.study.sweep import Sweep
 from funnel_hil.results import Study
@@ -186,7 +186,7 @@ def conducted(
     def team() -> AbstractContextManager[Workers]:
         if workers == 0 and scheduler is None:
             return nullcontext(_Here())
-        from deploy.study.dask_workers import DaskWorkers  # heavy
+        from deploy.study.execution.dask_workers import DaskWorkers  # heavy
 
         return DaskWorkers(workers or None, scheduler, study.laws)
 

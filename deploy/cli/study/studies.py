@@ -34,9 +34,9 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.comparison.comparison import LawComparison
-from deploy.study.conduct import Conducted, conduct
+from deploy.study.execution.conduct import Conducted, conduct
+from deploy.study.execution.runner import Progress, Workers
 from deploy.study.robustness import margin_study
-from deploy.study.runner import Progress, Workers
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
 from deploy.study.tuning.tuning import Tuning
@@ -170,7 +170,7 @@ def _workers(study: StudyOfRuns, options: WorkerOptions) -> StartWorkers:
     """Return what starts the workers of a study, after checking that its scenarios can run."""
     if options.workers is not None and options.scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
-    from deploy.study.dask_workers import DaskWorkers  # heavy
+    from deploy.study.execution.dask_workers import DaskWorkers  # heavy
 
     for each in study.variants:
         if options.scheduler is None:  # else it has to be on the hosts of the cluster

@@ -11,10 +11,10 @@ from bus_schema.urdf.checks import inertia_of, mass_of
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.robot import at_rest
 from deploy.judge.conditions import conditions_of_runs
+from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.starter import starter_scenario
-from deploy.scenario.warnings import scenario_warnings
 from tests.bus_schema.urdf_texts import inertial, joint, two_links
 
 BOX = '<box size="0.4 0.1 0.2"/>'

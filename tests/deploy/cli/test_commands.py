@@ -41,7 +41,14 @@ def test_run_and_its_processes_load_nothing_that_only_others_need():
     assert imported(program, "plotly", "dask", "pyarrow", "can", "canopen", "cryptography") == []
     program = "import deploy.run.processes.role_process"  # `run` starts it before the libraries
     assert imported(program, "numpy", "numba") == []
-    others = ("plotly", "jinja2", "distributed", "pyarrow", "deploy.study.folder", "pybullet")
+    others = (
+        "plotly",
+        "jinja2",
+        "distributed",
+        "pyarrow",
+        "deploy.study.execution.folder",
+        "pybullet",
+    )
     assert imported("import deploy.cli.run_and_simulate", *others) == []
 
 

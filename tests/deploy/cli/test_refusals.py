@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
+from deploy.scenario.checking.explanation import _keys, _sections
 from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.explanation import _keys, _sections
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, set_value
 from tests.deploy.cli.refused import BASE, FILES, MISSPELT, NO_YAML, OUT_OF_RANGE, REFUSED, TYPOS

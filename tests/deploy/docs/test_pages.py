@@ -11,8 +11,8 @@ import yaml
 from deploy.cli.commands import COMMANDS, LazyCommand
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
+from deploy.scenario.checking.explanation import _keys, _sections
 from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.explanation import _keys, _sections
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.xacro_arguments import join_arguments
 from deploy.study.robustness import margin_study

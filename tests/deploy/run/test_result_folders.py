@@ -10,7 +10,7 @@ import pytest
 
 from deploy.reports import html
 from deploy.run.new_folder import FolderLock, new_folder
-from deploy.study import dask_workers
+from deploy.study.execution import dask_workers
 
 SHORT = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
 COMMANDS = {

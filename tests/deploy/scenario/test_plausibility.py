@@ -5,9 +5,9 @@ import pytest
 
 from bus_schema.robot_description import load_robot
 from deploy.cli.robot import at_rest, robot_warnings
+from deploy.scenario.checking.warnings import scenario_warnings, tenth_of_rotors
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
-from deploy.scenario.warnings import scenario_warnings, tenth_of_rotors
 from tests.arms import ARMS, shipped_arm
 from tests.deploy.scenario.test_starter import ARM
 

@@ -10,9 +10,9 @@ from pyarrow import csv, parquet
 
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
+from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.effective import agreement_of
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError
 from tests.warm_process import output_of
 

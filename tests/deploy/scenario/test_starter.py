@@ -7,9 +7,9 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from deploy.judge.conditions import conditions_of_runs
 from deploy.run.execute import execute
+from deploy.scenario.checking.warnings import reference_torques, scenario_warnings
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
-from deploy.scenario.warnings import reference_torques, scenario_warnings
 from tests.arms import ARMS, shipped_arm
 
 ARM = """<robot name="two"><link name="base"/>

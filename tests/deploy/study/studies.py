@@ -6,9 +6,9 @@ import random
 import threading
 from pathlib import Path
 
-from deploy.study.folder import StudyFolder
+from deploy.study.execution.folder import StudyFolder
+from deploy.study.execution.runner import carry_out
 from deploy.study.margin import Margin
-from deploy.study.runner import carry_out
 from deploy.study.study import row_of
 from deploy.study.sweep import Sweep
 

@@ -7,13 +7,13 @@ import json
 from pathlib import Path
 
 import pytest
-from studies import Here, made_up
 
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.benchmark.cells import CONSTANT, NETWORK, PATTERN, PLANTS, tuned_gains
 from deploy.study.follow_ups.patterns import HANDFUL
+from tests.deploy.study.studies import Here, made_up
 from tests.warm_process import here
 
 DELAYS_MS = [1.0, 8.0, 32.0]

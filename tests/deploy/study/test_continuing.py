@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.study.runner import retrace
+from deploy.study.execution.runner import retrace
 from tests.deploy.study.studies import (
     NOISE,
     TIED,

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from deploy.study.dask_workers import packed, row_with
+from deploy.study.execution.dask_workers import packed, row_with
 from deploy.study.study import PlannedRun, row_of
 
 SOURCE = """

@@ -11,7 +11,7 @@ from distributed.security import Security
 
 from deploy.cli.study import studies
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.dask_workers import DaskWorkers
+from deploy.study.execution.dask_workers import DaskWorkers
 
 
 @pytest.fixture(scope="module")

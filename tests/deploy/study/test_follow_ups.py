@@ -17,7 +17,7 @@ from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.folder import create_folder, find_folder
+from deploy.study.execution.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
 from tests.deploy.study.studies import Here, case_of, conduct, made_up, margin_of
 

@@ -12,7 +12,7 @@ from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.reports.studies.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
-from deploy.study.folder import create_folder
+from deploy.study.execution.folder import create_folder
 from deploy.study.margin import MarginDefinition
 from deploy.study.quantities import MarginSearch, Steps
 from deploy.study.study import SHIPPED

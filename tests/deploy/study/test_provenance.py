@@ -13,8 +13,8 @@ import pytest
 
 import controller
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.folder import StudyFolder, find_folder, opened, require_same_provenance
-from deploy.study.runner import carry_out
+from deploy.study.execution.folder import StudyFolder, find_folder, opened, require_same_provenance
+from deploy.study.execution.runner import carry_out
 from tests.deploy.study.studies import TIED, Here, made_up, make_sweep
 from tests.warm_process import WarmProcess
 

@@ -16,7 +16,7 @@ from deploy.reports.studies.study_tables import robustness_table
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
-from deploy.study.folder import create_folder
+from deploy.study.execution.folder import create_folder
 from deploy.study.plants import measured
 from deploy.study.robustness import Robustness, margin_study
 from deploy.study.study import SHIPPED

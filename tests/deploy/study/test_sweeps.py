@@ -13,7 +13,7 @@ from deploy.reports.html import write_page
 from deploy.reports.results import study_page
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
-from deploy.study.folder import create_folder, find_folder
+from deploy.study.execution.folder import create_folder, find_folder
 from deploy.study.robustness import margin_study
 from deploy.study.study import row_of
 from deploy.study.sweep import load_sweep

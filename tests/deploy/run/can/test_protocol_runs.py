@@ -12,8 +12,8 @@ import pytest
 from bus_schema.can.damiao.codec import feedback_of
 from bus_schema.can.damiao.motors import MOTORS
 from bus_schema.can.mit.codec import MitRanges, command_of, reply_of
+from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.warnings import scenario_warnings
 from tests.deploy.run.can.can_runs import (
     FEEDBACK,
     MOTEUS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
-from deploy.study.folder import create_folder, find_folder
+from deploy.study.execution.folder import create_folder, find_folder
 from tests.deploy.study.studies import NOISE, Here, conduct, folder_of, limits, made_up, margin_of
 from tests.deploy.study.test_robustness import heavy_ones_lost, robustness_of
 

@@ -8,8 +8,8 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.study.folder import StudyFolder, find_folder, opened, require_same_provenance
-from deploy.study.runner import Progress, Workers, WorkersLostError, carry_out
+from deploy.study.execution.folder import StudyFolder, find_folder, opened, require_same_provenance
+from deploy.study.execution.runner import Progress, Workers, WorkersLostError, carry_out
 from deploy.study.study import StudyOfRuns
 
 

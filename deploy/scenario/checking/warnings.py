@@ -10,7 +10,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import expand
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.plausibility import damping_warnings, placeholder_warnings
+from deploy.scenario.checking.plausibility import damping_warnings, placeholder_warnings
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import ESTIMATED
 from deploy.scenario.yaml_files import ScenarioError, override

@@ -19,8 +19,8 @@ from bus_schema.runtime.clock import TickGrid
 from controller.laws.custom import are_left_out
 from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from controller.reference import Reference, sample_positions
+from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.definition import RobotConfiguration, ScenarioConfiguration
-from deploy.scenario.explanation import Origin
 from deploy.scenario.link_kinds.kind import LINK_KINDS
 from deploy.scenario.referenced_files import (
     find_delay_files,

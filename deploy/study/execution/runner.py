@@ -15,8 +15,8 @@ from typing import Protocol
 
 from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import override
-from deploy.study.folder import StudyFolder
-from deploy.study.provenance import Provenance
+from deploy.study.execution.folder import StudyFolder
+from deploy.study.execution.provenance import Provenance
 from deploy.study.study import PlannedRun, StudyOfRuns
 from plant_emulator.physics.engines import engine_name
 

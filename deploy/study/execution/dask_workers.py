@@ -30,8 +30,8 @@ from controller.laws.custom import EXTERNAL, Maker, find_law, is_custom, laws_gi
 from controller.laws.read_files import is_of_the_user
 from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.provenance import Provenance, current
-from deploy.study.runner import WorkersLostError
+from deploy.study.execution.provenance import Provenance, current
+from deploy.study.execution.runner import WorkersLostError
 from deploy.study.study import PlannedRun, failed, row_of
 
 _ANSWER_S = 3.0

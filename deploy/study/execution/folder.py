@@ -33,8 +33,8 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
-from deploy.study.growth import changes, hindrances
-from deploy.study.provenance import Provenance, current, differences, provenance_of_law
+from deploy.study.execution.growth import changes, hindrances
+from deploy.study.execution.provenance import Provenance, current, differences, provenance_of_law
 from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
 
 STUDY_FILE = "study.yaml"

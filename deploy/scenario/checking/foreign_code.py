@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from bus_schema.foreign_text import say
 
 if TYPE_CHECKING:  # the command line needs this module before it loads the program
+    from deploy.scenario.checking.explanation import Origin
     from deploy.scenario.definition import ScenarioConfiguration
-    from deploy.scenario.explanation import Origin
 
 _printed: ContextVar[set[str] | None] = ContextVar("lines that were printed", default=None)
 

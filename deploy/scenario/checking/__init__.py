@@ -1,0 +1,1 @@
+"""Checks of a scenario, warnings about it, and explanations of wrong values."""

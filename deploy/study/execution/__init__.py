@@ -1,0 +1,1 @@
+"""Carrying out a study: its folder, its workers, and what its rows were made with."""
