@@ -305,8 +305,7 @@ class _Problem:
         inverse = np.linalg.inv(flat.T @ flat + np.eye(x.size))
         robust = inverse @ (middle + np.eye(x.size)) @ inverse
         # Sums of few scores are too small, those of white noise known better: the larger counts.
-        wider = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.diag(robust)))
-        scale = _FINITE * wider * self._spread
+        scale = np.sqrt(np.maximum(_FINITE**2, np.diag(inverse) / np.diag(robust))) * self._spread
         return np.asarray(robust * np.outer(scale, scale))
 
 

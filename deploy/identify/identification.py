@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -130,21 +131,22 @@ def identify(
         InputError: a log cannot be used; the message says what would do.
     """
     model, drives, notes = ManipulatorModel(robot), drives_of(robot), list[str]()
-    logs = []
-    for file in (*files, *tests, *([loaded] if loaded else [])):
-        log = read_robot_log(file, robot.joint_names, wishes.columns, wishes.unit_s)
-        log, changed = checked(_in_radians(log) if wishes.degrees else log, robot)
-        logs.append(log)
-        notes += changed
+    groups = [_logs_of(each, robot, wishes, notes) for each in (*files, *tests)]
+    fitted, tested = (sum(map(len, g)) for g in (groups[: len(files)], groups[len(files) :]))
+    if loaded:
+        groups.append(_logs_of(loaded, robot, wishes, notes))
+        if len(groups[-1]) > 1:
+            raise InputError(f"--payload {loaded}: must have one motion, has several episodes")
+    logs = list(chain.from_iterable(groups))
     if len({log.is_current for log in logs}) > 1:
         raise InputError("identify: all logs must have torques, or all currents")
     if wishes.constants is not None and not logs[0].is_current:
         raise logs[0].refusal("has torques: --current-constants is for logs of currents")
     cutoff = float(np.median([cutoff_hz(log) for log in logs]))
     trials = [trial_of(samples_of(log, cutoff), model) for log in logs]
-    _require_motion(trials[: len(files)], robot, logs)
+    _require_motion(trials[:fitted], robot, logs)
     notes += [note for trial in trials for note in trial.samples.notes]
-    training, held_out = _parts(trials, len(files), len(tests), wishes.held_out)
+    training, held_out = _parts(trials, fitted, tested, wishes.held_out)
     constants = _constants(logs, training, model, wishes.constants)
     factors = np.ones(robot.joints) if constants is None else constants.nm_per_a
     beyond_gears = prior_of(model, _without_estimated_friction(drives))
@@ -159,7 +161,7 @@ def identify(
             f"the torques of {named} show no rotor, as torques beyond the gears (--link-side):"
             " estimates are used"
         )
-    together = trials[: len(files) + len(tests)]
+    together = trials[: fitted + tested]
     _require_one_payload(found, together, model, [log.path for log in logs])
     payload = payload_of(found, trials[-1], wishes.payload_kg) if loaded else None
     if payload is not None and payload.nm_per_a is not None:
@@ -170,14 +172,27 @@ def identify(
         )
     for trial in held_out:
         notes += residual_notes(found, trial, robot.joint_names)
-    names = [log.path.name for log in logs]
     result = Identified(
         robot, model, grouping(model), drives, found, training, held_out,
-        (names[: len(files)], names[len(files) : len(files) + len(tests)]), constants, payload,
+        ([each.name for each in files], [each.name for each in tests]), constants, payload,
         _dead_time(logs), [], list(dict.fromkeys(notes)),
     )  # fmt: skip
     result.not_seen.extend(_not_seen(result))
     return result
+
+
+def _logs_of(
+    path: Path, robot: RobotDescription, wishes: Wishes, notes: list[str]
+) -> list[RobotLog]:
+    """Return the episodes of a file that are long enough, checked, and note what was changed."""
+    log = read_robot_log(path, robot.joint_names, wishes.columns, wishes.unit_s)
+    every = (_in_radians(log) if wishes.degrees else log).episodes()
+    chosen = [each for each in every if each.is_long] or every[:1]
+    if short := len(every) - len(chosen):
+        notes.append(f"{path.name}: {short} of {len(every)} episodes are too short, and left out")
+    found = [checked(each, robot) for each in chosen]
+    notes += chain.from_iterable(changed for _, changed in found)
+    return [each for each, _ in found]
 
 
 def _without_estimated_friction(drives: Drives) -> Drives:

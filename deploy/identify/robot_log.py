@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,10 @@ from bus_schema.tables import column_names, read_columns
 from deploy.measure.mcap_series import messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+SHORTEST_S, FEWEST_ROWS = 5.0, 200
 _MOSTLY = 0.9
+EPISODE = "episode_index"
+"""Column of LeRobot's tables, in which times begin anew with each episode."""
 TIMES = ("time_s", "t", "time", "timestamp", "stamp")
 PATTERNS = {
     "position": (
@@ -54,6 +58,7 @@ class RobotLog:
         command: commanded positions, same shape; None if the log has none.
         names: name of the column of each of these values by joint, for messages.
         place: returns where a row is in the file, as ``line 12``.
+        episode: number of the episode of each row, shape (rows,); None for one motion.
     """
 
     path: Path
@@ -65,6 +70,29 @@ class RobotLog:
     command: Matrix | None
     names: Mapping[str, Sequence[str]]
     place: Callable[[int], str]
+    episode: Vector | None = None
+
+    @property
+    def is_long(self) -> bool:
+        long = len(self.times_s) >= FEWEST_ROWS
+        return long and float(np.ptp(self.times_s)) >= SHORTEST_S
+
+    def episodes(self) -> list[RobotLog]:
+        """Return a log for each episode."""
+        if self.episode is None:
+            return [self]
+        starts = (np.flatnonzero(np.diff(self.episode)) + 1).tolist()
+        return [self._part(*ends) for ends in pairwise([0, *starts, len(self.episode)])]
+
+    def _part(self, start: int, stop: int) -> RobotLog:
+        def rows(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[start:stop]
+
+        return replace(
+            self, times_s=self.times_s[start:stop], position=self.position[start:stop],
+            velocity=rows(self.velocity), torque=self.torque[start:stop],
+            command=rows(self.command), place=lambda row: self.place(start + row), episode=None,
+        )  # fmt: skip
 
     def refusal(self, what: str, row: int | None = None) -> InputError:
         """Return the error that names file and row."""
@@ -101,7 +129,9 @@ def read_robot_log(
                 f" known names are {example}, …, and --{kind} names others. Columns are"
                 f" {', '.join(names[:60])}"
             )
-        found = read_columns(path, [time, *(c for each in wanted.values() for c in each)], None)
+        also = [EPISODE] if EPISODE in names else []
+        every = [time, *(c for each in wanted.values() for c in each), *also]
+        found = read_columns(path, every, None)
         times_s = found.values[time] * unit_s
     except ValueError as error:
         raise InputError(str(error)) from error
@@ -116,7 +146,7 @@ def read_robot_log(
 
     return RobotLog(
         path, times_s, position, matrix("velocity"), torque, is_current, matrix("command"),
-        {**wanted, "time": [time]}, found.place,
+        {**wanted, "time": [time]}, found.place, found.values.get(EPISODE),
     )  # fmt: skip
 
 

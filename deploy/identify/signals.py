@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
-from deploy.identify.robot_log import RobotLog
+from deploy.identify.robot_log import FEWEST_ROWS, SHORTEST_S, RobotLog
 
-_SHORTEST_S, _FEWEST_ROWS = 5.0, 200
 _SLOW_RAD_S, _FULL_TURNS_RAD = 0.05, 4.0 * math.pi
 _LARGEST, _MOST_DAMAGED = 1e6, 0.01
 _GAP_PERIODS, _SHORT_GAP, _MOST_HZ = 6.0, 0.25, 1000.0
@@ -149,11 +148,11 @@ def _smooth(times_s: Vector) -> Vector:
 
 def _require_sense(log: RobotLog, robot: RobotDescription) -> None:
     """Refuse logs that are too short, in degrees, or without torques."""
-    span_s = float(np.ptp(log.times_s)) if len(log.times_s) else 0.0
-    if span_s < _SHORTEST_S or len(log.times_s) < _FEWEST_ROWS:
+    if not log.is_long:
+        span_s = float(np.ptp(log.times_s)) if len(log.times_s) else 0.0
         raise log.refusal(
-            f"has {len(log.times_s)} rows over {span_s:.3g} s: must have {_FEWEST_ROWS} rows over"
-            f" {_SHORTEST_S:g} s, better 20 s; funnel-hil identify --design FILE writes a"
+            f"has {len(log.times_s)} rows over {span_s:.3g} s: must have {FEWEST_ROWS} rows over"
+            f" {SHORTEST_S:g} s, better 20 s; funnel-hil identify --design FILE writes a"
             " trajectory that shows all joints"
         )
     reach = np.abs(log.position).max(axis=0)

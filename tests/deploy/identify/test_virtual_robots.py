@@ -11,6 +11,7 @@ import yaml
 from mcap.writer import Writer
 from pyarrow import csv, parquet
 
+from bus_schema.errors import InputError
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
@@ -71,6 +72,41 @@ def test_all_formats_give_the_same_arm(virtual, tmp_path):
     for other in (packed, columns, bag, _as_rosbag2(bag, tmp_path / "bag")):
         found = identify([other], [], None, robot, Wishes()).fit.terms
         assert found == pytest.approx(own, rel=1e-3, abs=1e-4)
+
+
+def test_episodes_of_one_table_are_motions_of_their_own(virtual, tmp_path):
+    """Time restarts with each; the arm jumps in between; one is too short."""
+    file, _ = virtual
+    table = csv.read_csv(file)
+    cuts, parts = (slice(0, 900), slice(905, 1000), slice(1100, 2200), slice(2300, 3100)), []
+    for number, rows in enumerate(cuts):
+        each = table.slice(rows.start, rows.stop - rows.start)
+        start_s = each["time_s"][0].as_py()
+        each = each.set_column(0, "time_s", pa.array(each["time_s"].to_numpy() - start_s))
+        csv.write_csv(each, tmp_path / f"{number}.csv")
+        episode = pa.array([number] * len(each))
+        parts.append(_as_lists(each).append_column("episode_index", episode))
+    together = tmp_path / "file-000.parquet"
+    parquet.write_table(pa.concat_tables(parts), together)
+    robot = excitation(NAME, SHORT_S)[0]
+    apart = [tmp_path / f"{number}.csv" for number in (0, 2, 3)]
+    own = identify(apart, [], None, robot, Wishes())
+    found = identify([together], [], None, robot, Wishes())
+    np.testing.assert_allclose(found.fit.terms, own.fit.terms, rtol=1e-9, atol=1e-12)
+    assert "file-000.parquet: 1 of 4 episodes are too short, and left out" in found.notes
+    with pytest.raises(InputError, match="must have one motion, has several episodes"):
+        identify(apart, [], together, robot, Wishes())
+
+
+def test_damage_in_an_episode_is_named_by_its_row_in_the_file(virtual, tmp_path):
+    table = _as_lists(csv.read_csv(virtual[0]))
+    table = table.append_column("episode_index", pa.array((np.arange(len(table)) > 1499) * 1))
+    times_s = table["timestamp"].to_numpy().copy()
+    times_s[1600] = times_s[1598]
+    table = table.set_column(0, "timestamp", pa.array(times_s))
+    parquet.write_table(table, tmp_path / "log.parquet")
+    with pytest.raises(InputError, match=r"log.parquet, row 1601: time runs backwards"):
+        identify([tmp_path / "log.parquet"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
 
 
 def _as_lists(table: pa.Table) -> pa.Table:
