@@ -247,8 +247,9 @@ def _constants(
 
 
 def _without_rotor(found: Fit) -> NDArray[np.bool_]:
-    """Return whether each joint's torque may be that of no rotor at all, shape (joints,)."""
-    is_none = found.terms[:, ROTOR] < Z_95 * found.terms_sd[:, ROTOR]
+    """Return whether each joint's torque is seen to be that of no rotor, shape (joints,)."""
+    sd = found.terms_sd[:, ROTOR]
+    is_none = (found.terms[:, ROTOR] < Z_95 * sd) & (sd < SEEN * found.prior.terms_sd[:, ROTOR])
     return np.asarray(is_none & found.has_term[:, ROTOR])
 
 

@@ -116,7 +116,7 @@ def read_robot_log(
         InputError: it cannot be read, or lacks values; the message names file, column and line.
     """
     if path.is_dir() or path.suffix in (".mcap", ".db3"):
-        return _from_bag(path, joints, given.get("position"))
+        return _from_bag(_bag_in(path), joints, given.get("position"))
     try:
         names = column_names(path)
         wanted = {kind: _chosen(kind, given.get(kind), names, joints) for kind in PATTERNS}
@@ -125,7 +125,8 @@ def read_robot_log(
             kind = "position" if not wanted["position"] else "torque"
             example = ", ".join(p.format(joint=joints[0], n=1) for p in PATTERNS[kind][:6])
             raise ValueError(
-                f"{path}: has no {kind} of each of the {len(joints)} joints {', '.join(joints)};"
+                f"{path}: has no {kind} of each of the {len(joints)} joints {', '.join(joints)}"
+                f"{_nearly(kind, names, joints)};"
                 f" known names are {example}, …, and --{kind} names others. Columns are"
                 f" {', '.join(names[:60])}"
             )
@@ -175,6 +176,33 @@ def _chosen(kind: str, given: str | None, names: Sequence[str], joints: Sequence
     elif not missing:
         what = f"names {len(columns)} columns, the robot has {len(joints)} joints"
     raise ValueError(f"--{kind} {given}: {what}")
+
+
+def _nearly(kind: str, names: Sequence[str], joints: Sequence[str]) -> str:
+    """Return which columns are missing of a pattern that fits more than one joint."""
+    for pattern in PATTERNS[kind]:
+        wanted = [pattern.replace("{joint}", each) for each in joints]
+        lacking = [each for each in wanted if each not in names]
+        if len(lacking) < len(wanted) - 1:
+            return f": {', '.join(lacking)} {'is' if len(lacking) == 1 else 'are'} missing"
+    return ""
+
+
+def _bag_in(path: Path) -> Path:
+    """Return the recording in a folder that is no rosbag2, as that of a run.
+
+    Raises:
+        InputError: there is none, or there are several.
+    """
+    if path.is_file() or (path / "metadata.yaml").is_file():
+        return path
+    files = [each for each in path.iterdir() if each.suffix in (".mcap", ".db3")]
+    if len(files) != 1:
+        raise InputError(
+            f"{path}: has no metadata.yaml of rosbag2, and {len(files)} MCAP or .db3 files: name"
+            " a bag's folder or a file"
+        )
+    return files[0]
 
 
 def _from_bag(path: Path, joints: Sequence[str], topic: str | None) -> RobotLog:

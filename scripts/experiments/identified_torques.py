@@ -53,9 +53,8 @@ def picture(found: Identified, seconds: float) -> str:
         ]
         for values, (_, colour, width) in zip(own, _LINES, strict=True):
             points = _points(times_s[shown] / seconds, (values - low) / (high - low), top)
-            parts.append(
-                f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
-            )
+            style = f'fill="none" stroke="{colour}" stroke-width="{width}"'
+            parts.append(f'<polyline points="{points}" {style}/>')
     parts.append(f'<text x="{_WIDTH - 90}" y="{height - 5}">{seconds:g} s</text>')
     return "\n".join([*parts, "</svg>\n"])
 

@@ -17,9 +17,11 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.identify.base_parameters import base_values, grouping
 from deploy.identify.identification import Wishes, identify
-from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
+from deploy.identify.regression import COULOMB, ROTOR, STRIBECK, VISCOUS
+from deploy.identify.robot_log import read_robot_log
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
+from tests.arms import PAPER_ARM
 from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
 from tests.warm_process import here
 
@@ -72,6 +74,40 @@ def test_all_formats_give_the_same_arm(virtual, tmp_path):
     for other in (packed, columns, bag, _as_rosbag2(bag, tmp_path / "bag")):
         found = identify([other], [], None, robot, Wishes()).fit.terms
         assert found == pytest.approx(own, rel=1e-3, abs=1e-4)
+
+
+def test_own_run_is_read_from_its_folder(tmp_path):
+    folder = tmp_path / "run"
+    assert here("simulate", NAME, "--set", "duration_s=0.2", "--out", folder)[0] == 0
+    own, bag = (read_robot_log(each, PAPER_ARM.joint_names, {})
+                for each in (folder, folder / "run.mcap"))  # fmt: skip
+    assert len(own.times_s) == 200
+    np.testing.assert_array_equal(own.torque, bag.torque)
+
+
+def test_log_with_a_payload_among_others_is_refused(tmp_path):
+    random = np.random.default_rng(3)
+    robot, model, *_ = excitation("ur5e", SHORT_S)
+    truth = truth_of(robot, model, random)
+    write_log(tmp_path / "log.csv", "ur5e", truth, random)
+    truth.bodies[-10:] += 2.0 * np.array([1, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.01])
+    write_log(tmp_path / "loaded.csv", "ur5e", truth, random)
+    with pytest.raises(
+        InputError, match=r"loaded.csv: carries about (1\.[6-9]|2\.?[0-4]?) kg more"
+    ):
+        identify([tmp_path / "log.csv", tmp_path / "loaded.csv"], [], None, robot, Wishes())
+
+
+@pytest.mark.parametrize("stribeck", [0.0, 0.6])
+def test_stribeck_friction_is_found_where_there_is_some(stribeck, virtual, tmp_path):
+    table = csv.read_csv(virtual[0])
+    column, speed = table.column_names[-1], table["velocity.elbow"].to_numpy()
+    more = stribeck * np.tanh(speed / 0.02) * np.exp(-((speed / 0.1) ** 2))
+    table = table.set_column(9, column, pa.array(table[column].to_numpy() + more))
+    csv.write_csv(table, tmp_path / "log.csv")
+    found = identify([tmp_path / "log.csv"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
+    assert found.fit.has_term[2, STRIBECK] == bool(stribeck)
+    assert found.fit.terms[2, STRIBECK] == pytest.approx(stribeck, rel=0.4, abs=0.0)
 
 
 def test_episodes_of_one_table_are_motions_of_their_own(virtual, tmp_path):
