@@ -153,7 +153,8 @@ def identify(
     prior = beyond_gears if wishes.link_side else prior_of(model, drives)
     rotors = np.full(robot.joints, not wishes.link_side)
     found = fit(training, prior, factors, rotors)
-    if (without := _without_rotor(found)).any():
+    group = grouping(model)
+    if (without := _without_rotor(found, group)).any():
         prior = beyond_gears if without.all() else prior
         found = fit(training, prior, factors, rotors & ~without)
         named = ", ".join(np.array(robot.joint_names)[without])
@@ -173,7 +174,7 @@ def identify(
     for trial in held_out:
         notes += residual_notes(found, trial, robot.joint_names)
     result = Identified(
-        robot, model, grouping(model), drives, found, training, held_out,
+        robot, model, group, drives, found, training, held_out,
         ([each.name for each in files], [each.name for each in tests]), constants, payload,
         _dead_time(logs), [], list(dict.fromkeys(notes)),
     )  # fmt: skip
@@ -246,11 +247,16 @@ def _constants(
     return constants_by_weight(training, model)
 
 
-def _without_rotor(found: Fit) -> NDArray[np.bool_]:
-    """Return whether each joint's torque is seen to be that of no rotor, shape (joints,)."""
+def _without_rotor(found: Fit, group: Grouping) -> NDArray[np.bool_]:
+    """Return whether each joint's torque is seen to be that of no rotor, shape (joints,).
+
+    Where no motion tells a rotor from its link, it is none only if all others are.
+    """
     sd = found.terms_sd[:, ROTOR]
     is_none = (found.terms[:, ROTOR] < Z_95 * sd) & (sd < SEEN * found.prior.terms_sd[:, ROTOR])
-    return np.asarray(is_none & found.has_term[:, ROTOR])
+    is_none &= found.has_term[:, ROTOR]
+    apart = ~group.of_rotor.any(axis=1)
+    return np.where(apart, is_none, is_none[apart].all() if apart.any() else is_none)
 
 
 def _require_one_payload(
