@@ -3,6 +3,7 @@
 import gzip
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -16,8 +17,8 @@ from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.identify.base_parameters import base_values, grouping
-from deploy.identify.identification import Wishes, identify
-from deploy.identify.regression import COULOMB, ROTOR, STRIBECK, VISCOUS
+from deploy.identify.identification import Wishes, _without_rotor, identify
+from deploy.identify.regression import COULOMB, ROTOR, STRIBECK, TERMS, VISCOUS
 from deploy.identify.robot_log import read_robot_log
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
@@ -108,6 +109,27 @@ def test_stribeck_friction_is_found_where_there_is_some(stribeck, virtual, tmp_p
     found = identify([tmp_path / "log.csv"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
     assert found.fit.has_term[2, STRIBECK] == bool(stribeck)
     assert found.fit.terms[2, STRIBECK] == pytest.approx(stribeck, rel=0.4, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("rotors", "deviations", "none"),
+    [
+        ([0.0, 0.5, 0.1], [0.01, 0.1, 0.01], [False, False, False]),  # the elbow shows its own
+        ([0.0, 0.5, 0.0], [0.01, 0.1, 0.01], [True, True, True]),  # torques beyond the gears
+        ([0.0, 0.5, 0.0], [0.01, 0.1, 0.9], [False, False, False]),  # the elbow hardly moves
+    ],
+)
+def test_a_rotor_that_no_motion_tells_from_its_link_is_judged_by_the_others(
+    rotors, deviations, none
+):
+    model = ManipulatorModel(load_robot(ROBOTS / "paper_arm.urdf"))
+    group = grouping(model)
+    assert group.of_rotor.any(axis=1).tolist() == [True, True, False]
+    terms, sd = np.ones((2, 3, len(TERMS)))
+    terms[:, ROTOR], sd[:, ROTOR] = rotors, deviations
+    prior = SimpleNamespace(terms_sd=np.ones((3, len(TERMS))))
+    fitted = SimpleNamespace(terms=terms, terms_sd=sd, has_term=terms > -1.0, prior=prior)
+    assert _without_rotor(fitted, group).tolist() == none
 
 
 def test_episodes_of_one_table_are_motions_of_their_own(virtual, tmp_path):
