@@ -44,6 +44,8 @@ _SURELY = 5.0
 """Standard errors from which a further friction term is believed."""
 _FINITE = 1.25
 """Factor on standard deviations: as many parameters as here also fit some of the noise."""
+_OF_BODIES = 1.1
+"""Further factor for bodies, whose columns have the noise of the positions."""
 _NEB = 1.06
 """Noise-equivalent bandwidth of the filter over its cutoff."""
 _PLAIN = (COULOMB, VISCOUS, OFFSET)
@@ -305,8 +307,9 @@ class _Problem:
         inverse = np.linalg.inv(flat.T @ flat + np.eye(x.size))
         robust = inverse @ (middle + np.eye(x.size)) @ inverse
         # Sums of few scores are too small, those of white noise known better: the larger counts.
-        wider = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.diag(robust)))
-        scale = _FINITE * wider * self._spread
+        wider = np.sqrt(np.maximum(_FINITE**2, np.diag(inverse) / np.diag(robust)))
+        wider[: self._bodies] *= _OF_BODIES
+        scale = wider * self._spread
         return np.asarray(robust * np.outer(scale, scale))
 
 

@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -130,28 +131,30 @@ def identify(
         InputError: a log cannot be used; the message says what would do.
     """
     model, drives, notes = ManipulatorModel(robot), drives_of(robot), list[str]()
-    logs = []
-    for file in (*files, *tests, *([loaded] if loaded else [])):
-        log = read_robot_log(file, robot.joint_names, wishes.columns, wishes.unit_s)
-        log, changed = checked(_in_radians(log) if wishes.degrees else log, robot)
-        logs.append(log)
-        notes += changed
+    groups = [_logs_of(each, robot, wishes, notes) for each in (*files, *tests)]
+    fitted, tested = (sum(map(len, g)) for g in (groups[: len(files)], groups[len(files) :]))
+    if loaded:
+        groups.append(_logs_of(loaded, robot, wishes, notes))
+        if len(groups[-1]) > 1:
+            raise InputError(f"--payload {loaded}: must have one motion, has several episodes")
+    logs = list(chain.from_iterable(groups))
     if len({log.is_current for log in logs}) > 1:
         raise InputError("identify: all logs must have torques, or all currents")
     if wishes.constants is not None and not logs[0].is_current:
         raise logs[0].refusal("has torques: --current-constants is for logs of currents")
     cutoff = float(np.median([cutoff_hz(log) for log in logs]))
     trials = [trial_of(samples_of(log, cutoff), model) for log in logs]
-    _require_motion(trials[: len(files)], robot, logs)
+    _require_motion(trials[:fitted], robot, logs)
     notes += [note for trial in trials for note in trial.samples.notes]
-    training, held_out = _parts(trials, len(files), len(tests), wishes.held_out)
+    training, held_out = _parts(trials, fitted, tested, wishes.held_out)
     constants = _constants(logs, training, model, wishes.constants)
     factors = np.ones(robot.joints) if constants is None else constants.nm_per_a
     beyond_gears = prior_of(model, _without_estimated_friction(drives))
     prior = beyond_gears if wishes.link_side else prior_of(model, drives)
     rotors = np.full(robot.joints, not wishes.link_side)
     found = fit(training, prior, factors, rotors)
-    if (without := _without_rotor(found)).any():
+    group = grouping(model)
+    if (without := _without_rotor(found, group)).any():
         prior = beyond_gears if without.all() else prior
         found = fit(training, prior, factors, rotors & ~without)
         named = ", ".join(np.array(robot.joint_names)[without])
@@ -159,7 +162,7 @@ def identify(
             f"the torques of {named} show no rotor, as torques beyond the gears (--link-side):"
             " estimates are used"
         )
-    together = trials[: len(files) + len(tests)]
+    together = trials[: fitted + tested]
     _require_one_payload(found, together, model, [log.path for log in logs])
     payload = payload_of(found, trials[-1], wishes.payload_kg) if loaded else None
     if payload is not None and payload.nm_per_a is not None:
@@ -170,14 +173,27 @@ def identify(
         )
     for trial in held_out:
         notes += residual_notes(found, trial, robot.joint_names)
-    names = [log.path.name for log in logs]
     result = Identified(
-        robot, model, grouping(model), drives, found, training, held_out,
-        (names[: len(files)], names[len(files) : len(files) + len(tests)]), constants, payload,
+        robot, model, group, drives, found, training, held_out,
+        ([each.name for each in files], [each.name for each in tests]), constants, payload,
         _dead_time(logs), [], list(dict.fromkeys(notes)),
     )  # fmt: skip
     result.not_seen.extend(_not_seen(result))
     return result
+
+
+def _logs_of(
+    path: Path, robot: RobotDescription, wishes: Wishes, notes: list[str]
+) -> list[RobotLog]:
+    """Return the episodes of a file that are long enough, checked, and note what was changed."""
+    log = read_robot_log(path, robot.joint_names, wishes.columns, wishes.unit_s)
+    every = (_in_radians(log) if wishes.degrees else log).episodes()
+    chosen = [each for each in every if each.is_long] or every[:1]
+    if short := len(every) - len(chosen):
+        notes.append(f"{path.name}: {short} of {len(every)} episodes are too short, and left out")
+    found = [checked(each, robot) for each in chosen]
+    notes += chain.from_iterable(changed for _, changed in found)
+    return [each for each, _ in found]
 
 
 def _without_estimated_friction(drives: Drives) -> Drives:
@@ -231,10 +247,16 @@ def _constants(
     return constants_by_weight(training, model)
 
 
-def _without_rotor(found: Fit) -> NDArray[np.bool_]:
-    """Return whether each joint's torque may be that of no rotor at all, shape (joints,)."""
-    is_none = found.terms[:, ROTOR] < Z_95 * found.terms_sd[:, ROTOR]
-    return np.asarray(is_none & found.has_term[:, ROTOR])
+def _without_rotor(found: Fit, group: Grouping) -> NDArray[np.bool_]:
+    """Return whether each joint's torque is seen to be that of no rotor, shape (joints,).
+
+    Where no motion tells a rotor from its link, it is none only if all others are.
+    """
+    sd = found.terms_sd[:, ROTOR]
+    is_none = (found.terms[:, ROTOR] < Z_95 * sd) & (sd < SEEN * found.prior.terms_sd[:, ROTOR])
+    is_none &= found.has_term[:, ROTOR]
+    apart = ~group.of_rotor.any(axis=1)
+    return np.where(apart, is_none, is_none[apart].all() if apart.any() else is_none)
 
 
 def _require_one_payload(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,10 @@ from bus_schema.tables import column_names, read_columns
 from deploy.measure.mcap_series import messages
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+SHORTEST_S, FEWEST_ROWS = 5.0, 200
 _MOSTLY = 0.9
+EPISODE = "episode_index"
+"""Column of LeRobot's tables, in which times begin anew with each episode."""
 TIMES = ("time_s", "t", "time", "timestamp", "stamp")
 PATTERNS = {
     "position": (
@@ -54,6 +58,7 @@ class RobotLog:
         command: commanded positions, same shape; None if the log has none.
         names: name of the column of each of these values by joint, for messages.
         place: returns where a row is in the file, as ``line 12``.
+        episode: number of the episode of each row, shape (rows,); None for one motion.
     """
 
     path: Path
@@ -65,6 +70,29 @@ class RobotLog:
     command: Matrix | None
     names: Mapping[str, Sequence[str]]
     place: Callable[[int], str]
+    episode: Vector | None = None
+
+    @property
+    def is_long(self) -> bool:
+        long = len(self.times_s) >= FEWEST_ROWS
+        return long and float(np.ptp(self.times_s)) >= SHORTEST_S
+
+    def episodes(self) -> list[RobotLog]:
+        """Return a log for each episode."""
+        if self.episode is None:
+            return [self]
+        starts = (np.flatnonzero(np.diff(self.episode)) + 1).tolist()
+        return [self._part(*ends) for ends in pairwise([0, *starts, len(self.episode)])]
+
+    def _part(self, start: int, stop: int) -> RobotLog:
+        def rows(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[start:stop]
+
+        return replace(
+            self, times_s=self.times_s[start:stop], position=self.position[start:stop],
+            velocity=rows(self.velocity), torque=self.torque[start:stop],
+            command=rows(self.command), place=lambda row: self.place(start + row), episode=None,
+        )  # fmt: skip
 
     def refusal(self, what: str, row: int | None = None) -> InputError:
         """Return the error that names file and row."""
@@ -88,7 +116,7 @@ def read_robot_log(
         InputError: it cannot be read, or lacks values; the message names file, column and line.
     """
     if path.is_dir() or path.suffix in (".mcap", ".db3"):
-        return _from_bag(path, joints, given.get("position"))
+        return _from_bag(_bag_in(path), joints, given.get("position"))
     try:
         names = column_names(path)
         wanted = {kind: _chosen(kind, given.get(kind), names, joints) for kind in PATTERNS}
@@ -97,11 +125,14 @@ def read_robot_log(
             kind = "position" if not wanted["position"] else "torque"
             example = ", ".join(p.format(joint=joints[0], n=1) for p in PATTERNS[kind][:6])
             raise ValueError(
-                f"{path}: has no {kind} of each of the {len(joints)} joints {', '.join(joints)};"
+                f"{path}: has no {kind} of each of the {len(joints)} joints {', '.join(joints)}"
+                f"{_nearly(kind, names, joints)};"
                 f" known names are {example}, …, and --{kind} names others. Columns are"
                 f" {', '.join(names[:60])}"
             )
-        found = read_columns(path, [time, *(c for each in wanted.values() for c in each)], None)
+        also = [EPISODE] if EPISODE in names else []
+        every = [time, *(c for each in wanted.values() for c in each), *also]
+        found = read_columns(path, every, None)
         times_s = found.values[time] * unit_s
     except ValueError as error:
         raise InputError(str(error)) from error
@@ -116,7 +147,7 @@ def read_robot_log(
 
     return RobotLog(
         path, times_s, position, matrix("velocity"), torque, is_current, matrix("command"),
-        {**wanted, "time": [time]}, found.place,
+        {**wanted, "time": [time]}, found.place, found.values.get(EPISODE),
     )  # fmt: skip
 
 
@@ -145,6 +176,33 @@ def _chosen(kind: str, given: str | None, names: Sequence[str], joints: Sequence
     elif not missing:
         what = f"names {len(columns)} columns, the robot has {len(joints)} joints"
     raise ValueError(f"--{kind} {given}: {what}")
+
+
+def _nearly(kind: str, names: Sequence[str], joints: Sequence[str]) -> str:
+    """Return which columns are missing of a pattern that fits more than one joint."""
+    for pattern in PATTERNS[kind]:
+        wanted = [pattern.replace("{joint}", each) for each in joints]
+        lacking = [each for each in wanted if each not in names]
+        if len(lacking) < len(wanted) - 1:
+            return f": {', '.join(lacking)} {'is' if len(lacking) == 1 else 'are'} missing"
+    return ""
+
+
+def _bag_in(path: Path) -> Path:
+    """Return the recording in a folder that is no rosbag2, as that of a run.
+
+    Raises:
+        InputError: there is none, or there are several.
+    """
+    if path.is_file() or (path / "metadata.yaml").is_file():
+        return path
+    files = [each for each in path.iterdir() if each.suffix in (".mcap", ".db3")]
+    if len(files) != 1:
+        raise InputError(
+            f"{path}: has no metadata.yaml of rosbag2, and {len(files)} MCAP or .db3 files: name"
+            " a bag's folder or a file"
+        )
+    return files[0]
 
 
 def _from_bag(path: Path, joints: Sequence[str], topic: str | None) -> RobotLog:

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
-from deploy.identify.robot_log import RobotLog
+from deploy.identify.robot_log import FEWEST_ROWS, SHORTEST_S, RobotLog
 
-_SHORTEST_S, _FEWEST_ROWS = 5.0, 200
 _SLOW_RAD_S, _FULL_TURNS_RAD = 0.05, 4.0 * math.pi
 _LARGEST, _MOST_DAMAGED = 1e6, 0.01
 _GAP_PERIODS, _SHORT_GAP, _MOST_HZ = 6.0, 0.25, 1000.0
 _POWER, _ABOVE, _CUTOFFS_HZ = 0.999, 10.0, (3.0, 8.0)
 _PER_CUTOFF, _LIGHT = 25.0, 2.0
 _SLOWER_HZ = 20.0
+_LONGEST_PERIOD_S = 0.1
 _PATTERN, _JUMP = 41, 3.5
 _AROUND, _FAR_S = 9, 1.0
 """Rows around a row, an odd number, from whose times its own is farther only if it is damaged."""
@@ -84,8 +84,9 @@ def checked(log: RobotLog, robot: RobotDescription) -> tuple[RobotLog, list[str]
             " later than the row before", row,
         )  # fmt: skip
     times_s = log.times_s[rows]
-    if (even_s := _unrounded(times_s)) is not None:
-        times_s = even_s
+    even_s, position = _unrounded(times_s), log.position[rows]
+    if even_s is not None and _jerk(even_s, position) < _jerk(times_s, position):
+        times_s = even_s  # else samples are lost, and the stamps are right
         notes.append(f"{log.path.name}: times are rounded to about the period, and were smoothed")
     rows = rows[np.concatenate([[True], np.diff(times_s) > 0.0])]
     times_s = times_s[np.concatenate([[True], np.diff(times_s) > 0.0])]
@@ -136,6 +137,12 @@ def _unrounded(times_s: Vector) -> Vector | None:
     return np.concatenate([_smooth(times_s[i:j]) for i, j in itertools.pairwise(ends)])
 
 
+def _jerk(times_s: Vector, position: Matrix) -> float:
+    """Return how unevenly joints move if they are at these positions at these times."""
+    steps_s = np.maximum(np.diff(times_s), 1e-6)
+    return float(np.abs(np.diff(np.diff(position, axis=0) / steps_s[:, None], axis=0)).sum())
+
+
 def _smooth(times_s: Vector) -> Vector:
     """Return a line through times plus the moving average of what is left."""
     if len(times_s) < 2 * _PATTERN:
@@ -149,12 +156,17 @@ def _smooth(times_s: Vector) -> Vector:
 
 def _require_sense(log: RobotLog, robot: RobotDescription) -> None:
     """Refuse logs that are too short, in degrees, or without torques."""
-    span_s = float(np.ptp(log.times_s)) if len(log.times_s) else 0.0
-    if span_s < _SHORTEST_S or len(log.times_s) < _FEWEST_ROWS:
+    if not log.is_long:
+        span_s = float(np.ptp(log.times_s)) if len(log.times_s) else 0.0
         raise log.refusal(
-            f"has {len(log.times_s)} rows over {span_s:.3g} s: must have {_FEWEST_ROWS} rows over"
-            f" {_SHORTEST_S:g} s, better 20 s; funnel-hil identify --design FILE writes a"
+            f"has {len(log.times_s)} rows over {span_s:.3g} s: must have {FEWEST_ROWS} rows over"
+            f" {SHORTEST_S:g} s, better 20 s; funnel-hil identify --design FILE writes a"
             " trajectory that shows all joints"
+        )
+    if (period_s := float(np.median(np.diff(log.times_s)))) > _LONGEST_PERIOD_S:
+        raise log.refusal(
+            f"column {log.names.get('time', ['time'])[0]} has a row every {period_s:.3g} s: must be"
+            f" at most {_LONGEST_PERIOD_S:g} s; --unit says if times are in ms, us or ns"
         )
     reach = np.abs(log.position).max(axis=0)
     most = np.maximum(np.abs(robot.lower_rad), np.abs(robot.upper_rad))

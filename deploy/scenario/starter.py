@@ -27,12 +27,12 @@ ARM_FILES = (".urdf", ".xacro", ".xml", ".mjcf")
 FRICTION_SHARE = 0.05
 """Dry friction of a geared joint, as a share of its rated torque.
 
-Identified on a UR10e and a UR10: 3.6 to 6.1 % (12 joints); beyond a Panda's gears 0.2 to 2.2 %.
+Identified on a UR10e and a UR10: 3.3 to 6.7 % (12 joints); beyond a Panda's gears 0.2 to 2.2 %.
 """
 VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED = 0.06, 0.2
 """Viscous friction per rad/s, as a share of rated torque, and its largest share at top speed.
 
-Identified on the same: 0.043 to 0.066 s, 12 to 21 % at top speed; beyond a Panda's gears none.
+Identified on the same: 0.042 to 0.065 s, 9 to 19 % at top speed; beyond a Panda's gears none.
 """
 _FRICTION_SHARE_BELIEVED = 0.2
 """Largest plausible friction in a file."""

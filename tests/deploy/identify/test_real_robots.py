@@ -4,8 +4,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 
+from bus_schema.robot_description import load_robot
+from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.scenario import load_setup
 from tests.arms import shipped_arm
 from tests.warm_process import output_of
@@ -35,6 +38,34 @@ def expanded(maker: str, file: str, folder: Path, **arguments: str) -> Path:
 def ur(kind: str, folder: Path) -> Path:
     package = "04-ur/Universal_Robots_ROS2_Description"
     return expanded(package, "urdf/ur.urdf.xacro", folder, ur_type=kind, name="ur")
+
+
+@pytest.mark.parametrize(("kind", "has_own_inertias"), [("ur10e", False), ("ur5e", True)])
+def test_shipped_ur_has_the_links_that_its_maker_publishes(kind, has_own_inertias, tmp_path):
+    """Torques of any motion, and where the flange is, depend on all lengths, masses and centres."""
+    published = load_robot(ur(kind, tmp_path))
+    models = [ManipulatorModel(robot) for robot in (published, shipped_arm(kind))]
+    files = (published.path, shipped_arm(kind).path)
+    poses = [pinocchio.buildModelFromUrdf(str(each)) for each in files]
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        q, v, a = random.uniform(-2.0, 2.0, (3, 6))
+        if has_own_inertias:
+            v = a = np.zeros(6)
+        torques = [model.inverse_dynamics(q, v, a) for model in models]
+        np.testing.assert_allclose(torques[1], torques[0], atol=1e-5)
+        reach = [_flange(pose, q) for pose in poses]
+        np.testing.assert_allclose(reach[1], reach[0], atol=1e-6)
+    masses = [model.body_parameters()[-6:, 0] for model in models]
+    np.testing.assert_allclose(masses[1], masses[0], rtol=1e-9)
+
+
+def _flange(pose, q) -> np.ndarray:
+    """Height of the tool's frame above the base, and its distance from the vertical axis."""
+    data = pose.createData()
+    pinocchio.framesForwardKinematics(pose, data, q)
+    x, y, z = data.oMf[pose.getFrameId("tool0")].translation
+    return np.array([z, np.hypot(x, y)])
 
 
 def identified(folder: Path, *words: object) -> dict:

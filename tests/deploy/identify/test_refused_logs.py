@@ -65,6 +65,7 @@ REFUSED = [
     (backwards(), "line 702: time runs backwards", "must be later"),
     (rows(position=np.degrees(rows()[:, 1:4])), "looks like degrees", "--degrees"),
     (damaged(), "line 102: 100 of 1500 rows", "at most 1 %"),
+    (rows(time=10.0 * np.arange(ROWS)[:, None]), "column time_s has a row every 10 s", "--unit"),
 ]
 
 
@@ -84,6 +85,19 @@ def test_other_joints_are_named(tmp_path):
     output = output_of("identify", tmp_path / "log.csv", "--robot", "paper_arm", code=2)
     assert "has no position of each of the 3 joints base_yaw, shoulder, elbow" in output
     assert "position.a" in output
+
+
+def test_missing_column_of_one_joint_is_named(tmp_path):
+    write(tmp_path / "log.csv", rows(), ("base_yaw", "shoulder", "knee"))
+    code, output = here("identify", tmp_path / "log.csv", "--robot", "paper_arm")
+    assert code == 2
+    assert "position.elbow is missing" in output
+
+
+def test_folder_without_a_recording_is_refused(tmp_path):
+    code, output = here("identify", tmp_path, "--robot", "paper_arm")
+    assert code == 2
+    assert "0 MCAP or .db3 files" in output
 
 
 @pytest.mark.parametrize(
@@ -166,6 +180,21 @@ def test_stuck_joint_is_listed_as_not_seen(tmp_path):
     output = output_of("identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out",
                         tmp_path / "found")  # fmt: skip
     assert "all of elbow: move it faster" in output
+    assert "the torques of elbow show no rotor" not in output  # nothing shows whether there is one
+
+
+def test_lost_samples_of_exact_stamps_are_no_rounded_times(tmp_path):
+    """Steps of one and two periods may be either; the motion tells which."""
+    kept = np.random.default_rng(1).random(ROWS) > 0.2
+    exact = rows()[kept]
+    rounded = rows(time=0.7 * np.arange(ROWS)[:, None] / RATE_HZ)  # of a clock of 100 Hz
+    rounded[:, 0] = np.floor(rounded[:, 0] * RATE_HZ) / RATE_HZ
+    for values, smoothed in ((exact, False), (rounded, True)):
+        write(tmp_path / "log.csv", values)
+        log, notes = checked(read_robot_log(tmp_path / "log.csv", NAMES, {}), PAPER_ARM)
+        assert any("were smoothed" in each for each in notes) == smoothed
+        if not smoothed:
+            np.testing.assert_array_equal(log.times_s, exact[:, 0])
 
 
 def test_rows_after_a_pause_are_not_damaged_but_wild_stamps_are(tmp_path):

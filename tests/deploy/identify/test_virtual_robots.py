@@ -3,6 +3,7 @@
 import gzip
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -11,14 +12,17 @@ import yaml
 from mcap.writer import Writer
 from pyarrow import csv, parquet
 
+from bus_schema.errors import InputError
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.identify.base_parameters import base_values, grouping
-from deploy.identify.identification import Wishes, identify
-from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
+from deploy.identify.identification import Wishes, _without_rotor, identify
+from deploy.identify.regression import COULOMB, ROTOR, STRIBECK, TERMS, VISCOUS
+from deploy.identify.robot_log import read_robot_log
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
+from tests.arms import PAPER_ARM
 from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
 from tests.warm_process import here, output_of
 
@@ -71,6 +75,96 @@ def test_all_formats_give_the_same_arm(virtual, tmp_path):
     for other in (packed, columns, bag, _as_rosbag2(bag, tmp_path / "bag")):
         found = identify([other], [], None, robot, Wishes()).fit.terms
         assert found == pytest.approx(own, rel=1e-3, abs=1e-4)
+
+
+def test_own_run_is_read_from_its_folder(tmp_path):
+    folder = tmp_path / "run"
+    assert here("simulate", NAME, "--set", "duration_s=0.2", "--out", folder)[0] == 0
+    own, bag = (read_robot_log(each, PAPER_ARM.joint_names, {})
+                for each in (folder, folder / "run.mcap"))  # fmt: skip
+    assert len(own.times_s) == 200
+    np.testing.assert_array_equal(own.torque, bag.torque)
+
+
+def test_log_with_a_payload_among_others_is_refused(tmp_path):
+    random = np.random.default_rng(3)
+    robot, model, *_ = excitation("ur5e", SHORT_S)
+    truth = truth_of(robot, model, random)
+    write_log(tmp_path / "log.csv", "ur5e", truth, random)
+    truth.bodies[-10:] += 2.0 * np.array([1, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.01])
+    write_log(tmp_path / "loaded.csv", "ur5e", truth, random)
+    with pytest.raises(
+        InputError, match=r"loaded.csv: carries about (1\.[6-9]|2\.?[0-4]?) kg more"
+    ):
+        identify([tmp_path / "log.csv", tmp_path / "loaded.csv"], [], None, robot, Wishes())
+
+
+@pytest.mark.parametrize("stribeck", [0.0, 0.6])
+def test_stribeck_friction_is_found_where_there_is_some(stribeck, virtual, tmp_path):
+    table = csv.read_csv(virtual[0])
+    column, speed = table.column_names[-1], table["velocity.elbow"].to_numpy()
+    more = stribeck * np.tanh(speed / 0.02) * np.exp(-((speed / 0.1) ** 2))
+    table = table.set_column(9, column, pa.array(table[column].to_numpy() + more))
+    csv.write_csv(table, tmp_path / "log.csv")
+    found = identify([tmp_path / "log.csv"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
+    assert found.fit.has_term[2, STRIBECK] == bool(stribeck)
+    assert found.fit.terms[2, STRIBECK] == pytest.approx(stribeck, rel=0.4, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("rotors", "deviations", "none"),
+    [
+        ([0.0, 0.5, 0.1], [0.01, 0.1, 0.01], [False, False, False]),  # the elbow shows its own
+        ([0.0, 0.5, 0.0], [0.01, 0.1, 0.01], [True, True, True]),  # torques beyond the gears
+        ([0.0, 0.5, 0.0], [0.01, 0.1, 0.9], [False, False, False]),  # the elbow hardly moves
+    ],
+)
+def test_a_rotor_that_no_motion_tells_from_its_link_is_judged_by_the_others(
+    rotors, deviations, none
+):
+    model = ManipulatorModel(load_robot(ROBOTS / "paper_arm.urdf"))
+    group = grouping(model)
+    assert group.of_rotor.any(axis=1).tolist() == [True, True, False]
+    terms, sd = np.ones((2, 3, len(TERMS)))
+    terms[:, ROTOR], sd[:, ROTOR] = rotors, deviations
+    prior = SimpleNamespace(terms_sd=np.ones((3, len(TERMS))))
+    fitted = SimpleNamespace(terms=terms, terms_sd=sd, has_term=terms > -1.0, prior=prior)
+    assert _without_rotor(fitted, group).tolist() == none
+
+
+def test_episodes_of_one_table_are_motions_of_their_own(virtual, tmp_path):
+    """Time restarts with each; the arm jumps in between; one is too short."""
+    file, _ = virtual
+    table = csv.read_csv(file)
+    cuts, parts = (slice(0, 900), slice(905, 1000), slice(1100, 2200), slice(2300, 3100)), []
+    for number, rows in enumerate(cuts):
+        each = table.slice(rows.start, rows.stop - rows.start)
+        start_s = each["time_s"][0].as_py()
+        each = each.set_column(0, "time_s", pa.array(each["time_s"].to_numpy() - start_s))
+        csv.write_csv(each, tmp_path / f"{number}.csv")
+        episode = pa.array([number] * len(each))
+        parts.append(_as_lists(each).append_column("episode_index", episode))
+    together = tmp_path / "file-000.parquet"
+    parquet.write_table(pa.concat_tables(parts), together)
+    robot = excitation(NAME, SHORT_S)[0]
+    apart = [tmp_path / f"{number}.csv" for number in (0, 2, 3)]
+    own = identify(apart, [], None, robot, Wishes())
+    found = identify([together], [], None, robot, Wishes())
+    np.testing.assert_allclose(found.fit.terms, own.fit.terms, rtol=1e-9, atol=1e-12)
+    assert "file-000.parquet: 1 of 4 episodes are too short, and left out" in found.notes
+    with pytest.raises(InputError, match="must have one motion, has several episodes"):
+        identify(apart, [], together, robot, Wishes())
+
+
+def test_damage_in_an_episode_is_named_by_its_row_in_the_file(virtual, tmp_path):
+    table = _as_lists(csv.read_csv(virtual[0]))
+    table = table.append_column("episode_index", pa.array((np.arange(len(table)) > 1499) * 1))
+    times_s = table["timestamp"].to_numpy().copy()
+    times_s[1600] = times_s[1598]
+    table = table.set_column(0, "timestamp", pa.array(times_s))
+    parquet.write_table(table, tmp_path / "log.parquet")
+    with pytest.raises(InputError, match=r"log.parquet, row 1601: time runs backwards"):
+        identify([tmp_path / "log.parquet"], [], None, excitation(NAME, SHORT_S)[0], Wishes())
 
 
 def _as_lists(table: pa.Table) -> pa.Table:

@@ -53,14 +53,15 @@ def test_without_losses_a_bridge_changes_no_bit_of_the_motion(drives):
 def test_an_outage_is_survived_on_the_prediction():
     """For 190 ms no command arrives, while the UR5e moves along sinusoids at up to 0.6 rad/s.
 
-    Under the last torque it deviates by 3.3 mrad: that torque carries it where it was. Its friction
-    and inertia are identified, so the predicted torques leave 0.04 mrad.
+    Under the last torque it deviates by 2.6 mrad: that torque carries it where it was. Its friction
+    and inertia are identified, so the predicted torques leave 0.5 mrad. Both were 3.3 and 0.04 mrad
+    with dry friction of 3 % alone: now it has that of a UR10e.
     """
     lost = outage(1.5, 190)
     settings = {"arm": "ur5e_motors", "duration_s": 1.9}
     held, bridged = (largest_error(run(f"{BRIDGE}={ms}", lost, **settings), 1.5) for ms in (0, 200))
     assert held > 2e-3
-    assert bridged < 3e-4
+    assert bridged < 6e-4
 
 
 def test_targets_of_drive_loops_go_on_along_the_reference():
