@@ -119,6 +119,7 @@ class Page(Generic[T]):
         heading: first line in a terminal.
         before: title and tables before the figures.
         after: title and tables after the figures.
+        folded: title and tables that a report has folded below them.
         lines: sentences that only a terminal shows, below its tables and verdict.
         points: description, file and command of points of a study that can be run again.
         points_title: title of these points.
@@ -139,6 +140,7 @@ class Page(Generic[T]):
     heading: str = ""
     before: tuple[str, Sequence[Cards]] = ("", ())
     after: tuple[str, Sequence[Cards]] = ("", ())
+    folded: tuple[str, Sequence[Cards]] = ("", ())
     lines: Sequence[str] = ()
     points: Sequence[tuple[str, str, str]] = ()
     points_title: str = "Every point, with the command that repeats it"
@@ -151,5 +153,13 @@ class Page(Generic[T]):
     @property
     def tables(self) -> list[Table]:
         """All tables in order."""
-        groups = (*self.before[1], *self.after[1])
-        return [table for cards in groups for table in cards.tables]
+        return [*self.open_tables, *_tables(self.folded[1])]
+
+    @property
+    def open_tables(self) -> list[Table]:
+        """All tables that are not folded, in order."""
+        return _tables((*self.before[1], *self.after[1]))
+
+
+def _tables(groups: Iterable[Cards]) -> list[Table]:
+    return [table for cards in groups for table in cards.tables]

@@ -29,16 +29,21 @@ _WIDEST = 10_000
 _LEAST = 8
 
 
+_MAIN = ("version", "scenario", "law", "physics", "duration", "starts", "seeds")
+_BRIEF = range(1, 81)
+"""Conditions that a terminal shows, and how long they may be."""
+
+
 def print_page(console: Console, page: Page[Any]) -> None:
-    """Print tables, verdict and conditions of a page."""
+    """Print verdict, open tables and the main conditions of a page."""
     if page.heading:
         console.print(page.heading, markup=False, style="bold")
+    _print_head(console, page.verdict)
     hidden = 0
-    for table in page.tables:
+    for table in page.open_tables:
         if table.most_printed != 0:
             print_table(console, replace(table, rows=table.rows[: table.most_printed]))
             hidden += len(table.rows[table.most_printed :]) if table.most_printed else 0
-    _print_head(console, page.verdict)
     for line in page.lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if hidden:
@@ -122,9 +127,12 @@ def _width(console: Console, table: rich_table.Table) -> int:
 
 
 def print_conditions(console: Console, conditions: Mapping[str, str]) -> None:
-    """Print what results are to be quoted with; through a pipe on one line."""
+    """Print the main conditions on one line; results are to be quoted with all of them."""
+    main = {name: conditions[name] for name in _MAIN if len(conditions.get(name, "")) in _BRIEF}
+    if not main:
+        return
     console.print(
-        conditions_line(conditions),
+        f"{conditions_line(main)} All conditions: summary.json",
         markup=False,
         highlight=False,
         soft_wrap=not console.is_terminal,

@@ -67,6 +67,9 @@ def error_envelopes(runs: ComparedRuns) -> go.Figure | None:
     for run in runs.drawn:
         errors = style.MRAD * run.data.true_errors_rad
         add_envelopes(figure, runs, run.law, run.data.times_s(_TRUTH), errors)
+    if len(runs.runs) == 1:
+        for joint, drawn in enumerate(figure.data):
+            drawn.line.color = style.palette(joint)
     for joint, final in enumerate(style.MRAD * setup.funnel.final_rad):
         figure.add_hline(float(final), row=joint + 1, line=style.DOTTED)
     return figure

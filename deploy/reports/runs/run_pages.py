@@ -56,18 +56,34 @@ def run_page(
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
         heading=f"{summary['scenario']} · {summary['law']} · {summary['clock']}",
-        before=("Key numbers", [
+        after=("Key numbers", [
             Cards([of_run.joint_table(summary, from_s)]),
+            Cards(of_run.confirmation_tables([summary])),
+        ]),
+        folded=(_folded_title(summary), [
             Cards([of_run.timing_table(summary), of_run.health_table(summary),
                    of_run.transport_table(summary)], "three"),
             Cards([of_run.event_table(run.data)]),
-            Cards(of_run.confirmation_tables([summary])),
         ]),
         lines=_run_lines(summary),
         end_s=summary["duration_s"],
         footer="Digest of the delivered joint states and commands (SHA-256):",
         footer_code=summary["digest"],
     )  # fmt: skip
+
+
+def _folded_title(summary: Mapping[str, Any]) -> str:
+    """Return the title of the tables that are only read where something is odd, and what is."""
+    timing, transport = summary["timing"], summary["transport"]
+    counts = {
+        "deadlines missed": timing["deadline_misses"] or 0,
+        "messages lost": sum(transport[way]["lost"] or 0 for way in ("uplink", "downlink")),
+        "faults": len(summary["faults"]),
+        "messages lost by the recorder": summary["recorder"]["lost"] or 0,
+    }
+    odd = [f"{count:,} {what}" for what, count in counts.items() if count]
+    mark = f" ⚠ {', '.join(odd)}" if odd else ""
+    return f"Timing, messages and events{mark}"
 
 
 def _run_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -70,7 +70,7 @@ def test_simulate_reports_what_the_law_raised_and_where(funnel_hil, folder, at_t
         "simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out, code=1
     )
     # of a run without ticks there is nothing to put into tables
-    assert [title in output for title in ("Joints, errors", "Timing")] == [at_tick > 0] * 2
+    assert ("Joints, errors" in output) == (at_tick > 0)
     assert_reported_everywhere(message, output, out)
 
 
