@@ -16,6 +16,7 @@ from bus_schema.recording.mcap_log import LogContents
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop
 from deploy.judge.run_data import digest
+from deploy.run.recording import RUN_METADATA
 from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_faults
 
@@ -48,19 +49,21 @@ class Replay:
         return self.first_difference is None and self.digest == self.recorded_digest
 
 
-def replay(setup: Setup, contents: LogContents, *, master_skips: bool = False) -> Replay:
+def replay(setup: Setup, contents: LogContents) -> Replay:
     """Feed the recorded joint states to a new law.
 
     Args:
         setup: the recorded scenario.
         contents: the recording; if it is partial, or a fault hit the controller, it is compared as
             far as it goes.
-        master_skips: the law may have missed states, as a master of drives does in real time.
     """
     states = contents.payloads[topics.JOINT_STATES.name]
     recorded = contents.payloads[topics.JOINT_COMMANDS.name]
     bus = InProcessBus(VirtualClock())
     link, answered, missing = InProcessControllerLink(bus), states, ""
+    # The law may have missed states, as a master of drives does in real time.
+    clock = contents.metadata.get(RUN_METADATA, {}).get("clock")
+    master_skips = setup.link_kind.controller_leads and clock == "realtime"
     if master_skips:
         link.start_ns = 0
         answered, missing = _states_answered(setup, contents)

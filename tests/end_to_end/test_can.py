@@ -87,12 +87,12 @@ def test_recording_in_real_time_is_replayed_without_the_states_that_the_master_m
     assert "identical" in replayed.output
     data, contents = load_run(run.folder)
     del contents.payloads["joint_states"][100:]
-    found = replay(data.setup, contents, master_skips=True)
+    found = replay(data.setup, contents)
     assert "no recorded state is the one answered at" in found.failure
     assert not found.is_identical
     data, contents = load_run(run.folder)
     contents.payloads["joint_commands"].append(contents.payloads["joint_commands"][-1])
-    assert not replay(data.setup, contents, master_skips=True).is_identical
+    assert not replay(data.setup, contents).is_identical
 
 
 def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None:

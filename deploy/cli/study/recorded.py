@@ -86,8 +86,7 @@ def replay(
     _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
     stop_at_once(WITHIN_S, may_hold_lock=is_custom(data.setup.scenario.controller.law))
     with naming(run_dir):
-        master_skips = data.setup.link_kind.controller_leads and data.clock == "realtime"
-        result = replay_run(data.setup, contents, master_skips=master_skips)
+        result = replay_run(data.setup, contents)
     stop_at_once()
     recorded = read_manifest(run_dir if run_dir.is_dir() else run_dir.parent)
     damage = all_damage(data)
