@@ -56,12 +56,9 @@ def motors(request):
     return build
 
 
-@contextmanager
 def rig_of(**given):
     """An emulated OpenArm on a bus."""
-    damiao = DamiaoConfiguration(motor=MOTORS)
-    with Rig("damiao", arm=OPENARM, damiao=damiao, **given) as rig:
-        yield rig
+    return Rig("damiao", arm=OPENARM, damiao=DamiaoConfiguration(motor=MOTORS), **given)
 
 
 @contextmanager
