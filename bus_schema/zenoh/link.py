@@ -73,7 +73,7 @@ class ZenohPlantLink(ZenohNode, PlantLink, CommandSessions):
             self.advertise(topics.CLOCK)
         inbox = self.inbox(topics.JOINT_COMMANDS, LARGEST_BACKLOG, lossless=True)
         arrivals = AwaitedArrivals if lockstep else Arrivals
-        self._arrivals = arrivals(inbox, clock, self._graph.note_command)
+        self.arrivals = arrivals(inbox, clock, self._graph.note_command)
         self.announce()
 
     @property
@@ -96,7 +96,7 @@ class ZenohPlantLink(ZenohNode, PlantLink, CommandSessions):
             silence.look()
             self.require_same_scenario(Role.CONTROLLER)  # noted even if that peer has left
             now_s = time.monotonic()
-            if not self._arrivals.is_empty():
+            if not self.arrivals.is_empty():
                 return
             if not self._may_have_unannounced_controller():
                 stranger_since_s = None
@@ -130,20 +130,20 @@ class ZenohPlantLink(ZenohNode, PlantLink, CommandSessions):
         self.publish(topics.PLANT_STATUS, status)
 
     def await_command(self, timeout_s: float) -> bool:
-        return self._arrivals.await_one(timeout_s)
+        return self.arrivals.await_one(timeout_s)
 
     def take_commands(self) -> list[CommandArrival]:
         """Return the commands that arrived, and record those returned before, now checked."""
         if self._commanders or len(self._taken) > LARGEST_BACKLOG:
             self._record_taken()
-        self._taken += (taken := self._arrivals.take())
+        self._taken += (taken := self.arrivals.take())
         return taken
 
     def note_commander(self, sender: bytes) -> None:
         self._commanders.add(sender)
 
     def overflow(self) -> int:
-        return self._arrivals.overflow
+        return self.arrivals.overflow
 
     def may_miss_states(self) -> bool:
         """Whether the controller has not announced itself: our own does so when it is ready."""
@@ -162,7 +162,7 @@ class ZenohPlantLink(ZenohNode, PlantLink, CommandSessions):
         return self._commander_was_seen and not self._graph.has_publisher(topics.JOINT_COMMANDS)
 
     def close(self) -> None:
-        self._arrivals.close()
+        self.arrivals.close()
         super().close()
 
     def _record_taken(self) -> None:

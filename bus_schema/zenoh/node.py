@@ -95,7 +95,7 @@ class ZenohNode:
             own = (role.value, self._session.identifier, agreement.encode())
             self._session.announce(scenario_key_expression(link.domain, *own))
         self._bundler = Bundler(self._session, link.domain, role) if is_loop else None
-        self._outbox = Outbox(self._bundler, self._flow)
+        self.outbox = Outbox(self._bundler, self._flow)
         if self._flow is not None:
             self._session.subscribe(progress_key_expression(link.domain), self._on_progress)
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
@@ -105,7 +105,7 @@ class ZenohNode:
 
         From then on it watches for the token by which a recorder reports that it has everything.
         """
-        gid = self._outbox.gid_of(topics.RUN_EVENTS)
+        gid = self.outbox.gid_of(topics.RUN_EVENTS)
         if gid is not None:
             key = recorded_key_expression(self._domain, gid.hex())
             self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
@@ -116,7 +116,7 @@ class ZenohNode:
         kept = topic.depth if topic.latched else 0
         publisher = self._session.publisher(topic.key_expression(self._domain), kept)
         token = self._token(EntityKind.PUBLISHER, topic)
-        self._outbox.add(topic, publisher, endpoint_gid(token))
+        self.outbox.add(topic, publisher, endpoint_gid(token))
         self._session.announce(token)
         return publisher
 
@@ -139,7 +139,7 @@ class ZenohNode:
 
     def publish(self, topic: Topic, payload: bytes, beside: bytes = b"") -> int:
         """Send a message; return its sequence number. The bytes `beside` follow the attachment."""
-        return self._outbox.send(topic, payload, beside)
+        return self.outbox.send(topic, payload, beside)
 
     def sender_has_left(self, sender: bytes) -> bool:
         return self._graph.has_left(sender)
@@ -238,7 +238,7 @@ class ZenohNode:
         if (
             self._flow is not None
             and acknowledged is not None
-            and acknowledged.gid in self._outbox.gids()
+            and acknowledged.gid in self.outbox.gids()
         ):
             recorder = delivery.attachment.decode(errors="replace")
             self._flow.acknowledge(recorder, acknowledged.sequence)

@@ -59,6 +59,9 @@ class FlowControl:
 
     Args:
         patience_s: time that the sender waits for a silent recorder before it ignores it.
+
+    Attributes:
+        recorders: sequence number that each recorder has, by session.
     """
 
     def __init__(self, patience_s: float = _PATIENCE_S) -> None:
@@ -67,15 +70,15 @@ class FlowControl:
         self._sent_bytes = self._recorded_bytes = 0
         self._marks: deque[tuple[int, int]] = deque()  # sequence, bytes sent up to and including it
         self._last_mark = 0
-        self._recorders: dict[str, int] = {}  # sequence that each has, by session
+        self.recorders: dict[str, int] = {}
         self._silent: set[str] = set()  # of these, those that have reported nothing yet
         self._change = threading.Condition()
 
     def join(self, recorder: str) -> None:
         """Add a recorder, which receives all messages from now on."""
         with self._change:
-            if recorder not in self._recorders:
-                self._recorders[recorder] = self._last_mark
+            if recorder not in self.recorders:
+                self.recorders[recorder] = self._last_mark
                 self._silent.add(recorder)
 
     def leave(self, recorder: str) -> None:
@@ -95,10 +98,10 @@ class FlowControl:
     def acknowledge(self, recorder: str, mark: int) -> None:
         """Note that a recorder has all messages up to a mark."""
         with self._change:
-            if recorder in self._recorders:
+            if recorder in self.recorders:
                 self._silent.discard(recorder)
                 newest = min(mark, self._last_mark)
-                self._recorders[recorder] = max(newest, self._recorders[recorder])
+                self.recorders[recorder] = max(newest, self.recorders[recorder])
                 self._change.notify_all()
 
     def await_recorders(self) -> None:
@@ -108,8 +111,8 @@ class FlowControl:
             if self._change.wait_for(self._may_send, patience_s):
                 return
             self._first_patience_s = 0.0  # one wait for all silent ones, and for later ones
-            late = [each for each in self._silent if self._recorders[each] < self._last_mark]
-            for each in late or [min(self._recorders, key=self._recorders.__getitem__)]:
+            late = [each for each in self._silent if self.recorders[each] < self._last_mark]
+            for each in late or [min(self.recorders, key=self.recorders.__getitem__)]:
                 self._drop(each)
         logger.warning(
             "a recorder has recorded nothing for %g s, and is waited for no longer: what it misses"
@@ -117,16 +120,14 @@ class FlowControl:
         )  # fmt: skip
 
     def _drop(self, recorder: str) -> None:
-        self._recorders.pop(recorder, None)
+        self.recorders.pop(recorder, None)
         self._silent.discard(recorder)
 
     def _may_send(self) -> bool:
-        slowest = min(self._recorders.values(), default=self._last_mark)
+        slowest = min(self.recorders.values(), default=self._last_mark)
         while self._marks and self._marks[0][0] <= slowest:
             self._recorded_bytes = self._marks.popleft()[1]
-        return not self._recorders or (
-            self._sent_bytes - self._recorded_bytes <= LARGEST_LEAD_BYTES
-        )
+        return not self.recorders or (self._sent_bytes - self._recorded_bytes <= LARGEST_LEAD_BYTES)
 
 
 class Outbox:

@@ -42,6 +42,10 @@ class Viewer:
         port: port of the page; 0 for any.
         foxglove_port: port of Foxglove's server; None for its default, or any if that is taken.
 
+    Attributes:
+        frames: frames for the page.
+        page: server of the page.
+
     Raises:
         OSError: a port is taken.
     """
@@ -49,7 +53,7 @@ class Viewer:
     def __init__(
         self, setup: Setup, source_name: str, *, port: int = 0, foxglove_port: int | None = None
     ) -> None:
-        self._state, self._frames = RunState(setup), Frames()
+        self._state, self.frames = RunState(setup), Frames()
         run = {
             "name": setup.scenario.name,
             "law": setup.scenario.controller.name,
@@ -64,21 +68,21 @@ class Viewer:
             "/foxglove_layout.json": foxglove_layout(setup),
         }
         self._foxglove = _foxglove(setup, foxglove_port)
-        self._page = PageServer(self._frames, documents, port)
-        self._page.start()
+        self.page = PageServer(self.frames, documents, port)
+        self.page.start()
         self._has_news, self._frame_due_s = False, 0.0
 
     @property
     def is_watched(self) -> bool:
         """Whether a viewer has been opened."""
         foxglove = self._foxglove is not None and self._foxglove.is_watched
-        return self._page.is_watched.is_set() or foxglove
+        return self.page.is_watched.is_set() or foxglove
 
     def places(self) -> str:
         """Return the addresses of the views, a line each."""
         if self._foxglove is None:
-            return f"live view: {self._page.url}\nFoxglove:  needs pip install -e '.[live]'"
-        return f"live view: {self._page.url}\nFoxglove:  {self._foxglove.url}"
+            return f"live view: {self.page.url}\nFoxglove:  needs pip install -e '.[live]'"
+        return f"live view: {self.page.url}\nFoxglove:  {self._foxglove.url}"
 
     def run(self, source: Source, is_over: Callable[[], bool]) -> None:
         """Serve snapshots until the run is over."""
@@ -89,13 +93,13 @@ class Viewer:
             if time.monotonic() >= self._frame_due_s:
                 self._show()
         self._show()
-        self._frames.end()
+        self.frames.end()
         time.sleep(_END_NOTICE_S)
 
     def close(self) -> None:
         """Stop serving."""
-        self._page.shutdown()
-        self._page.server_close()
+        self.page.shutdown()
+        self.page.server_close()
         if self._foxglove is not None:
             self._foxglove.close()
 
@@ -112,7 +116,7 @@ class Viewer:
         self._has_news, self._frame_due_s = False, time.monotonic() + _FRAME_S
         frame = self._state.frame()
         if frame is not None:
-            self._frames.add(frame)
+            self.frames.add(frame)
 
 
 def stand_back() -> None:

@@ -15,15 +15,17 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 VERSION = "1.4.1"
 _CLIENT = Path(__file__).with_name("openarm_client.py")
 _HANG_S = 600
 
 
-def build_openarm_can(folder: Path) -> tuple[Path | None, str]:
-    """The folder that holds the package, or None and the reason."""
+def build_openarm_can(folder: Path) -> Path:
+    """Return the folder that holds the package; skip the test where it cannot be built."""
     if given := os.environ.get("OPENARM_CAN"):
-        return Path(given), ""
+        return Path(given)
     package = folder / f"openarm_can-{VERSION}"
     if not package.exists():
         words = ["pip", "wheel", "--no-deps", f"openarm_can=={VERSION}", "--wheel-dir", str(folder)]
@@ -33,9 +35,9 @@ def build_openarm_can(folder: Path) -> tuple[Path | None, str]:
         )  # fmt: skip
         if built.returncode:
             errors = re.findall(r"(?:fatal|CMake Error|error:).*", built.stdout + built.stderr)
-            return None, f"openarm_can {VERSION} cannot be built: {'; '.join(errors)[:200]}"
+            pytest.skip(f"openarm_can {VERSION} cannot be built: {'; '.join(errors)[:200]}")
         zipfile.ZipFile(next(folder.glob(f"openarm_can-{VERSION}-*.whl"))).extractall(package)
-    return package, ""
+    return package
 
 
 def run_client(package, interface, frames, patience_s=60.0, **variables):

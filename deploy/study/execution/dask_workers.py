@@ -73,7 +73,7 @@ class DaskWorkers:
         self._alone: PlannedRun | None = None
         self._open = ExitStack()
         if scheduler is not None:
-            self._client = self._open.enter_context(_connect(scheduler))
+            self.client = self._open.enter_context(_connect(scheduler))
             return
         with self._open:
             self._open.enter_context(safe_path())  # a worker that dies is replaced at any time
@@ -81,8 +81,8 @@ class DaskWorkers:
                 prefix="funnel-hil-", dir=dask.config.get("temporary-directory", None)
             )
             cluster = _own_cluster(workers, self._open.enter_context(scratch))
-            self._client = self._open.enter_context(Client(self._open.enter_context(cluster)))
-            self._client.subscribe_topic(_COMPILES, _say_that_they_compile)
+            self.client = self._open.enter_context(Client(self._open.enter_context(cluster)))
+            self.client.subscribe_topic(_COMPILES, _say_that_they_compile)
             self._open = self._open.pop_all()
 
     def __enter__(self) -> DaskWorkers:
@@ -94,18 +94,18 @@ class DaskWorkers:
     @property
     def count(self) -> int:
         """Number of runs that they execute at a time, as far as known."""
-        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
         return sum(worker["nthreads"] for worker in workers)
 
     def current(self, parts: Iterable[str]) -> list[Provenance]:
         """Return the present values of parts of a provenance, as each worker has them."""
-        found: Mapping[str, Provenance] = self._client.run(current, list(parts))
+        found: Mapping[str, Provenance] = self.client.run(current, list(parts))
         return list(found.values())
 
     def submit(self, run: PlannedRun) -> None:
         """Submit a run."""
         self._in_flight += 1
-        future = self._client.submit(row_with, run, self._laws, pure=False)
+        future = self.client.submit(row_with, run, self._laws, pure=False)
         future.add_done_callback(lambda done: self._finished.put((run, done)))
 
     def finished(self, timeout_s: float) -> tuple[PlannedRun, Row] | None:
@@ -120,7 +120,7 @@ class DaskWorkers:
         try:
             run, future = self._finished.get(timeout=timeout_s)
         except queue.Empty:
-            if self._client.status not in ("running", "connecting"):
+            if self.client.status not in ("running", "connecting"):
                 raise WorkersLostError("the connection to the Dask scheduler is lost") from None
             return None
         self._in_flight -= 1

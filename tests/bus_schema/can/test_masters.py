@@ -32,7 +32,7 @@ class FrameBus:
     """Gives its frames, then fails if there is an error to fail with."""
 
     def __init__(self, *frames: CanFrame, error: BusError | None = None) -> None:
-        self._frames, self._error = list(frames), error
+        self.frames, self._error = list(frames), error
         self.sent: list[CanFrame] = []
 
     def send(self, frame: CanFrame) -> None:
@@ -42,8 +42,8 @@ class FrameBus:
         self.sent.extend(frames)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        if self._frames:
-            return self._frames.pop(0)
+        if self.frames:
+            return self.frames.pop(0)
         if self._error is not None:
             raise self._error
         return None
@@ -166,7 +166,7 @@ def test_drives_may_be_late_at_the_start_only() -> None:
     late_ns = 4_000_000_000  # far beyond link.can.heartbeat_timeout_ms
     master.sample(late_ns)
     assert not read(master)
-    bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in NODES]
+    bus.frames += [CanFrame(0x180 + node, bytes(8)) for node in NODES]
     assert read(master)
     master.sample(late_ns + 71_000_000)
     with pytest.raises(DriveError, match="drive 1: no heartbeat for 70 ms"):
@@ -182,10 +182,10 @@ def test_silent_drive_is_named_before_its_consequences() -> None:
     master = cia402(bus)
     for now_ms, nodes in ((10, NODES), (40, (1, 3))):
         master.sample(now_ms * 1_000_000)
-        bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in nodes]
+        bus.frames += [CanFrame(0x180 + node, bytes(8)) for node in nodes]
         assert read(master) == (nodes == NODES)
     master.sample(62_000_000)
-    bus._frames.append(FAULT_OF_1)
+    bus.frames.append(FAULT_OF_1)
     with pytest.raises(SilentDriveError, match=r"^drive 2: no state for 52 ms; drive 1: fault"):
         read(master)
 
@@ -195,7 +195,7 @@ def test_silence_of_all_drives_or_none_is_no_cause(nodes):
     bus = FrameBus()
     master = cia402(bus)
     master.sample(62_000_000)
-    bus._frames += [*(CanFrame(0x180 + node, bytes(8)) for node in nodes), FAULT_OF_1]
+    bus.frames += [*(CanFrame(0x180 + node, bytes(8)) for node in nodes), FAULT_OF_1]
     if nodes:
         assert read(master)
         master.sample(64_000_000)

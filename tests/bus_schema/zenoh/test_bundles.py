@@ -47,7 +47,7 @@ def lone_bundler() -> Iterator[tuple[Bundler, list[bytes]]]:
 
 def hears_bundles_alone(plant: ZenohPlantLink) -> bool:
     """Nobody but a recorder subscribes to the status by itself."""
-    return not plant._outbox._streams[topics.PLANT_STATUS.name].publisher.has_subscribers()
+    return not plant.outbox._streams[topics.PLANT_STATUS.name].publisher.has_subscribers()
 
 
 def test_recorder_takes_bundles_alone_while_none_but_both_loops_speak() -> None:

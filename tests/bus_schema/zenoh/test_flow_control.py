@@ -19,9 +19,9 @@ NEVER_S = 0.0
 
 def must_wait(flow: FlowControl) -> bool:
     """Whether a sender would have to wait now. Whom it waits for is forgotten by that."""
-    before = dict(flow._recorders)
+    before = dict(flow.recorders)
     flow.await_recorders()
-    return flow._recorders != before
+    return flow.recorders != before
 
 
 def test_without_a_recorder_no_process_waits_for_one() -> None:
@@ -43,7 +43,7 @@ def test_recorder_that_never_reported_is_awaited_for_less_time(monkeypatch):
     threading.Timer(0.05, flow.acknowledge, ("recorder", 2)).start()
     flow.await_recorders()
     flow.await_recorders()
-    assert flow._recorders == {"recorder": 2}
+    assert flow.recorders == {"recorder": 2}
 
 
 HALF = TOO_MUCH // 2
@@ -115,7 +115,7 @@ def test_recorder_that_joined_just_now_is_not_abandoned_with_others() -> None:
     flow.acknowledge("genuine", 1)
     flow.send(TOO_MUCH, 2)
     flow.acknowledge("genuine", 1)
-    assert flow._recorders.keys() == {"genuine"}
+    assert flow.recorders.keys() == {"genuine"}
 
 
 def test_plant_waits_until_a_recorder_confirms_the_messages() -> None:
@@ -129,7 +129,7 @@ def test_plant_waits_until_a_recorder_confirms_the_messages() -> None:
 
         sender = threading.Thread(target=send)
         sender.start()
-        gid = plant._outbox.gid_of(PLANT_TRUTH)
+        gid = plant.outbox.gid_of(PLANT_TRUTH)
         assert gid is not None
         for number in range(1, batches + 1):
             ear.await_received(PLANT_TRUTH, number * batch)

@@ -109,12 +109,12 @@ def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everythin
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
         recorder.announce()
         plant.await_recorder(HANG_S)
-        flow, gid = plant._flow, plant._outbox.gid_of(topics.PLANT_TRUTH)
+        flow, gid = plant._flow, plant.outbox.gid_of(topics.PLANT_TRUTH)
         assert flow is not None
         assert gid is not None
         flow.send(100, mark=5)  # no recorder has more than was sent
-        await_true(lambda: recorder.tell_progress(gid, 5) or 5 in flow._recorders.values())
-        gid = plant._outbox.gid_of(topics.RUN_EVENTS)
+        await_true(lambda: recorder.tell_progress(gid, 5) or 5 in flow.recorders.values())
+        gid = plant.outbox.gid_of(topics.RUN_EVENTS)
         assert gid is not None
         recorder.acknowledge(gid)
         plant.await_recorded()

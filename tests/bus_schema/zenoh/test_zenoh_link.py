@@ -93,7 +93,7 @@ def test_plant_leaves_in_the_midst_of_a_flood(monkeypatch, lockstep):
     with tokenless_client(link) as client:
         flooding = threading.Thread(target=flood, args=[client], daemon=True)
         flooding.start()
-        await_true(lambda: not plant._arrivals.is_empty())
+        await_true(lambda: not plant.arrivals.is_empty())
         closing = threading.Thread(target=plant.close, daemon=True)
         closing.start()
         closing.join(HANG_S)
@@ -143,8 +143,8 @@ def test_commands_are_stamped_when_they_come_not_when_they_are_taken() -> None:
         between: list[int] = []
         for count in (1, 2):
             controller.publish(JOINT_COMMANDS, reply)
-            await_true(lambda count=count: plant._arrivals._kept.qsize() == count)
-            between.append(plant._arrivals._clock.now_ns())
+            await_true(lambda count=count: plant.arrivals._kept.qsize() == count)
+            between.append(plant.arrivals._clock.now_ns())
         first, second = plant.take_commands()
         assert first.arrival_ns <= between[0] <= second.arrival_ns <= between[1]
 
@@ -196,7 +196,7 @@ def test_command_before_the_start_is_a_sign_of_life(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 2 * HANG_S)
     with plant_on(link) as plant, ear_on(link, plant), tokenless_client(link) as client:
         publisher = client.publisher(JOINT_COMMANDS.key_expression(0))
-        await_true(lambda: publisher.put(b"hello", b"") or not plant._arrivals.is_empty())
+        await_true(lambda: publisher.put(b"hello", b"") or not plant.arrivals.is_empty())
         plant.await_controller(HANG_S)
 
 

@@ -27,7 +27,7 @@ metrics: {from_s: 0}
 link: {can: {interface: virtual, rated_torque_nm: 10}}
 """  # noqa: E501
 SWEEP = "{name: two, scenario: arm.yaml, grid: {controller.model_scale: [1.0, 1.1]}, seeds: 2}"
-TOLD = "no effort limit in the URDF for shoulder: torques are UNLIMITED there"
+WARNING = "no effort limit in the URDF for shoulder: torques are UNLIMITED there"
 COMMANDS = {
     "simulate": ["simulate", "arm.yaml"],
     "sweep": ["sweep", "sweep.yaml", "--workers", 1],
@@ -45,12 +45,12 @@ def here(tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_missing_limit_is_reported_once_and_in_the_results(command, here, funnel_hil):
     output = funnel_hil.output(*COMMANDS[command], "--out", here / "out")
-    assert output.count(f"warning: {TOLD}") == 1
+    assert output.count(f"warning: {WARNING}") == 1
     manifest = json.loads((here / "out" / "manifest.json").read_text())
-    assert [each for each in manifest["warnings"] if each.startswith(TOLD)]
+    assert [each for each in manifest["warnings"] if each.startswith(WARNING)]
     for _ in range(2):  # and once it has been reported again
         page = (here / "out" / "report.html").read_text()
-        assert page.count(TOLD) == 1
+        assert page.count(WARNING) == 1
         assert funnel_hil("report", here / "out")[0] == 0
 
 
@@ -62,4 +62,4 @@ def test_limits_of_the_scenario_take_the_place_of_missing_ones(here, funnel_hil)
 
 def test_drives_say_it_too(here, funnel_hil):
     output = funnel_hil.output("drives", "arm.yaml", "--duration", 0.05)
-    assert output.count(f"warning: {TOLD}") == 1
+    assert output.count(f"warning: {WARNING}") == 1

@@ -27,15 +27,15 @@ class Client:
     """One of Foxglove's clients: it hears what is advertised, and subscribes to all of it."""
 
     def __init__(self, connection):
-        self._connection = connection
+        self.connection = connection
         self.channels = {}
         self.before_channels = 0
 
     async def read(self):
-        return await asyncio.wait_for(self._connection.read_message(), HANG_S)
+        return await asyncio.wait_for(self.connection.read_message(), HANG_S)
 
     async def send(self, **values):
-        await self._connection.write_message(json.dumps(values))
+        await self.connection.write_message(json.dumps(values))
 
     async def hear_channels(self, count):
         while len(self.channels) < count:
@@ -160,8 +160,8 @@ def test_garbage_and_a_client_that_reads_nothing_do_not_disturb_another(served):
         await still.hear_channels(channels())
         await still.subscribe()  # and reads nothing from here on
         for garbage in ("", "{", '{"op": 1}', '{"op": "subscribe", "subscriptions": 3}'):
-            await rude._connection.write_message(garbage)
-        await rude._connection.write_message(bytes(range(256)), binary=True)
+            await rude.connection.write_message(garbage)
+        await rude.connection.write_message(bytes(range(256)), binary=True)
         client = await connected(url)
         await client.hear_channels(channels())
         await client.subscribe()

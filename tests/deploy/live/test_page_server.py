@@ -68,7 +68,7 @@ def test_viewers_can_only_read(url, method):
 
 
 def test_it_listens_on_this_machine_alone(viewer):
-    assert viewer._page.server_address[0] == "127.0.0.1"
+    assert viewer.page.server_address[0] == "127.0.0.1"
 
 
 def printed_for(port, request):
@@ -96,7 +96,7 @@ def test_garbage_gets_an_error_and_does_nothing(url, garbage):
 def test_flood_of_connections_does_not_block_open_viewers(viewer, url):
     events = Events(url)
     idle = [socket.create_connection(("127.0.0.1", urlsplit(url).port)) for _ in range(100)]
-    viewer._frames.add({"time_s": 1.0})
+    viewer.frames.add({"time_s": 1.0})
     assert next(events.frames()) == {"time_s": 1.0}
     for client in idle:
         client.close()
@@ -107,8 +107,8 @@ def test_a_page_that_is_frozen_holds_up_neither_the_viewer_nor_another_page(view
     frozen, other = Events(url), Events(url)  # of which one is never read from
     large = "x" * 100_000
     for number in range(1, 201):  # far more than its socket takes; who waits for it hangs here
-        viewer._frames.add({"time_s": float(number), "large": large})
-    viewer._frames.end()
+        viewer.frames.add({"time_s": float(number), "large": large})
+    viewer.frames.end()
     *_, last = other.frames()
     assert last["time_s"] == 200.0
     viewer.close()  # without waiting
@@ -160,7 +160,7 @@ class Burst:
 
 def shown(viewer):
     """Ticks of the newest frame."""
-    _, frames = viewer._frames.after(0, 0.0)
+    _, frames = viewer.frames.after(0, 0.0)
     return frames[-1]["ticks"] if frames else 0
 
 
@@ -184,8 +184,8 @@ def test_the_last_of_a_run_is_shown_at_its_end(viewer, monkeypatch):
 
 
 def test_run_that_is_over_is_shown_to_late_viewers(viewer, url):
-    viewer._frames.add({"time_s": 1.0})
-    viewer._frames.end()
+    viewer.frames.add({"time_s": 1.0})
+    viewer.frames.end()
     events = Events(url)
     assert list(events.frames()) == [{"time_s": 1.0}]
     events.close()

@@ -35,7 +35,7 @@ class Raising:
         return calls / 0
 """
 NAME = "raising_law:Raising"
-TOLD = (f"law {NAME} failed at tick 20: ZeroDivisionError: division by zero",
+MESSAGES = (f"law {NAME} failed at tick 20: ZeroDivisionError: division by zero",
         "raising_law.py:16 in torque", "raising_law.py:22 in divide")  # fmt: skip
 EARLY = (f"law {NAME} failed before the first tick: ZeroDivisionError", "py:22 in divide")
 SHORT = ["--set", "duration_s=0.2", "--set", "metrics.from_s=0.1"]
@@ -62,7 +62,7 @@ def assert_reported_everywhere(message, output, out):
     assert missing(message, first) == []
 
 
-@pytest.mark.parametrize(("at_tick", "message"), [(20, TOLD), (0, EARLY)])
+@pytest.mark.parametrize(("at_tick", "message"), [(20, MESSAGES), (0, EARLY)])
 def test_simulate_reports_what_the_law_raised_and_where(funnel_hil, folder, at_tick, message):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     out = folder / "out"
@@ -79,7 +79,7 @@ def in_lockstep(command, *words):
     return cold(command, "mine.yaml", "--set", "clock=lockstep", "--out", "out", *words)
 
 
-@pytest.mark.parametrize(("at_tick", "message"), [(20, TOLD), (0, EARLY)])
+@pytest.mark.parametrize(("at_tick", "message"), [(20, MESSAGES), (0, EARLY)])
 def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, message):
     gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
     words = [*SHORT, "--set", gains, "--set", "link.reply_timeout_s=60"]
@@ -129,7 +129,7 @@ def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
     out = folder / "out"
     assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
     output = funnel_hil.output("replay", out, "--allow-custom-law")
-    assert f"the replay stopped early: {TOLD[0]}" in output
+    assert f"the replay stopped early: {MESSAGES[0]}" in output
     assert "identical until it failed" in output
 
 
@@ -142,4 +142,4 @@ def test_a_study_of_which_every_run_failed_says_why_and_ends_with_1(funnel_hil, 
     rows = read_rows(out / f"{kind}.parquet")
     assert rows
     for text in (output, (out / "report.html").read_text(), *(row["error"] for row in rows)):
-        assert missing(TOLD, text) == []
+        assert missing(MESSAGES, text) == []

@@ -220,7 +220,7 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
 def test_workers_of_our_own_leave_interrupts_to_the_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with DaskWorkers(1) as team:
-        ignoring = team._client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN)
+        ignoring = team.client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN)
     assert list(ignoring.values()) == [True]
 
 
@@ -234,7 +234,7 @@ def test_workers_of_our_own_leave_no_files(tmp_path, monkeypatch):
 def test_compilation_in_workers_is_reported_once_by_the_command(monkeypatch, caplog, capfd):
     monkeypatch.delenv(compiled.HAS_SAID)
     with DaskWorkers(2) as team:
-        team._client.run(compile_something)
+        team.client.run(compile_something)
         await_true(lambda: caplog.messages)
     ours = [each.message for each in caplog.records if each.name.startswith("bus_schema.")]
     assert ours == [compiled.COMPILES]  # Dask may complain of a connection that ends
@@ -258,8 +258,8 @@ def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):
 
 def test_stranger_on_this_machine_cannot_use_our_own_cluster():
     with DaskWorkers(workers=1) as team:
-        scheduler = team._client.scheduler.address
-        workers = team._client.scheduler_info(n_workers=-1)["workers"]
+        scheduler = team.client.scheduler.address
+        workers = team.client.scheduler_info(n_workers=-1)["workers"]
         places = [scheduler, *workers, *(worker["nanny"] for worker in workers.values())]
         assert {place.partition("://")[0] for place in places} == {"tls"}
         for address, security in (

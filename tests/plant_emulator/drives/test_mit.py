@@ -48,6 +48,13 @@ def test_older_firmware_replies_with_six_bytes_to_the_masters_identifier():
     assert (reply.identifier, len(reply.data)) == (0x50, 6)
 
 
+def test_a_command_that_differs_from_a_special_frame_in_one_byte_is_a_command():
+    bench = bench_of()
+    bench.answer(bytes([*ENABLE[:6], 0xFE, ENABLE[7]]))
+    bench.answer(command(t=3.0))
+    assert bench.drive.demand() == AT_REST
+
+
 def test_torque_is_that_of_the_loop_where_the_joint_is():
     bench = bench_of()
     bench.move(0.5, 0.2)

@@ -30,9 +30,7 @@ NODE = JOINT + 1
 def moteus(request):
     """mjbots' package; to be imported it needs pyserial and importlib-metadata."""
     for name, version in WHEELS.items():
-        why_not = fetch_wheel(name, version, request.config.cache.mkdir("wheels"))
-        if why_not is not None:
-            pytest.skip(why_not)
+        fetch_wheel(name, version, request.config.cache.mkdir("wheels"))
     return importlib.import_module("moteus")
 
 

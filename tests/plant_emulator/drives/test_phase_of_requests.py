@@ -9,15 +9,10 @@ import random
 from collections.abc import Sequence
 
 import pytest
+from link_bench import LinkBench, QuietBus
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.link.in_process import InProcessBus, InProcessNode
-from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, Role, layout
 from bus_schema.runtime.clock import VirtualClock
-from deploy.scenario.link_kinds import can as can_kind
-from deploy.scenario.link_kinds.can import CanKind
-from deploy.scenario.scenario import load_setup
 
 MS = 1_000_000
 PERIOD_NS = 2 * MS
@@ -58,7 +53,7 @@ class MastersTime(VirtualClock):
         return 0
 
 
-class MastersBus:
+class MastersBus(QuietBus):
     """Requests of all seven drives every 2 ms, each of which takes its reader some time.
 
     Args:
@@ -72,7 +67,8 @@ class MastersBus:
     """
 
     def __init__(self, clock, read_ns, wakes_late_ns, jitter_ns):
-        self._clock, self._read_ns, self._wakes_late_ns = clock, read_ns, wakes_late_ns
+        super().__init__(clock)
+        self._read_ns, self._wakes_late_ns = read_ns, wakes_late_ns
         self._next = self.answers = self._stray_ns = 0
         self._frames = REQUESTS
         random_ns = random.Random(1)
@@ -101,39 +97,12 @@ class MastersBus:
     def send_all(self, frames: Sequence[CanFrame]) -> None:
         self.answers += len(frames)
 
-    def dropped(self) -> int | None:
-        return None
 
-    def close(self) -> None:
-        pass
-
-
-class Motors:
+def motors_of(monkeypatch, read_ns, wakes_late_ns=0, jitter_ns=0):
     """The plant's link to the motors of `openarm`, whose time is a `MastersTime`."""
-
-    def __init__(self, monkeypatch, read_ns, wakes_late_ns=0, jitter_ns=0):
-        setup = load_setup("openarm", ["duration_s=20", "clock=realtime", "rate_hz=500"])
-        self.clock, self._arm = MastersTime(), setup.arm()
-        self.bus = MastersBus(self.clock, read_ns, wakes_late_ns, jitter_ns)
-        telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
-        monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
-        monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
-        run = setup.link_run(lockstep=False)
-        self._link = CanKind().open_plant(run, self._arm, self.clock)
-        self._link.await_controller(60.0)
-        names = setup.robot.joint_names
-        self._state = Record(layout(JOINT_STATES, names)).payload()
-        self._status = layout(PLANT_STATUS, names).template
-
-    def reach(self, tick: int) -> None:
-        self._link.wait_until(self.clock, tick * PERIOD_NS)
-
-    def measure(self) -> None:
-        self._link.send_state(self._state, self._status)
-
-    def close(self) -> None:
-        self._link.close()
-        self._arm.close()
+    clock = MastersTime()
+    bus = MastersBus(clock, read_ns, wakes_late_ns, jitter_ns)
+    return LinkBench(monkeypatch, bus, clock, "openarm", "rate_hz=500")
 
 
 @pytest.mark.parametrize(
@@ -146,9 +115,9 @@ def test_ticks_stay_ahead_of_requests_on_a_slow_host(monkeypatch, read_ns, busy_
     Else the clock would be set back until requests come before the tick, and are answered with the
     state before it. Requests that come after the plant's work are no sign of one either.
     """
-    motors = Motors(monkeypatch, read_ns, jitter_ns=jitter_ns)
+    motors = motors_of(monkeypatch, read_ns, jitter_ns=jitter_ns)
     for tick in range(1, TICKS):
-        motors.reach(tick)
+        motors.reach(tick * PERIOD_NS)
         motors.measure()
         motors.clock.master_ns += busy_ns
     assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=read_ns + 10_000 + jitter_ns // 4)
@@ -157,10 +126,10 @@ def test_ticks_stay_ahead_of_requests_on_a_slow_host(monkeypatch, read_ns, busy_
 
 def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(monkeypatch):
     """A request that was sent after the tick is there when the host wakes up for it."""
-    motors = Motors(monkeypatch, read_ns=5_000, wakes_late_ns=LEAD_NS + 100_000)
+    motors = motors_of(monkeypatch, read_ns=5_000, wakes_late_ns=LEAD_NS + 100_000)
     answers_before_tick = []
     for tick in range(1, 50):
-        motors.reach(tick)
+        motors.reach(tick * PERIOD_NS)
         answers_before_tick.append(motors.bus.answers)
         motors.measure()
     # At the first one, no joint was measured yet; before each other, one set of requests per tick.
@@ -170,11 +139,11 @@ def test_requests_after_a_tick_get_its_state_also_from_a_host_that_wakes_late(mo
 
 def test_a_second_master_that_asks_one_drive_turns_the_clock_little(monkeypatch):
     """Its request comes after the sampling of each tick, and begins no other one."""
-    motors = Motors(monkeypatch, read_ns=5_000)
+    motors = motors_of(monkeypatch, read_ns=5_000)
     for tick in range(1, 600):
         if tick == 50:
             motors.bus.join(stray_ns=400_000)
-        motors.reach(tick)
+        motors.reach(tick * PERIOD_NS)
         motors.measure()
     assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=15_000)
     motors.close()
@@ -185,11 +154,11 @@ def test_requests_that_are_read_in_a_row_after_a_hold_up_keep_their_own_times(mo
 
     Timed by the first, the fifth would seem to come 0.5 ms early, and put the clock forward.
     """
-    motors = Motors(monkeypatch, read_ns=10_000)
+    motors = motors_of(monkeypatch, read_ns=10_000)
     motors.measure()
     motors.clock.master_ns = 7_500_000
     for tick in range(4, 30):
-        motors.reach(tick)
+        motors.reach(tick * PERIOD_NS)
         motors.measure()
     assert motors.clock.ahead_ns == pytest.approx(LEAD_NS, abs=20_000)
     motors.close()

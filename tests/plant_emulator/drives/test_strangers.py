@@ -6,20 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
+from link_bench import LinkBench, QuietBus
 
 from bus_schema.can.cansimple.codec import CanSimpleCodec
 from bus_schema.can.cia402.codec import Cia402Codec
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import BusError
-from bus_schema.link.in_process import InProcessBus, InProcessNode
-from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, Role, layout
+from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import HostLateness, VirtualClock
-from deploy.scenario.link_kinds import can as can_kind
-from deploy.scenario.link_kinds.can import CanKind
-from deploy.scenario.scenario import load_setup
-from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.strangers import Strangers
 from plant_emulator.plant_loop import PlantLoop
 
@@ -77,7 +72,7 @@ class HandClock(VirtualClock):
         self.wait_until(self.now_ns() + by_ns)
 
 
-class HeldUpBus:
+class HeldUpBus(QuietBus):
     """Gives frames and a SYNC; then time passes by who waits for frames, and holds him up once.
 
     Attributes:
@@ -88,7 +83,7 @@ class HeldUpBus:
     """
 
     def __init__(self, clock: HandClock, before_sync: Sequence[CanFrame]) -> None:
-        self._clock = clock
+        super().__init__(clock)
         self.frames = [*before_sync, CanFrame(0x080)]
         self.hold_up_ms = 0
         self.sent: list[CanFrame] = []
@@ -110,49 +105,32 @@ class HeldUpBus:
         self._clock.wait_until(self._clock.now_ns() + waited_ns)
         return self.frames.pop(0) if self.frames else None
 
-    def dropped(self) -> int | None:
-        return None
 
-    def close(self) -> None:
-        pass
-
-
-class Held:
+class Held(LinkBench):
     """A link in real time whose loop is held up."""
 
     def __init__(self, monkeypatch, before_sync=(), *overrides):
-        self.setup = load_setup("paper_arm_can", ["duration_s=20", "clock=realtime", *overrides])
-        self.clock = HandClock()
-        self.bus = HeldUpBus(self.clock, before_sync)
-        self.others = InProcessBus(VirtualClock())
-        telemetry = InProcessNode(self.others, Role.PLANT)
-        monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
-        monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
-        self.arm = self.setup.arm()
-        run = self.setup.link_run(lockstep=False)
-        self.link: CanPlantLink = CanKind().open_plant(run, self.arm, self.clock)  # type: ignore[assignment]
-        self.link.await_controller(HANG_S)
+        clock = HandClock()
+        bus = HeldUpBus(clock, before_sync)
+        super().__init__(monkeypatch, bus, clock, "paper_arm_can", *overrides)
 
-    def measure(self) -> None:
-        names = self.setup.robot.joint_names
-        state = Record(layout(JOINT_STATES, names)).payload()
-        self.link.send_state(state, layout(PLANT_STATUS, names).template)
+    def sent(self, identifier):
+        return sum(frame.identifier == identifier for frame in self.bus.sent)
 
     @property
-    def states(self) -> int:
-        return sum(frame.identifier == 0x181 for frame in self.bus.sent)
+    def states(self):
+        return self.sent(0x181)
 
     @property
-    def heartbeats(self) -> int:
-        return sum(frame.identifier == 0x701 for frame in self.bus.sent)
+    def heartbeats(self):
+        return self.sent(0x701)
 
 
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[Held]:
     made = Held(monkeypatch)
     yield made
-    made.link.close()
-    made.arm.close()
+    made.close()
 
 
 def test_what_the_master_sent_before_it_left_is_read(held: Held) -> None:
@@ -171,7 +149,7 @@ def test_drives_miss_nothing_that_a_held_up_host_has_not_read(held: Held) -> Non
     held.clock.set_ms(500)
     held.measure()
     assert held.heartbeats == before
-    held.link.wait_until(held.clock, 502 * MS)
+    held.reach(502 * MS)
     held.measure()
     assert held.heartbeats > before
 
@@ -180,7 +158,7 @@ def test_what_came_while_the_loop_was_held_up_is_read_before_it_goes_on(held: He
     held.measure()
     held.bus.frames += [CanFrame(0x202, bytes(4))] * 50
     held.bus.hold_up_ms = 100
-    assert held.link.wait_until(held.clock, 2 * MS) == 98 * MS
+    assert held.reach(2 * MS) == 98 * MS
     assert held.bus.frames == []
 
 
@@ -188,13 +166,12 @@ def test_drives_answer_with_nothing_before_their_joints_were_measured(monkeypatc
     """The SYNC that began the run waits: at 0 rad they are not."""
     held = Held(monkeypatch, [CanFrame(0x000, bytes([1, 0]))])  # all nodes operational
     held.clock.set_ms(20)
-    held.link.wait_until(held.clock, 2 * MS)
+    held.reach(2 * MS)
     assert held.states == 0
     held.measure()
-    held.link.wait_until(held.clock, 4 * MS)
+    held.reach(4 * MS)
     assert held.states == 1
-    held.link.close()
-    held.arm.close()
+    held.close()
 
 
 def test_run_whose_first_sampling_is_read_late_has_the_time_of_the_master(monkeypatch):
@@ -208,8 +185,7 @@ def test_run_whose_first_sampling_is_read_late_has_the_time_of_the_master(monkey
     held.bus.frames = sampling  # the fifth is read as it comes, 8 ms into the run
     held.link.await_command(0.0)
     assert held.clock.now_ns() - began_ns == 8 * MS + LEAD_NS
-    held.link.close()
-    held.arm.close()
+    held.close()
 
 
 def test_flood_keeps_no_instant_from_coming(held: Held) -> None:
@@ -222,9 +198,9 @@ def test_flood_keeps_no_instant_from_coming(held: Held) -> None:
         return CanFrame(0x7FF)
 
     held.bus.receive = receive  # type: ignore[method-assign, assignment]
-    assert held.link.wait_until(held.clock, 2 * MS) < MS
+    assert held.reach(2 * MS) < MS
     took_ms = 10.0
-    held.link.wait_until(held.clock, 4 * MS)
+    held.reach(4 * MS)
     assert held.clock.now_ns() < 30 * MS
 
 
@@ -241,13 +217,13 @@ def test_run_without_a_bus_is_ended_by_its_cause(held: Held, error: Exception) -
 def test_fault_after_a_delay_names_the_host_and_other_nodes(held: Held) -> None:
     held.bus.frames += [CanFrame(0x183, bytes(8))]
     held.measure()
-    held.link.wait_until(held.clock, 2 * MS)
+    held.reach(2 * MS)
     held.bus.hold_up_ms = 498
-    held.link.wait_until(held.clock, 4 * MS)
+    held.reach(4 * MS)
     held.measure()
     assert held.link.fault() is None  # nothing has gone wrong by that alone
     held.bus.error = BusError("the bus is gone")
-    held.link.wait_until(held.clock, 502 * MS)
+    held.reach(502 * MS)
     fault = str(held.link.fault())
     assert "the bus is gone" in fault
     assert "another drive on this bus has address 3 and sent 1 states" in fault
