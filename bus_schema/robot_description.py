@@ -16,6 +16,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.drive_values import DriveValues, drive_values
+from bus_schema.urdf.held_pose import fix_held
 from bus_schema.urdf.implausible import mass_warnings
 from bus_schema.urdf.inertia import judge_inertias
 from bus_schema.urdf.inertia_estimate import estimate_inertias, estimated_links
@@ -139,6 +140,7 @@ def load_robot(
     arguments: Mapping[str, str] = MappingProxyType({}),
     include: Sequence[Path] = (),
     mass_kg: float | None = None,
+    hold: Mapping[str, float] = MappingProxyType({}),
     hold_grippers: bool = False,
 ) -> RobotDescription:
     """Read a URDF file, or an MJCF file as a URDF.
@@ -150,6 +152,7 @@ def load_robot(
         arguments: values of the arguments of a xacro file, by name.
         include: folders with files that it refers to, besides its own and ROS packages.
         mass_kg: mass of the whole arm, where its file gives no inertias; None for an estimate.
+        hold: positions of joints that are held, by name, rad or m; others are held at zero.
         hold_grippers: hold the joints of grippers and hands, if `driven` is None.
 
     Raises:
@@ -161,19 +164,20 @@ def load_robot(
         if root.tag == "mujoco":
             from bus_schema.urdf.from_mjcf import urdf_from_mjcf  # which imports MuJoCo: 0.15 s
 
-            root, left_out = urdf_from_mjcf(root, path, driven, include)
+            root, left_out = urdf_from_mjcf(root, path, driven, hold, include)
             text = ET.tostring(root, encoding="unicode")
-        wanted = (driven, hold_grippers)
+        wanted = (driven, hold_grippers, hold)
         robot = _described(
             path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg
         )
-        is_chosen = driven is not None or any(each.reason in OF_GRIPPERS for each in robot.held)
+        is_chosen = bool(driven or hold) or any(each.reason in OF_GRIPPERS for each in robot.held)
         reading = {
             "joints": list(robot.joint_names) if is_chosen else [],
             "repair": repair,
             "xacro": dict(arguments),
             "include": [str(each) for each in include],
             "mass_kg": mass_kg,
+            "hold": dict(hold),
         }
         reading = {key: value for key, value in reading.items() if value}
         return replace(robot, warnings=(*left_out, *robot.warnings), reading=reading)
@@ -184,7 +188,7 @@ def load_robot(
 def _described(
     path: Path,
     root: ET.Element,
-    wanted: tuple[Sequence[str] | None, bool],
+    wanted: tuple[Sequence[str] | None, bool, Mapping[str, float]],
     text: str,
     *,
     repair: bool,
@@ -198,7 +202,8 @@ def _described(
     text = ET.tostring(root, encoding="unicode") if no_ranges else text
     roles = joint_roles(root, *wanted)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
-    if estimate_inertias(root, path.parent, moving, include, mass_kg):
+    is_posed = fix_held(root, roles.held)
+    if estimate_inertias(root, path.parent, moving, include, mass_kg) or is_posed:
         text = ET.tostring(root, encoding="unicode")
     warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     warnings += [*no_ranges, *mass_warnings(root, moving)]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, mass_of, shortened
@@ -26,11 +27,12 @@ _ONE_SIDED, _WIDEST_RAD = 0.15, 2.5
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that is held fixed, and why."""
+    """A joint that is held fixed, why, and at which position (rad or m)."""
 
     name: str
     kind: str
     reason: str
+    position: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,10 @@ class JointRoles:
 
 
 def joint_roles(
-    root: ET.Element, wanted: Sequence[str] | None, hold_grippers: bool = False
+    root: ET.Element,
+    wanted: Sequence[str] | None,
+    hold_grippers: bool = False,
+    hold: Mapping[str, float] = MappingProxyType({}),
 ) -> JointRoles:
     """Return the roles of all joints.
 
@@ -62,6 +67,7 @@ def joint_roles(
         wanted: names of the joints to drive; None for all movable joints, except the fingers of
             grippers: joints that slide beside others on the same link.
         hold_grippers: also hold the joints of grippers and hands.
+        hold: positions of joints to hold, by name; others are held at zero.
 
     Raises:
         RobotDescriptionError: there is none to drive.
@@ -74,9 +80,13 @@ def joint_roles(
         for name, joint in moving.items()
         if (element := joint.find("mimic")) is not None
     }
+    own = [name for name in moving if name not in mimics]
     if wanted is not None:
-        _check_wanted(wanted, [name for name in moving if name not in mimics])
+        _check_wanted("robot.joints", wanted, own)
+    _check_wanted("robot.hold", hold, [name for name in own if name not in (wanted or ())])
     reasons = _held(joints, mimics, wanted)
+    reasons |= {name: _held_at(moving[name], at) for name, at in hold.items()}
+    positions = dict(hold)
     driven = tuple(name for name in moving if name not in mimics and name not in reasons)
     if wanted is None and hold_grippers:
         grippers = dict.fromkeys(_grippers(root, driven, mimics), _MIMICKED)
@@ -93,11 +103,13 @@ def joint_roles(
             followers.append(first)
         else:
             reasons[mimic.name] = f"mimics {first.leader}, which is held"
+            at = first.multiplier * positions.get(first.leader, 0.0) + first.offset
+            positions[mimic.name] = at
     if not driven:
         held_joints = ", ".join(f"{name} is held: {why}" for name, why in reasons.items())
         raise RobotDescriptionError(f"has no joint to drive; {shortened(held_joints)}")
     held = tuple(
-        HeldJoint(name, joint.get("type", ""), reasons[name])
+        HeldJoint(name, joint.get("type", ""), reasons[name], positions.get(name, 0.0))
         for name, joint in joints.items()
         if name in reasons
     )
@@ -195,10 +207,28 @@ def _opens(joint: ET.Element) -> bool:
     return high - low <= _WIDEST_RAD and min(abs(low), abs(high)) <= _ONE_SIDED * (high - low)
 
 
-def _check_wanted(wanted: Sequence[str], possible: list[str]) -> None:
+def _held_at(joint: ET.Element, position: float) -> str:
+    """Return why a joint is held at a position.
+
+    Raises:
+        RobotDescriptionError: its range does not contain it.
+    """
+    limit, name = joint.find("limit"), joint.get("name", "")
+    if limit is not None and joint.get("type") != "continuous":
+        low, high = (
+            float(limit.get(end, sign + "inf")) for end, sign in (("lower", "-"), ("upper", ""))
+        )
+        if not low <= position <= high:
+            raise RobotDescriptionError(
+                f"robot.hold: {name}: {position:g}: must be {low:g} to {high:g}, the joint's range"
+            )
+    return "robot.hold"
+
+
+def _check_wanted(key: str, wanted: Iterable[str], possible: list[str]) -> None:
     for name in wanted:
         if name not in possible:
-            allowed = f"robot.joints must be some of {shortened(', '.join(possible)) or 'none'}"
+            allowed = f"{key} must be some of {shortened(', '.join(possible)) or 'none'}"
             hint = did_you_mean(name, possible)
             raise JointNameError(f"{allowed}; not {shortened(name)!r}{hint}")
 

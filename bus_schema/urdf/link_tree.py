@@ -53,10 +53,7 @@ class LinkTree:
     def axis(self, joint: ET.Element) -> tuple[Vector, Vector]:
         """Return a point of a joint's axis, and its direction."""
         at, turn = self.frame(joint_ends(joint)[1])
-        axis = joint.find("axis")
-        text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-        direction = rotated(turn, np.array([float(part) for part in text.split()]))
-        return at, direction / np.sqrt((direction**2).sum())
+        return at, rotated(turn, axis_of(joint))
 
     def center(self, link: str) -> Frame:
         """Return the centre of mass of a link, with the axes of its moments of inertia."""
@@ -70,6 +67,14 @@ class LinkTree:
         lever = np.cross(center - at, direction)
         moment = along(tensor_of(self.links[link]), turn, direction)
         return moment + mass_of(self.links[link]) * float((lever**2).sum())
+
+
+def axis_of(joint: ET.Element) -> Vector:
+    """Return the direction of a joint's axis in its own frame."""
+    axis = joint.find("axis")
+    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    direction = np.array([float(part) for part in text.split()])
+    return np.asarray(direction / np.sqrt((direction**2).sum()))
 
 
 def tensor_of(link: ET.Element) -> Matrix:

@@ -73,7 +73,9 @@ class Drive:
                 self.velocity = min(self.velocity, speeds.max())
 
 
-def drives_of(model: Any, driven: Collection[str] | None) -> tuple[dict[int, Drive], list[str]]:
+def drives_of(
+    model: Any, driven: Collection[str] | None, hold: Collection[str]
+) -> tuple[dict[int, Drive], list[str]]:
     """Return the drives of joints by number, and warnings about those that are held.
 
     All joints have one if the file has no actuator.
@@ -81,6 +83,7 @@ def drives_of(model: Any, driven: Collection[str] | None) -> tuple[dict[int, Dri
     Args:
         model: the compiled model.
         driven: names of the joints to drive; None for those with an actuator that nothing couples.
+        hold: names of joints that have a drive in any case, since they are held at a given pose.
 
     Raises:
         RobotDescriptionError: an actuator drives neither a joint nor a tendon.
@@ -96,7 +99,8 @@ def drives_of(model: Any, driven: Collection[str] | None) -> tuple[dict[int, Dri
             name = shortened(actuator.name)
             raise RobotDescriptionError(f"actuator {name!r} must drive a joint or a tendon")
     for joint in range(model.njnt):
-        if driven is not None and model.joint(joint).name in driven:
+        if model.joint(joint).name in (*(driven or ()), *hold):
+            held.pop(joint, None)
             drives.setdefault(joint, Drive(effort=math.inf))
     drives = {joint: drive for joint, drive in drives.items() if joint not in held}
     cut = []

@@ -16,6 +16,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
+from bus_schema.urdf.checks import finite_number
 from bus_schema.urdf.implausible import tip_warnings
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.options import IncludeOption, JointsOption, MassOption
@@ -54,6 +55,10 @@ def robot(
         str | None,
         typer.Option(metavar="TIP", help="Drive the joints on the way to this link, hold others."),
     ] = None,
+    hold: Annotated[
+        str | None,
+        typer.Option(metavar="JOINT=VALUE,…", help="Hold joints at positions, rad or m."),
+    ] = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Replace inertias that no rigid body can have.")
     ] = False,
@@ -77,8 +82,9 @@ def robot(
     try:
         path = find_urdf(file, Path.cwd())
         read = partial(
-            load_robot, path, arguments=arguments, include=folders, mass_kg=mass, hold_grippers=True
-        )
+            load_robot, path, arguments=arguments, include=folders, mass_kg=mass, hold=_pose(hold),
+            hold_grippers=True,
+        )  # fmt: skip
         if chain is not None:
             whole = read(chosen, repair=True)
             chosen = chosen_joints(ET.fromstring(whole.text), whole.joint_names, chain)
@@ -115,6 +121,15 @@ def robot(
         console.print(f"picture: {picture}", soft_wrap=True)
     if scenario:
         write_starter(values, out or Path(f"{values['name']}.yaml"))
+
+
+def _pose(text: str | None) -> dict[str, float]:
+    """Return positions of joints, by name, from ``JOINT=VALUE,…``."""
+    pairs = [pair.partition("=") for pair in (text or "").split(",") if pair.strip()]
+    try:
+        return {name.strip(): finite_number(name, "--hold", value) for name, _, value in pairs}
+    except RobotDescriptionError as error:
+        raise InputError(f"--hold {text}: must be JOINT=VALUE,…, in rad or m: {error}") from error
 
 
 def write_starter(values: dict[str, Any], file: Path) -> None:
@@ -209,7 +224,7 @@ def _other_joints_table(robot: RobotDescription) -> Table:
         [each.name, f"follows {each.leader}", f"× {each.multiplier:g} + {each.offset:g}"]
         for each in robot.followers
     ]
-    rows += [[each.name, "held", each.reason] for each in robot.held]
+    rows += [[each.name, f"held at {each.position:g}", each.reason] for each in robot.held]
     return _table("Other joints", ["Joint", "State", "Detail"], rows)
 
 
@@ -219,7 +234,7 @@ def _chains_table(chains: Sequence[Chain]) -> Table:
         [each.tip, ", ".join(each.joints), f"{each.reach_m:.3g} m", f"{each.mass_kg:.3g} kg"]
         for each in chains
     ]
-    title = "Chains: --chain TIP drives one and holds the rest"
+    title = "Chains: --chain TIP drives one and holds the rest, at zero or --hold JOINT=VALUE"
     return _table(title, ["Tip", "Joints", "Reach", "Moved mass"], rows)
 
 

@@ -95,8 +95,10 @@ def tried(path: Path, folder: Path) -> dict[str, Any]:
     except (InputError, RobotDescriptionError) as error:
         return {**row, "opens": False, "reason": _short(error, folder)}
     for name, run in RUNS.items():
-        words = [[*run.overrides(), f"controller.model_scale={scale}"] for scale in SCALES]
-        row[name] = [verdict(values, arm.path, each) for each in words]
+        row[name] = [
+            verdict(values, arm.path, [*run.overrides(), f"controller.model_scale={scale}"])
+            for scale in SCALES
+        ]
     return row
 
 
