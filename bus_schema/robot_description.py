@@ -34,6 +34,7 @@ from bus_schema.urdf.resolved import (
     resolve_joints,
     write_plainly,
 )
+from bus_schema.urdf.text import drop_frames, parsed
 from bus_schema.urdf.xacro_files import expanded, is_xacro
 from bus_schema.user_files import read_text
 
@@ -197,16 +198,17 @@ def _described(
 ) -> RobotDescription:
     if not any(joint.get("type") in MOVING_TYPES for joint in root.findall("joint")):
         raise RobotDescriptionError("has no revolute, continuous or prismatic joint")
+    too_many = drop_frames(root)
     check_urdf(root)
-    no_ranges = drop_empty_ranges(root)
-    text = ET.tostring(root, encoding="unicode") if no_ranges else text
+    mended = [*too_many, *drop_empty_ranges(root)]
+    text = ET.tostring(root, encoding="unicode") if mended else text
     roles = joint_roles(root, *wanted)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
     is_posed = fix_held(root, roles.held)
     if estimate_inertias(root, path.parent, moving, include, mass_kg) or is_posed:
         text = ET.tostring(root, encoding="unicode")
     warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
-    warnings += [*no_ranges, *mass_warnings(root, moving)]
+    warnings += [*mended, *mass_warnings(root, moving)]
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)
@@ -261,7 +263,7 @@ def _parse(
     try:
         is_there = is_xacro(path) and path.is_file()
         text = expanded(path, arguments, include) if is_there else read_text(path)
-        root = ET.fromstring(text)
+        text, root = parsed(text)
         if include and name_meshes(root, path.parent, include):
             text = ET.tostring(root, encoding="unicode")
     except FileNotFoundError as error:

@@ -95,6 +95,7 @@ except ImportError as error:  # as in pin 3.9.0; commands without a model still 
 
 _POSITIONS = 500
 _THIN_M, _LIGHT_KG = 0.01, 1e-3
+_LEAST_KG_M2 = 1e-10
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
 
 
@@ -207,7 +208,7 @@ class ManipulatorModel:
         for position, inverse in zip(positions, inverses, strict=True):
             invert(self.mass_matrix(position), inverse)
         felt = (1.0 / np.diagonal(inverses, axis1=1, axis2=2)).min(axis=0)
-        if not np.all(felt > 0.0) or not np.all(np.isfinite(felt)):
+        if not np.all(felt > _LEAST_KG_M2) or not np.all(np.isfinite(felt)):
             raise RobotDescriptionError(_NO_INERTIA)
         # M⁻¹ diag(m) has the eigenvalues of the symmetric diag(√m) M⁻¹ diag(√m).
         return np.asarray(felt / _largest_eigenvalue(inverses, np.sqrt(felt)))
