@@ -154,7 +154,7 @@ def load_robot(
         include: folders with files that it refers to, besides its own and ROS packages.
         mass_kg: mass of the whole arm, where its file gives no inertias; None for an estimate.
         hold: positions of joints that are held, by name, rad or m; others are held at zero.
-        hold_grippers: hold the joints of grippers and hands, if `driven` is None.
+        hold_grippers: hold the joints of grippers, wheels and heads, if `driven` is None.
 
     Raises:
         RobotDescriptionError: it cannot be read, or has no joint to drive.

@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
+from bus_schema.urdf.chains import chains_of
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, mass_of, shortened
 from bus_schema.urdf.link_tree import LinkTree
 
 _MIMICKED = "a gripper's: others mimic it (robot.joints may drive it)"
 _FINGER = "a finger: it branches off behind the arm, and is light (robot.joints may drive it)"
 _JAW = "a gripper's jaw: last, light, and opens to one side (robot.joints may drive it)"
-OF_GRIPPERS = (_MIMICKED, _FINGER, _JAW)
+BESIDE = "beside the arm, such as a wheel, a leg or a head (robot.joints may drive it)"
+OF_GRIPPERS = (_MIMICKED, _FINGER, _JAW, BESIDE)
 """Reasons to hold a joint that could be driven."""
 _ARM_JOINTS = 4
 """So many joints in a row are an arm, which may carry a hand."""
@@ -66,7 +68,7 @@ def joint_roles(
         root: the URDF, which passed `check_urdf`.
         wanted: names of the joints to drive; None for all movable joints, except the fingers of
             grippers: joints that slide beside others on the same link.
-        hold_grippers: also hold the joints of grippers and hands.
+        hold_grippers: also hold the joints of grippers and hands, and of wheels, legs and heads.
         hold: positions of joints to hold, by name; others are held at zero.
 
     Raises:
@@ -91,6 +93,8 @@ def joint_roles(
     if wanted is None and hold_grippers:
         grippers = dict.fromkeys(_grippers(root, driven, mimics), _MIMICKED)
         grippers |= _hands(root, [name for name in driven if name not in grippers])
+        own = [name for name in driven if name not in grippers]
+        grippers |= dict.fromkeys(_beside_arms(root, own), BESIDE)
         if grippers.keys() < set(driven):
             reasons |= grippers
             driven = tuple(name for name in driven if name not in grippers)
@@ -196,6 +200,13 @@ def _hands(root: ET.Element, driven: Sequence[str]) -> dict[str, str]:
         if behind == {name} and is_light and _opens(tree.joints[links[name]]):
             found[name] = _JAW
     return found
+
+
+def _beside_arms(root: ET.Element, driven: Sequence[str]) -> list[str]:
+    """Return the joints of branches that are too short for an arm, if there is an arm."""
+    chains = chains_of(root, driven)
+    short = [each for each in chains if len(each.joints) < _ARM_JOINTS]
+    return [name for each in short for name in each.joints] if len(short) < len(chains) else []
 
 
 def _opens(joint: ET.Element) -> bool:

@@ -17,7 +17,8 @@ from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
 from bus_schema.urdf.checks import finite_number
-from bus_schema.urdf.implausible import tip_warnings
+from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
+from bus_schema.urdf.joints import BESIDE
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.options import IncludeOption, JointsOption, MassOption
 from deploy.reports.figures.arm_pictures import arm_picture
@@ -87,7 +88,7 @@ def robot(
         )  # fmt: skip
         if chain is not None:
             whole = read(chosen, repair=True)
-            chosen = chosen_joints(ET.fromstring(whole.text), whole.joint_names, chain)
+            chosen = chosen_joints(ET.fromstring(whole.text), _of_chains(whole), chain)
         arm = read(chosen, repair=repair)
     except RobotDescriptionError as error:
         text = str(error)
@@ -104,7 +105,7 @@ def robot(
     print_table(console, _inertia_table(setup))
     if arm.followers or arm.held:
         print_table(console, _other_joints_table(arm))
-    if len(chains := chains_of(ET.fromstring(arm.text), arm.joint_names)) > 1:
+    if len(chains := chains_of(ET.fromstring(arm.text), _of_chains(arm))) > 1:
         print_table(console, _chains_table(chains))
     print_table(console, _gains_table(setup))
     print_table(console, _drives_table(arm))
@@ -121,6 +122,11 @@ def robot(
         console.print(f"picture: {picture}", soft_wrap=True)
     if scenario:
         write_starter(values, out or Path(f"{values['name']}.yaml"))
+
+
+def _of_chains(arm: RobotDescription) -> list[str]:
+    """Return the joints that a chain may have: those driven, and those beside the arm."""
+    return [*arm.joint_names, *(each.name for each in arm.held if each.reason == BESIDE)]
 
 
 def _pose(text: str | None) -> dict[str, float]:
@@ -176,6 +182,7 @@ def robot_warnings(setup: Setup) -> list[str]:
     return [
         *scenario_warnings(setup),
         *tip_warnings(ET.fromstring(arm.text), arm.tip_link, arm.joint_names),
+        *telescope_warnings(ET.fromstring(arm.text), arm.joint_names),
         *weak_joint_warnings(arm),
         *damping_warnings(arm, arm.drives.damping_nm_s, drives_of(arm).rated),
     ]
