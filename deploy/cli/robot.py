@@ -21,7 +21,6 @@ from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
 from bus_schema.urdf.joints import BESIDE
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.options import IncludeOption, JointsOption, MassOption
-from deploy.reports.figures.arm_pictures import arm_picture
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
@@ -113,6 +112,8 @@ def robot(
     for said in robot_warnings(setup):
         console.print(f"warning: {said}", style="yellow", markup=False, highlight=False)
     if picture is not None:
+        from deploy.reports.figures.arm_pictures import arm_picture  # which is slow to import
+
         png = arm_picture(arm, setup.start_position_rad)
         try:
             picture.write_bytes(png)

@@ -164,8 +164,8 @@ def difference(arm: RobotDescription) -> float | None:
     Of the moved mass, the inertia of each joint and the largest torque of gravity, in postures
     spread over the ranges; None where there is nothing to compare.
     """
-    if arm.estimated or arm.followers:
-        return None
+    if arm.estimated or arm.followers or any("triangle rule" in each for each in arm.warnings):
+        return None  # pinocchio and MuJoCo read impossible inertias, which are replaced here
     reader = _of_mujoco if arm.path.suffix in (".xml", ".mjcf") else _of_pinocchio
     try:
         mass_kg, terms = reader(arm)
@@ -261,7 +261,7 @@ def page(rows: Sequence[dict[str, Any]], conditions: str) -> str:
     arms = [row for row in rows if not NO_JOINT.search(row.get("reason", ""))]
     read = [row for row in arms if row["opens"]]
     held = [row for row in read if row["load"] <= 1.0]
-    found = [row["difference"] for row in read if row.get("difference") is not None]
+    found = [row["difference"] for row in read if row["difference"] is not None]
     kept = [
         _rate(f"kept, {name}, {whose}", [_kept(row, name) for row in of], goal)
         for of, whose in ((held, "arms that have the torque"), (read, "all that open"))

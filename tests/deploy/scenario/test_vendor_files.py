@@ -26,7 +26,7 @@ XARM = "01-xarm7-lite6/xarm_description/urdf/xarm_device.urdf.xacro"
         (XARM, {"dof": "6", "robot_type": "lite"}, 6, False),
         ("16-ar4/annin_ar4_description/urdf/ar.urdf.xacro", {"ar_model": "mk3"}, 6, False),
         ("02-openarm/openarm_description/urdf/robot/v10.urdf.xacro", {}, 7, False),
-        ("08-sawyer/sawyer_description/urdf/sawyer.urdf.xacro", {}, 7, False),
+        ("08-sawyer/sawyer_description/urdf/sawyer.urdf.xacro", {}, 8, False),
         ("10-abb/abb_irb2400_support/urdf/irb2400.xacro", {}, 6, True),
         ("20-doosan/dsr_description2/xacro/m1013.urdf.xacro", {}, 6, False),
     ],
