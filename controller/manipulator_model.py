@@ -209,7 +209,11 @@ class ManipulatorModel:
             invert(self.mass_matrix(position), inverse)
         felt = (1.0 / np.diagonal(inverses, axis1=1, axis2=2)).min(axis=0)
         if not np.all(felt > _LEAST_KG_M2) or not np.all(np.isfinite(felt)):
-            raise RobotDescriptionError(_NO_INERTIA)
+            own = np.diagonal(self.mass_matrix(positions[0]))
+            rows = zip(self._names, own, strict=False)
+            light = ", ".join(name for name, inertia in rows if inertia <= _LEAST_KG_M2)
+            hint = f"; {light} moves none: leave it out of robot.joints" if light else ""
+            raise RobotDescriptionError(f"{_NO_INERTIA}{hint}")
         # M⁻¹ diag(m) has the eigenvalues of the symmetric diag(√m) M⁻¹ diag(√m).
         return np.asarray(felt / _largest_eigenvalue(inverses, np.sqrt(felt)))
 
