@@ -16,6 +16,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.drive_values import DriveValues, drive_values
+from bus_schema.urdf.held_pose import fix_held
 from bus_schema.urdf.implausible import mass_warnings
 from bus_schema.urdf.inertia import judge_inertias
 from bus_schema.urdf.inertia_estimate import estimate_inertias, estimated_links
@@ -33,6 +34,7 @@ from bus_schema.urdf.resolved import (
     resolve_joints,
     write_plainly,
 )
+from bus_schema.urdf.text import drop_frames, parsed
 from bus_schema.urdf.xacro_files import expanded, is_xacro
 from bus_schema.user_files import read_text
 
@@ -139,6 +141,7 @@ def load_robot(
     arguments: Mapping[str, str] = MappingProxyType({}),
     include: Sequence[Path] = (),
     mass_kg: float | None = None,
+    hold: Mapping[str, float] = MappingProxyType({}),
     hold_grippers: bool = False,
 ) -> RobotDescription:
     """Read a URDF file, or an MJCF file as a URDF.
@@ -150,7 +153,8 @@ def load_robot(
         arguments: values of the arguments of a xacro file, by name.
         include: folders with files that it refers to, besides its own and ROS packages.
         mass_kg: mass of the whole arm, where its file gives no inertias; None for an estimate.
-        hold_grippers: hold the joints of grippers and hands, if `driven` is None.
+        hold: positions of joints that are held, by name, rad or m; others are held at zero.
+        hold_grippers: hold the joints of grippers, wheels and heads, if `driven` is None.
 
     Raises:
         RobotDescriptionError: it cannot be read, or has no joint to drive.
@@ -161,19 +165,20 @@ def load_robot(
         if root.tag == "mujoco":
             from bus_schema.urdf.from_mjcf import urdf_from_mjcf  # which imports MuJoCo: 0.15 s
 
-            root, left_out = urdf_from_mjcf(root, path, driven, include)
+            root, left_out = urdf_from_mjcf(root, path, driven, hold, include)
             text = ET.tostring(root, encoding="unicode")
-        wanted = (driven, hold_grippers)
+        wanted = (driven, hold_grippers, hold)
         robot = _described(
             path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg
         )
-        is_chosen = driven is not None or any(each.reason in OF_GRIPPERS for each in robot.held)
+        is_chosen = bool(driven or hold) or any(each.reason in OF_GRIPPERS for each in robot.held)
         reading = {
             "joints": list(robot.joint_names) if is_chosen else [],
             "repair": repair,
             "xacro": dict(arguments),
             "include": [str(each) for each in include],
             "mass_kg": mass_kg,
+            "hold": dict(hold),
         }
         reading = {key: value for key, value in reading.items() if value}
         return replace(robot, warnings=(*left_out, *robot.warnings), reading=reading)
@@ -184,7 +189,7 @@ def load_robot(
 def _described(
     path: Path,
     root: ET.Element,
-    wanted: tuple[Sequence[str] | None, bool],
+    wanted: tuple[Sequence[str] | None, bool, Mapping[str, float]],
     text: str,
     *,
     repair: bool,
@@ -193,15 +198,17 @@ def _described(
 ) -> RobotDescription:
     if not any(joint.get("type") in MOVING_TYPES for joint in root.findall("joint")):
         raise RobotDescriptionError("has no revolute, continuous or prismatic joint")
+    too_many = drop_frames(root)
     check_urdf(root)
-    no_ranges = drop_empty_ranges(root)
-    text = ET.tostring(root, encoding="unicode") if no_ranges else text
+    mended = [*too_many, *drop_empty_ranges(root)]
+    text = ET.tostring(root, encoding="unicode") if mended else text
     roles = joint_roles(root, *wanted)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
-    if estimate_inertias(root, path.parent, moving, include, mass_kg):
+    is_posed = fix_held(root, roles.held)
+    if estimate_inertias(root, path.parent, moving, include, mass_kg) or is_posed:
         text = ET.tostring(root, encoding="unicode")
     warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
-    warnings += [*no_ranges, *mass_warnings(root, moving)]
+    warnings += [*mended, *mass_warnings(root, moving)]
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)
@@ -256,7 +263,7 @@ def _parse(
     try:
         is_there = is_xacro(path) and path.is_file()
         text = expanded(path, arguments, include) if is_there else read_text(path)
-        root = ET.fromstring(text)
+        text, root = parsed(text)
         if include and name_meshes(root, path.parent, include):
             text = ET.tostring(root, encoding="unicode")
     except FileNotFoundError as error:

@@ -62,6 +62,12 @@ class JointPlaces:
         moved = values[self._leader]
         return moved * self._factor if self.couples else moved
 
+    def following(
+        self, places: list[int]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return leaders, factors and offsets of the joints at these indices."""
+        return self._leader[places], self._factor[places], self._offset[places]
+
     def torques(self, full: Vector) -> Vector:
         """Return torques as the driven joints feel them, shape (joints,)."""
         if self.couples:  # not by @, which rounds as BLAS does on this CPU
@@ -89,6 +95,7 @@ except ImportError as error:  # as in pin 3.9.0; commands without a model still 
 
 _POSITIONS = 500
 _THIN_M, _LIGHT_KG = 0.01, 1e-3
+_LEAST_KG_M2 = 1e-10
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
 
 
@@ -131,7 +138,7 @@ class ManipulatorModel:
                 f"{robot.path}: pinocchio does not load the joint {missing}"
             )
         self._data = self._model.createData()
-        self._names = robot.joint_names
+        self._names = moving
         self._tip = self._model.getFrameId(robot.tip_link, pinocchio.FrameType.BODY)
         self.joints = robot.joints
         # pinocchio may order the joints differently from the URDF
@@ -151,20 +158,11 @@ class ManipulatorModel:
             self._model.armature = armature
 
     def rigid_bodies(self) -> RigidBodies:
-        """Return the arm's structure, for compiled code.
-
-        Raises:
-            ConfigurationError: it has mimic joints, which compiled code does not support.
-        """
-        if self._places.couples:
-            allowed = "must be false for an arm with mimic joints (robot.joints may leave them out)"
-            raise ConfigurationError("controller.delay_compensation.enabled", True, allowed)
+        """Return the arm's structure, for compiled code."""
         numbers = [int(self._model.getJointId(name)) for name in self._names]
-        twists = [np.ravel(self._model.joints[number].createData().S) for number in numbers]
-        axes = [
-            twist[:3] if slides else twist[3:]
-            for twist, slides in zip(twists, self._slides, strict=True)
-        ]
+        twists = np.array([self._model.joints[n].createData().S.ravel() for n in numbers])
+        slides = np.abs(twists[:, :3]).max(axis=1) > 0.0
+        leaders, factors, offsets = self._places.following([self._place(n) for n in self._names])
         carriers = [int(self._model.parents[number]) for number in numbers]
         placements = [self._model.jointPlacements[number] for number in numbers]
         return RigidBodies(
@@ -172,16 +170,20 @@ class ManipulatorModel:
             parents=np.array([numbers.index(c) if c else -1 for c in carriers], dtype=np.int64),
             rotations=np.array([placement.rotation for placement in placements]),
             origins=np.array([placement.translation for placement in placements]),
-            axes=np.array(axes),
-            slides=self._slides,
+            axes=np.where(slides[:, None], twists[:, :3], twists[:, 3:]),
+            slides=slides,
+            leaders=leaders,
+            factors=factors,
+            offsets=offsets,
             gravity=np.array(self._model.gravity.linear),
         )
 
     def inertia_table(self) -> Matrix:
-        """Return inertias of bodies and rotors, shape (joints, 11), in `RigidBodies`' format."""
+        """Return inertias of bodies and rotors, shape (bodies, 11), in `RigidBodies`' format."""
         numbers = (self._model.getJointId(name) for name in self._names)
         links = np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
-        return np.column_stack([links, self._rotors])
+        followers = len(self._names) - self.joints
+        return np.column_stack([links, np.append(self._rotors, np.zeros(followers))])
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """Return M(q), shape (joints, joints), kg m² (kg for prismatic joints)."""
@@ -206,8 +208,12 @@ class ManipulatorModel:
         for position, inverse in zip(positions, inverses, strict=True):
             invert(self.mass_matrix(position), inverse)
         felt = (1.0 / np.diagonal(inverses, axis1=1, axis2=2)).min(axis=0)
-        if not np.all(felt > 0.0) or not np.all(np.isfinite(felt)):
-            raise RobotDescriptionError(_NO_INERTIA)
+        if not np.all(felt > _LEAST_KG_M2) or not np.all(np.isfinite(felt)):
+            own = np.diagonal(self.mass_matrix(positions[0]))
+            rows = zip(self._names, own, strict=False)
+            light = ", ".join(name for name, inertia in rows if inertia <= _LEAST_KG_M2)
+            hint = f"; {light} moves none: leave it out of robot.joints" if light else ""
+            raise RobotDescriptionError(f"{_NO_INERTIA}{hint}")
         # M⁻¹ diag(m) has the eigenvalues of the symmetric diag(√m) M⁻¹ diag(√m).
         return np.asarray(felt / _largest_eigenvalue(inverses, np.sqrt(felt)))
 

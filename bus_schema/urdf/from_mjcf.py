@@ -13,7 +13,7 @@ import math
 import sys
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from bus_schema.runtime.limited_process import (
     LimitedProcessError,
     limit_this_process,
 )
+from bus_schema.urdf.held_pose import roll_pitch_yaw
 from bus_schema.urdf.mjcf_files import (
     HINGE_AND_SLIDE,
     SHAPES,
@@ -46,7 +47,11 @@ _KINDS = dict(zip(HINGE_AND_SLIDE, ("revolute", "prismatic"), strict=True))
 
 
 def urdf_from_mjcf(
-    root: ET.Element, path: Path, driven: Sequence[str] | None, include: Sequence[Path]
+    root: ET.Element,
+    path: Path,
+    driven: Sequence[str] | None,
+    hold: Collection[str],
+    include: Sequence[Path],
 ) -> tuple[ET.Element, list[str]]:
     """Convert an arm in MJCF to URDF.
 
@@ -54,6 +59,7 @@ def urdf_from_mjcf(
         root: the MJCF file; it is modified.
         path: that file.
         driven: names of the joints to drive; None for those of the arm.
+        hold: names of further joints that the URDF has as movable ones.
         include: folders that may be read, besides its own and the one around it.
 
     Returns:
@@ -64,9 +70,9 @@ def urdf_from_mjcf(
     """
     spec, free = _specification(root, path, include)
     if not spec.meshes:
-        urdf, notes = _converted(spec, root, driven)
+        urdf, notes = _converted(spec, root, driven, hold)
         return urdf, [f"MJCF: {each}" for each in (*free, *notes)]
-    order = json.dumps([str(path), driven, list(map(str, include))])
+    order = json.dumps([str(path), driven, [*hold], list(map(str, include))])
     try:  # a mesh may crash MuJoCo
         text, notes = json.loads(LimitedProcess(__name__, order.encode()).answer())
     except LimitedProcessError as error:
@@ -81,11 +87,11 @@ def urdf_from_mjcf(
 def main() -> None:
     """Convert the file that standard input names; write the URDF and warnings, or why not."""
     limit_this_process(cpu_s=8)
-    path, driven, include = json.load(sys.stdin.buffer)
+    path, driven, hold, include = json.load(sys.stdin.buffer)
     root = parsed(Path(path))
     try:
         spec, _ = _specification(root, Path(path), list(map(Path, include)))
-        urdf, notes = _converted(spec, root, driven)
+        urdf, notes = _converted(spec, root, driven, hold)
         print(json.dumps([ET.tostring(urdf, encoding="unicode"), notes]))
     except RobotDescriptionError as error:
         print(json.dumps(["", str(error)]))
@@ -101,12 +107,12 @@ def _specification(root: ET.Element, path: Path, include: Sequence[Path]) -> tup
 
 
 def _converted(
-    spec: Any, root: ET.Element, driven: Sequence[str] | None
+    spec: Any, root: ET.Element, driven: Sequence[str] | None, hold: Collection[str]
 ) -> tuple[ET.Element, list[str]]:
     """Return the URDF of a specification, and warnings."""
     with _of_mujoco(root):
         model = spec.compile()
-    drives, held = drives_of(model, driven)
+    drives, held = drives_of(model, driven, hold)
     urdf = ET.Element("robot", name=root.get("model", "mjcf"))
     ET.SubElement(urdf, "link", name="world")
     origins = [np.zeros(3)]
@@ -256,13 +262,7 @@ def _place(element: ET.Element, frame: _Frame) -> None:
     at, turn = frame
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, turn)
-    _, xy, xz, _, yy, yz, zx, zy, zz = matrix
-    roll = math.atan2(zy, zz)
-    sine, cosine = math.sin(roll), math.cos(roll)
-    # Yaw of the rotation without its roll, so that all are exact at a pitch of 90 degrees.
-    yaw = math.atan2(sine * xz - cosine * xy, cosine * yy - sine * yz)
-    angles = np.array([roll, math.atan2(-zx, math.hypot(zy, zz)), yaw])
-    ET.SubElement(element, "origin", xyz=_text(at), rpy=_text(angles))
+    ET.SubElement(element, "origin", xyz=_text(at), rpy=_text(roll_pitch_yaw(matrix.reshape(3, 3))))
 
 
 def _text(values: Vector | float) -> str:

@@ -17,6 +17,8 @@ _FEWEST = 4
 """Links that may weigh the same by chance are fewer."""
 _OUTSIDE = 0.5
 """Distance of a centre of mass from its link, as a share of the arm's extent."""
+_PARALLEL = 0.999
+"""Least cosine between axes that are one line."""
 _NO_FLANGE = re.compile(r"finger|jaw|knuckle|camera|optical|sensor|lidar", re.IGNORECASE)
 
 
@@ -42,6 +44,27 @@ def mass_warnings(root: ET.Element, moving: set[str]) -> Iterator[str]:
         if (far := _distance(tree.center(name)[0], at)) - length > _OUTSIDE * extent:
             size = f"the link is {length:.3g} m long, and the arm {extent:.3g} m"
             yield f"the centre of mass of link {name} is {far:.3g} m from its frame; {size}"
+
+
+def telescope_warnings(root: ET.Element, driven: Collection[str]) -> Iterator[str]:
+    """Return a warning about driven joints that are the stages of a telescope.
+
+    Args:
+        root: the URDF, which passed `check_urdf`.
+        driven: names of the driven joints.
+    """
+    tree, stages = LinkTree(root), dict[str, None]()
+    slides = {j.get("name", ""): j for j in tree.joints.values() if j.get("type") == "prismatic"}
+    for name in (each for each in slides if each in driven):
+        above = (j.get("name", "") for j in tree.above(joint_ends(slides[name])[0]))
+        carrier = next((each for each in above if each in driven), "")
+        if carrier in slides:
+            ways = tree.axis(slides[name])[1], tree.axis(slides[carrier])[1]
+            if abs(float((ways[0] * ways[1]).sum())) > _PARALLEL:
+                stages |= {carrier: None, name: None}
+    if stages:
+        what = "slide along one line: stages of a telescope, which one motor moves together"
+        yield f"{', '.join(stages)} {what}; each has a motor of its own here"
 
 
 def tip_warnings(root: ET.Element, tip: str, driven: Collection[str]) -> Iterator[str]:

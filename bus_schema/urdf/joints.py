@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
+from bus_schema.urdf.chains import chains_of
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, mass_of, shortened
 from bus_schema.urdf.link_tree import LinkTree
 
 _MIMICKED = "a gripper's: others mimic it (robot.joints may drive it)"
 _FINGER = "a finger: it branches off behind the arm, and is light (robot.joints may drive it)"
 _JAW = "a gripper's jaw: last, light, and opens to one side (robot.joints may drive it)"
-OF_GRIPPERS = (_MIMICKED, _FINGER, _JAW)
+BESIDE = "beside the arm, such as a wheel, a leg or a head (robot.joints may drive it)"
+OF_GRIPPERS = (_MIMICKED, _FINGER, _JAW, BESIDE)
 """Reasons to hold a joint that could be driven."""
 _ARM_JOINTS = 4
 """So many joints in a row are an arm, which may carry a hand."""
@@ -26,11 +29,12 @@ _ONE_SIDED, _WIDEST_RAD = 0.15, 2.5
 
 @dataclass(frozen=True)
 class HeldJoint:
-    """A joint that is held fixed, and why."""
+    """A joint that is held fixed, why, and at which position (rad or m)."""
 
     name: str
     kind: str
     reason: str
+    position: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,10 @@ class JointRoles:
 
 
 def joint_roles(
-    root: ET.Element, wanted: Sequence[str] | None, hold_grippers: bool = False
+    root: ET.Element,
+    wanted: Sequence[str] | None,
+    hold_grippers: bool = False,
+    hold: Mapping[str, float] = MappingProxyType({}),
 ) -> JointRoles:
     """Return the roles of all joints.
 
@@ -61,7 +68,8 @@ def joint_roles(
         root: the URDF, which passed `check_urdf`.
         wanted: names of the joints to drive; None for all movable joints, except the fingers of
             grippers: joints that slide beside others on the same link.
-        hold_grippers: also hold the joints of grippers and hands.
+        hold_grippers: also hold the joints of grippers and hands, and of wheels, legs and heads.
+        hold: positions of joints to hold, by name; others are held at zero.
 
     Raises:
         RobotDescriptionError: there is none to drive.
@@ -74,13 +82,19 @@ def joint_roles(
         for name, joint in moving.items()
         if (element := joint.find("mimic")) is not None
     }
+    own = [name for name in moving if name not in mimics]
     if wanted is not None:
-        _check_wanted(wanted, [name for name in moving if name not in mimics])
+        _check_wanted("robot.joints", wanted, own)
+    _check_wanted("robot.hold", hold, [name for name in own if name not in (wanted or ())])
     reasons = _held(joints, mimics, wanted)
+    reasons |= {name: _held_at(moving[name], at) for name, at in hold.items()}
+    positions = dict(hold)
     driven = tuple(name for name in moving if name not in mimics and name not in reasons)
     if wanted is None and hold_grippers:
         grippers = dict.fromkeys(_grippers(root, driven, mimics), _MIMICKED)
         grippers |= _hands(root, [name for name in driven if name not in grippers])
+        own = [name for name in driven if name not in grippers]
+        grippers |= dict.fromkeys(_beside_arms(root, own), BESIDE)
         if grippers.keys() < set(driven):
             reasons |= grippers
             driven = tuple(name for name in driven if name not in grippers)
@@ -93,11 +107,13 @@ def joint_roles(
             followers.append(first)
         else:
             reasons[mimic.name] = f"mimics {first.leader}, which is held"
+            at = first.multiplier * positions.get(first.leader, 0.0) + first.offset
+            positions[mimic.name] = at
     if not driven:
         held_joints = ", ".join(f"{name} is held: {why}" for name, why in reasons.items())
         raise RobotDescriptionError(f"has no joint to drive; {shortened(held_joints)}")
     held = tuple(
-        HeldJoint(name, joint.get("type", ""), reasons[name])
+        HeldJoint(name, joint.get("type", ""), reasons[name], positions.get(name, 0.0))
         for name, joint in joints.items()
         if name in reasons
     )
@@ -186,6 +202,13 @@ def _hands(root: ET.Element, driven: Sequence[str]) -> dict[str, str]:
     return found
 
 
+def _beside_arms(root: ET.Element, driven: Sequence[str]) -> list[str]:
+    """Return the joints of branches that are too short for an arm, if there is an arm."""
+    chains = chains_of(root, driven)
+    short = [each for each in chains if len(each.joints) < _ARM_JOINTS]
+    return [name for each in short for name in each.joints] if len(short) < len(chains) else []
+
+
 def _opens(joint: ET.Element) -> bool:
     """Whether a joint turns to one side only, as a jaw does."""
     limit = joint.find("limit")
@@ -195,10 +218,28 @@ def _opens(joint: ET.Element) -> bool:
     return high - low <= _WIDEST_RAD and min(abs(low), abs(high)) <= _ONE_SIDED * (high - low)
 
 
-def _check_wanted(wanted: Sequence[str], possible: list[str]) -> None:
+def _held_at(joint: ET.Element, position: float) -> str:
+    """Return why a joint is held at a position.
+
+    Raises:
+        RobotDescriptionError: its range does not contain it.
+    """
+    limit, name = joint.find("limit"), joint.get("name", "")
+    if limit is not None and joint.get("type") != "continuous":
+        low, high = (
+            float(limit.get(end, sign + "inf")) for end, sign in (("lower", "-"), ("upper", ""))
+        )
+        if not low <= position <= high:
+            raise RobotDescriptionError(
+                f"robot.hold: {name}: {position:g}: must be {low:g} to {high:g}, the joint's range"
+            )
+    return "robot.hold"
+
+
+def _check_wanted(key: str, wanted: Iterable[str], possible: list[str]) -> None:
     for name in wanted:
         if name not in possible:
-            allowed = f"robot.joints must be some of {shortened(', '.join(possible)) or 'none'}"
+            allowed = f"{key} must be some of {shortened(', '.join(possible)) or 'none'}"
             hint = did_you_mean(name, possible)
             raise JointNameError(f"{allowed}; not {shortened(name)!r}{hint}")
 

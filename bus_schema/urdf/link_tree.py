@@ -27,14 +27,16 @@ class LinkTree:
 
     def __init__(self, root: ET.Element) -> None:
         self.links = {link.get("name", ""): link for link in root.findall("link")}
-        self.joints = {joint_ends(joint)[1]: joint for joint in root.findall("joint")}
+        ends = [(joint, *joint_ends(joint)) for joint in root.findall("joint")]
+        self.joints = {child: joint for joint, _, child in ends}
+        self._carriers = {child: parent for _, parent, child in ends}
         self._frames: dict[str, Frame] = {}
 
     def above(self, link: str) -> Iterator[ET.Element]:
         """Return the joints on the way from a link to the base."""
         while (joint := self.joints.get(link)) is not None:
             yield joint
-            link, _ = joint_ends(joint)
+            link = self._carriers[link]
 
     def mover(self, link: str, moving: set[str]) -> str | None:
         """Return the last of some joints on the way to a link."""
@@ -46,17 +48,14 @@ class LinkTree:
         if link not in self._frames:
             joint = self.joints.get(link)
             at_base = (np.zeros(3), np.eye(3))
-            carrier = at_base if joint is None else self.frame(joint_ends(joint)[0])
+            carrier = at_base if joint is None else self.frame(self._carriers[link])
             self._frames[link] = carrier if joint is None else placed(carrier, joint)
         return self._frames[link]
 
     def axis(self, joint: ET.Element) -> tuple[Vector, Vector]:
         """Return a point of a joint's axis, and its direction."""
         at, turn = self.frame(joint_ends(joint)[1])
-        axis = joint.find("axis")
-        text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-        direction = rotated(turn, np.array([float(part) for part in text.split()]))
-        return at, direction / np.sqrt((direction**2).sum())
+        return at, rotated(turn, axis_of(joint))
 
     def center(self, link: str) -> Frame:
         """Return the centre of mass of a link, with the axes of its moments of inertia."""
@@ -70,6 +69,14 @@ class LinkTree:
         lever = np.cross(center - at, direction)
         moment = along(tensor_of(self.links[link]), turn, direction)
         return moment + mass_of(self.links[link]) * float((lever**2).sum())
+
+
+def axis_of(joint: ET.Element) -> Vector:
+    """Return the direction of a joint's axis in its own frame."""
+    axis = joint.find("axis")
+    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    direction = np.array([float(part) for part in text.split()])
+    return np.asarray(direction / np.sqrt((direction**2).sum()))
 
 
 def tensor_of(link: ET.Element) -> Matrix:

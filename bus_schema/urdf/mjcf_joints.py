@@ -74,7 +74,7 @@ class JointActuators:
 
 
 def drives_of(
-    model: Any, driven: Collection[str] | None
+    model: Any, driven: Collection[str] | None, hold: Collection[str]
 ) -> tuple[dict[int, JointActuators], list[str]]:
     """Return the drives of joints by number, and warnings about those that are held.
 
@@ -83,6 +83,7 @@ def drives_of(
     Args:
         model: the compiled model.
         driven: names of the joints to drive; None for those with an actuator that nothing couples.
+        hold: names of joints that have a drive in any case, since they are held at a given pose.
 
     Raises:
         RobotDescriptionError: an actuator drives neither a joint nor a tendon.
@@ -98,7 +99,8 @@ def drives_of(
             name = shortened(actuator.name)
             raise RobotDescriptionError(f"actuator {name!r} must drive a joint or a tendon")
     for joint in range(model.njnt):
-        if driven is not None and model.joint(joint).name in driven:
+        if model.joint(joint).name in (*(driven or ()), *hold):
+            held.pop(joint, None)
             drives.setdefault(joint, JointActuators(effort=math.inf))
     drives = {joint: drive for joint, drive in drives.items() if joint not in held}
     cut = []

@@ -9,7 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf.checks import INERTIA, MOST_LINKS, MOVING_TYPES, inertia_of, joint_ends
+from bus_schema.urdf.checks import (
+    INERTIA,
+    MOST_LINKS,
+    MOVING_TYPES,
+    inertia_of,
+    joint_ends,
+    mass_of,
+)
 from bus_schema.urdf.inertia import mend_inertias
 from bus_schema.urdf.packages import find_package
 
@@ -18,6 +25,8 @@ MOUNT_LINK, MOUNT_JOINT = "funnel_hil_mount", "funnel_hil_mount_joint"
 _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
 _LEAST_MOMENT_KG_M2 = 1e-14
 """MuJoCo refuses smaller moments that are not zero."""
+_OF_A_POINT = dict.fromkeys(("ixx", "iyy", "izz"), "1e-12")
+"""Moments, kg m², of a mass without inertia that a joint moves: MuJoCo refuses zero."""
 _NUMBERS = (
     *(f"link/inertial/{tag}" for tag in ("origin", "mass", "inertia")),
     *(f"joint/{tag}" for tag in ("origin", "axis", "limit")),
@@ -47,10 +56,14 @@ def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> N
 def resolve_inertias(root: ET.Element) -> None:
     """Replace impossible inertias and write all; pybullet would give 1 kg to missing ones."""
     mend_inertias(root)
+    joints = [joint for joint in root.findall("joint") if joint.get("type") in MOVING_TYPES]
+    moved = {joint_ends(joint)[1] for joint in joints}
     for link in root.findall("link"):
+        is_point = link.get("name") in moved and mass_of(link) > 0.0
         for inertia in link.findall("inertial/inertia"):
             is_none = max(map(abs, inertia_of(link))) < _LEAST_MOMENT_KG_M2
-            given = {} if is_none else inertia.attrib
+            given = _OF_A_POINT if is_point else {}
+            given = given if is_none else inertia.attrib
             inertia.attrib = {**dict.fromkeys(INERTIA, "0"), **given}
         if link.find("inertial") is None:
             _add_inertial(link, 0.0)

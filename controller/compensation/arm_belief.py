@@ -28,8 +28,8 @@ class NominalArm(NamedTuple):
 
     Attributes:
         bodies: structure of the arm.
-        inertia: nominal inertia table, shape (joints, 11).
-        tip_inertia: change of that table per kg at the tip, shape (joints, 11).
+        inertia: nominal inertia table, shape (bodies, 11).
+        tip_inertia: change of that table per kg at the tip, shape (bodies, 11).
         limits_nm: largest torques of the actuators, shape (joints,); inf for none.
     """
 
@@ -43,7 +43,7 @@ class ArmBelief(NamedTuple):
     """Learned model and state; arrays of shape (joints,) unless stated otherwise.
 
     Attributes:
-        inertia: (1 + α), (1 + ρ) and m applied to the nominal table, shape (joints, 11).
+        inertia: (1 + α), (1 + ρ) and m applied to the nominal table, shape (bodies, 11).
         disturbance_nm: f, driving.
         coulomb_nm: c, braking.
         viscous_nm_s: b, braking.

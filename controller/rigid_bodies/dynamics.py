@@ -32,20 +32,24 @@ ROTOR = 10
 
 
 class RigidBodies(NamedTuple):
-    """Kinematic structure of an arm; body i is moved by joint i.
+    """Kinematic structure of an arm; body i is moved by joint i: driven joints, then mimic joints.
 
-    Masses are in inertia tables, shape (joints, 11), with a row for each body in its joint's frame:
+    A joint's position is factor × that of the driven joint that it follows, or is, + offset.
+    Masses are in inertia tables, shape (bodies, 11), with a row for each body in its joint's frame:
     mass, mass times centre of mass (x, y, z), rotational inertia about the joint's origin (xx, xy,
     yy, xz, yz, zz), and the inertia of the joint's rotor. All of it is linear in mass: tables can
     be scaled and added.
 
     Attributes:
-        outwards: numbers of the bodies, each after its parent; shape (joints,).
-        parents: number of the body that carries joint i, −1 for the base; shape (joints,).
-        rotations: of joint i's frame in the frame of its parent, at zero; shape (joints, 3, 3).
-        origins: of joint i's frame there, m; shape (joints, 3).
-        axes: unit axis of joint i in its own frame, shape (joints, 3).
-        slides: whether joint i is prismatic; shape (joints,).
+        outwards: numbers of the bodies, each after its parent; shape (bodies,).
+        parents: number of the body that carries joint i, −1 for the base; shape (bodies,).
+        rotations: of joint i's frame in the frame of its parent, at zero; shape (bodies, 3, 3).
+        origins: of joint i's frame there, m; shape (bodies, 3).
+        axes: unit axis of joint i in its own frame, shape (bodies, 3).
+        slides: whether joint i is prismatic; shape (bodies,).
+        leaders: number of the driven joint that joint i follows, or is; shape (bodies,).
+        factors: shape (bodies,).
+        offsets: shape (bodies,), rad or m.
         gravity: m/s², in the base frame; shape (3,).
     """
 
@@ -55,6 +59,9 @@ class RigidBodies(NamedTuple):
     origins: Matrix
     axes: Matrix
     slides: NDArray[np.bool_]
+    leaders: NDArray[np.int64]
+    factors: Vector
+    offsets: Vector
     gravity: Vector
 
 
@@ -62,12 +69,12 @@ class _Placed(NamedTuple):
     """An arm in a posture, in the base frame.
 
     Attributes:
-        axes: z, shape (joints, 3); 0 for prismatic joints.
-        moments: o × z of the joints' origins o, shape (joints, 3): with z, the joint's screw. For
+        axes: z, shape (bodies, 3); 0 for prismatic joints.
+        moments: o × z of the joints' origins o, shape (bodies, 3): with z, the joint's screw. For
             prismatic joints, their direction.
-        masses: shape (joints,).
-        first: mass times centre of mass, shape (joints, 3).
-        second: rotational inertia about the base's origin, shape (joints, 6), order as above.
+        masses: shape (bodies,).
+        first: mass times centre of mass, shape (bodies, 3).
+        second: rotational inertia about the base's origin, shape (bodies, 6), order as above.
     """
 
     axes: Matrix
@@ -79,12 +86,12 @@ class _Placed(NamedTuple):
 
 @compiled
 def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
-    joints = position.size
+    count = bodies.parents.size
     placed = _Placed(
-        np.empty((joints, 3)), np.empty((joints, 3)), np.empty(joints),
-        np.empty((joints, 3)), np.empty((joints, 6)),
+        np.empty((count, 3)), np.empty((count, 3)), np.empty(count),
+        np.empty((count, 3)), np.empty((count, 6)),
     )  # fmt: skip
-    frames, origins, fixed = np.empty((joints, 3, 3)), np.empty((joints, 3)), np.empty((3, 3))
+    frames, origins, fixed = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((3, 3))
     for i in bodies.outwards:
         parent, origin = bodies.parents[i], get(bodies.origins, i)
         if parent < 0:
@@ -99,13 +106,14 @@ def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
             origin = add(get(origins, parent), rotated(frames[parent], origin))
         axis = get(bodies.axes, i)
         z = rotated(fixed, axis)
+        moved = bodies.factors[i] * position[bodies.leaders[i]] + bodies.offsets[i]
         if bodies.slides[i]:
             frames[i] = fixed
-            origin = add(origin, scaled(position[i], z))
+            origin = add(origin, scaled(moved, z))
             put(placed.axes, i, (0.0, 0.0, 0.0))
             put(placed.moments, i, z)
         else:
-            turned(fixed, axis, position[i], frames[i])
+            turned(fixed, axis, moved, frames[i])
             put(placed.axes, i, z)
             put(placed.moments, i, cross(origin, z))
         put(origins, i, origin)
@@ -165,7 +173,7 @@ def inverse_dynamics(
 
     Args:
         bodies: the arm.
-        inertia: its inertia table, shape (joints, 11).
+        inertia: its inertia table, shape (bodies, 11).
         position: q, rad, shape (joints,).
         velocity: q̇, rad/s.
         acceleration: q̈, rad/s².
@@ -181,9 +189,9 @@ def inverse_dynamics(
 def _recursive_newton_euler(
     bodies: RigidBodies, placed: _Placed, velocity: Vector, acceleration: Vector, out: Vector
 ) -> None:
-    joints = velocity.size
-    twists, rates = np.empty((2, joints, 3)), np.empty((2, joints, 3))
-    forces = np.empty((2, joints, 3))
+    count = bodies.parents.size
+    twists, rates = np.empty((2, count, 3)), np.empty((2, count, 3))
+    forces = np.empty((2, count, 3))
     for i in bodies.outwards:
         z, s, parent = get(placed.axes, i), get(placed.moments, i), bodies.parents[i]
         turning, moving = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -193,7 +201,8 @@ def _recursive_newton_euler(
         if parent >= 0:
             turning, moving = get(twists[0], parent), get(twists[1], parent)
             d_turning, d_moving = get(rates[0], parent), get(rates[1], parent)
-        v, a = velocity[i], acceleration[i]
+        factor, leader = bodies.factors[i], bodies.leaders[i]
+        v, a = factor * velocity[leader], factor * acceleration[leader]
         d_turning = add(d_turning, add(scaled(a, z), scaled(v, cross(turning, z))))
         carried = add(cross(turning, s), cross(moving, z))
         d_moving = add(d_moving, add(scaled(a, s), scaled(v, carried)))
@@ -206,9 +215,10 @@ def _recursive_newton_euler(
         force, torque = _momentum(placed, i, d_turning, d_moving)
         put(forces[0], i, add(force, cross(turning, momentum)))
         put(forces[1], i, add(torque, add(cross(turning, spin), cross(moving, momentum))))
+    out[:] = 0.0
     for i in bodies.outwards[::-1]:
         force, torque = get(forces[0], i), get(forces[1], i)
-        out[i] = _along(placed, i, force, torque)
+        out[bodies.leaders[i]] += bodies.factors[i] * _along(placed, i, force, torque)
         parent = bodies.parents[i]
         if parent >= 0:
             put(forces[0], parent, add(get(forces[0], parent), force))
@@ -224,7 +234,7 @@ def mass_and_load(
 
     Args:
         bodies: the arm.
-        inertia: its inertia table, shape (joints, 11).
+        inertia: its inertia table, shape (bodies, 11).
         position: q, rad, shape (joints,).
         velocity: q̇, rad/s.
         mass: shape (joints, joints).
@@ -258,7 +268,11 @@ def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) 
         momentum, spin = _momentum(placed, i, get(placed.axes, i), get(placed.moments, i))
         j = i
         while j >= 0:
-            mass[i, j] = mass[j, i] = _along(placed, j, momentum, spin)
+            first, second = bodies.leaders[i], bodies.leaders[j]
+            felt = bodies.factors[i] * bodies.factors[j] * _along(placed, j, momentum, spin)
+            mass[first, second] += felt
+            if j != i:
+                mass[second, first] += felt
             j = bodies.parents[j]
         parent = bodies.parents[i]
         if parent >= 0:

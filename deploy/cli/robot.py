@@ -16,10 +16,11 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
-from bus_schema.urdf.implausible import tip_warnings
+from bus_schema.urdf.checks import finite_number
+from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
+from bus_schema.urdf.joints import BESIDE
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.options import IncludeOption, JointsOption, MassOption
-from deploy.reports.figures.arm_pictures import arm_picture
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
@@ -54,6 +55,10 @@ def robot(
         str | None,
         typer.Option(metavar="TIP", help="Drive the joints on the way to this link, hold others."),
     ] = None,
+    hold: Annotated[
+        str | None,
+        typer.Option(metavar="JOINT=VALUE,…", help="Hold joints at positions, rad or m."),
+    ] = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Replace inertias that no rigid body can have.")
     ] = False,
@@ -77,11 +82,12 @@ def robot(
     try:
         path = find_urdf(file, Path.cwd())
         read = partial(
-            load_robot, path, arguments=arguments, include=folders, mass_kg=mass, hold_grippers=True
-        )
+            load_robot, path, arguments=arguments, include=folders, mass_kg=mass, hold=_pose(hold),
+            hold_grippers=True,
+        )  # fmt: skip
         if chain is not None:
             whole = read(chosen, repair=True)
-            chosen = chosen_joints(ET.fromstring(whole.text), whole.joint_names, chain)
+            chosen = chosen_joints(ET.fromstring(whole.text), _of_chains(whole), chain)
         arm = read(chosen, repair=repair)
     except RobotDescriptionError as error:
         text = str(error)
@@ -98,7 +104,7 @@ def robot(
     print_table(console, _inertia_table(setup))
     if arm.followers or arm.held:
         print_table(console, _other_joints_table(arm))
-    if len(chains := chains_of(ET.fromstring(arm.text), arm.joint_names)) > 1:
+    if len(chains := chains_of(ET.fromstring(arm.text), _of_chains(arm))) > 1:
         print_table(console, _chains_table(chains))
     print_table(console, _gains_table(setup))
     print_table(console, _drives_table(arm))
@@ -106,6 +112,8 @@ def robot(
     for each in robot_warnings(setup):
         console.print(f"warning: {each}", style="yellow", markup=False, highlight=False)
     if picture is not None:
+        from deploy.reports.figures.arm_pictures import arm_picture  # which is slow to import
+
         png = arm_picture(arm, setup.start_position_rad)
         try:
             picture.write_bytes(png)
@@ -115,6 +123,20 @@ def robot(
         console.print(f"picture: {picture}", soft_wrap=True)
     if scenario:
         write_starter(values, out or Path(f"{values['name']}.yaml"))
+
+
+def _of_chains(arm: RobotDescription) -> list[str]:
+    """Return the joints that a chain may have: those driven, and those beside the arm."""
+    return [*arm.joint_names, *(each.name for each in arm.held if each.reason == BESIDE)]
+
+
+def _pose(text: str | None) -> dict[str, float]:
+    """Return positions of joints, by name, from ``JOINT=VALUE,…``."""
+    pairs = [pair.partition("=") for pair in (text or "").split(",") if pair.strip()]
+    try:
+        return {name.strip(): finite_number(name, "--hold", value) for name, _, value in pairs}
+    except RobotDescriptionError as error:
+        raise InputError(f"--hold {text}: must be JOINT=VALUE,…, in rad or m: {error}") from error
 
 
 def write_starter(values: dict[str, Any], file: Path) -> None:
@@ -161,6 +183,7 @@ def robot_warnings(setup: Setup) -> list[str]:
     return [
         *scenario_warnings(setup),
         *tip_warnings(ET.fromstring(arm.text), arm.tip_link, arm.joint_names),
+        *telescope_warnings(ET.fromstring(arm.text), arm.joint_names),
         *weak_joint_warnings(arm),
         *damping_warnings(arm, arm.drives.damping_nm_s, drives_of(arm).rated),
     ]
@@ -209,7 +232,7 @@ def _other_joints_table(robot: RobotDescription) -> Table:
         [each.name, f"follows {each.leader}", f"× {each.multiplier:g} + {each.offset:g}"]
         for each in robot.followers
     ]
-    rows += [[each.name, "held", each.reason] for each in robot.held]
+    rows += [[each.name, f"held at {each.position:g}", each.reason] for each in robot.held]
     return _table("Other joints", ["Joint", "State", "Detail"], rows)
 
 
@@ -219,7 +242,7 @@ def _chains_table(chains: Sequence[Chain]) -> Table:
         [each.tip, ", ".join(each.joints), f"{each.reach_m:.3g} m", f"{each.mass_kg:.3g} kg"]
         for each in chains
     ]
-    title = "Chains: --chain TIP drives one and holds the rest"
+    title = "Chains: --chain TIP drives one and holds the rest, at zero or --hold JOINT=VALUE"
     return _table(title, ["Tip", "Joints", "Reach", "Moved mass"], rows)
 
 

@@ -43,6 +43,8 @@ class RobotConfiguration(StrictModel):
         include: folders with packages or files that the arm's file refers to.
         mass_kg: mass of the whole arm, over which estimated inertias are spread where its file
             gives none; by default 1000 kg/m³ of its shapes.
+        hold: positions of joints that are held, by name, such as ``{torso_lift_joint: 0.2}``, in
+            rad or m; other joints that are not driven are held at zero.
         base_rpy_rad: orientation in which the base is mounted: roll, pitch and yaw, as in a URDF's
             ``rpy``; by default the base is upright. Cartesian paths stay in the frame of
             the base.
@@ -57,6 +59,7 @@ class RobotConfiguration(StrictModel):
     xacro: dict[str, _Argument] | None = None
     include: Annotated[tuple[str, ...], Field(max_length=20)] | None = None
     mass_kg: Annotated[Number, Field(gt=0, le=1e5)] | None = None
+    hold: Annotated[dict[str, Number], Field(max_length=127)] | None = None
     base_rpy_rad: tuple[_Angle, _Angle, _Angle] | None = None
     drive_data: Annotated[str, Field(max_length=1000)] | None = None
     initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))

@@ -31,7 +31,7 @@ _OF_EACH_HOST = (
     "link.can.interface", "link.can.channel", "link.can.port", "plant.gui",
 )  # fmt: skip
 """Keys that may differ: locations, and waiting times."""
-_READING = ("xacro", "include", "mass_kg")
+_READING = ("xacro", "include", "mass_kg", "hold")
 """Keys of ``robot`` that have their effect when the arm's file is read."""
 
 

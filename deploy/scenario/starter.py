@@ -17,7 +17,7 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
-from deploy.scenario.checking.plausibility import loads_of, placeholders
+from deploy.scenario.checking.plausibility import USUAL_RAD_S2, loads_of, placeholders
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
@@ -51,6 +51,8 @@ _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
 """Peak speed of a minimum-jerk move of length 1 in time 1."""
 _TRIES = 12
+_LEAST_LOAD = 0.1
+"""N m of gravity per kg m², below which it loads no joint, as of an arm that lies on its side."""
 _HARDLY_LOADED = 0.2
 """Share of the torque by a neighbour's, below which gravity says little about a motor."""
 
@@ -182,13 +184,15 @@ def torque_limits(robot: RobotDescription) -> Vector:
     """Return rated torques, shape (joints,), N m.
 
     Where the file has none or a placeholder, three times what the arm needs to hold itself up in
-    the worst of many postures, and at least a hundredth of the largest. A joint that gravity hardly
-    loads, such as a vertical one, has the torque of a neighbour in the ratio of their inertias.
+    the worst of many postures, or to accelerate if gravity loads no joint; and at least a hundredth
+    of the largest. A joint that gravity hardly loads, such as a vertical one, has the torque of a
+    neighbour in the ratio of their inertias.
     """
     limits, loads = robot.effort_limits_nm.copy(), loads_of(robot)
     unknown = ~np.isfinite(limits) | (placeholders(robot, loads, limits) > 0.0)
     if unknown.any():
-        held = 3.0 * loads.gravity_nm
+        is_loaded = loads.gravity_nm.max() > _LEAST_LOAD * loads.inertia_kg_m2.max()
+        held = 3.0 * (loads.gravity_nm if is_loaded else USUAL_RAD_S2 * loads.inertia_kg_m2)
         per_inertia = np.where(unknown, held, limits) / np.maximum(loads.inertia_kg_m2, 1e-9)
         beside = np.maximum(np.append(per_inertia[1:], 0.0), np.append(0.0, per_inertia[:-1]))
         by_neighbour = beside * loads.inertia_kg_m2

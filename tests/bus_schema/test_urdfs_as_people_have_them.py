@@ -9,7 +9,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.physics.engines import ENGINES
-from tests.arms import INSTALLED, FreeArm
+from tests.arms import INSTALLED, FreeArm, forward_dynamics
 from tests.bus_schema.urdf_texts import LIMIT, inertial, joint, two_links
 
 FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "fixed"))
@@ -290,3 +290,45 @@ def test_moments_of_almost_nothing_and_axes_without_direction_are_read(engine, l
     with closing(FreeArm(robot, engine)) as arm:
         expected = ManipulatorModel(robot).mass_matrix(np.zeros(2))
         np.testing.assert_allclose(arm.mass_matrix(np.zeros(2)), expected, atol=1e-10)
+
+
+def test_wheels_and_a_head_beside_an_arm_are_held(load, tmp_path):
+    head = f'<link name="d">{inertial()}</link><link name="e">{inertial()}</link>'
+    head += joint("third", "c", "d") + joint("fourth", "d", "e")
+    sides = "".join(
+        f'<link name="{name}_link">{inertial()}</link>' + joint(name, "a", f"{name}_link", kind)
+        for name, kind in (("wheel", "continuous"), ("neck", "revolute"))
+    )
+    (tmp_path / "whole.urdf").write_text(two_links(more=head + sides))
+    robot = load_robot(tmp_path / "whole.urdf", hold_grippers=True)
+    assert robot.joint_names == ("first", "second", "third", "fourth")
+    assert all("beside the arm, such as a wheel" in each.reason for each in robot.held)
+    assert load(two_links(more=head + sides)).joints == 6  # scenarios drive what they drove
+
+
+def test_undeclared_prefixes_and_commas_are_read(load):
+    text = two_links().replace("<axis", "<axis drake:kind='x'")
+    robot = load(text.replace('xyz="0.3 0 0"', 'xyz="0.3, 0, 0"'))
+    position = np.array([0.4, -0.7])
+    gravity = ManipulatorModel(load(two_links())).gravity(position)
+    np.testing.assert_array_equal(ManipulatorModel(robot).gravity(position), gravity)
+
+
+@pytest.mark.parametrize("engine", INSTALLED)
+def test_point_of_mass_between_two_joints_is_taken_by_every_engine(engine, load):
+    point = '<inertial><mass value="0.1"/><inertia ixx="0" iyy="0" izz="0"/></inertial>'
+    robot, still = load(two_links(b=point)), np.zeros(2)
+    expected = forward_dynamics(ManipulatorModel(robot), still, still, still)
+    with closing(FreeArm(robot, engine, 1e-4)) as arm:
+        np.testing.assert_allclose(arm.acceleration(still, still), expected, rtol=1e-2)
+
+
+def test_robot_with_too_many_links_loses_light_ends_near_its_base(load):
+    frames = "".join(
+        f'<link name="f{n}"/>' + joint(f"j{n}", "c" if n else "a", f"f{n}", "fixed", inside="")
+        for n in range(126)
+    )
+    robot = load(two_links(more=frames))
+    assert robot.resolved_urdf().count("<link ") == 127
+    assert any("without mass are left out: f0, f1" in each for each in robot.warnings)
+    assert 'name="f0"' not in robot.text

@@ -115,6 +115,7 @@ def reading(given: RobotConfiguration, folder: Path) -> dict[str, Any]:
         "arguments": given.xacro or {},
         "include": [(folder / each).resolve() for each in given.include or ()],
         "mass_kg": given.mass_kg,
+        "hold": given.hold or {},
     }
 
 

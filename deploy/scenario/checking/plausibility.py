@@ -14,7 +14,7 @@ from controller.manipulator_model import ManipulatorModel, spread_positions
 _PLACEHOLDER = 15.0
 """Above this multiple of what gravity and inertia need, a largest torque is a placeholder. The
 multiple is 2 to 6 for industrial arms and at most 12 for small ones."""
-_USUAL_RAD_S2 = 10.0
+USUAL_RAD_S2 = 10.0
 _EVERY_INERTIA = 10
 """Every so many of the postures give inertias."""
 _DAMPING_SHARE = 0.3
@@ -54,7 +54,7 @@ def placeholders(robot: RobotDescription, loads: Loads, torques_nm: Vector) -> V
         torques_nm: largest torques, shape (joints,).
     """
     slides = np.array(robot.slides)
-    needed = np.maximum(loads.gravity_nm, _USUAL_RAD_S2 * loads.inertia_kg_m2)
+    needed = np.maximum(loads.gravity_nm, USUAL_RAD_S2 * loads.inertia_kg_m2)
     most = np.array([needed[slides == each].max() for each in slides])
     ratio = np.where(np.isfinite(torques_nm), torques_nm, 0.0) / np.maximum(most, 1e-9)
     return np.where(ratio > _PLACEHOLDER, ratio, 0.0)

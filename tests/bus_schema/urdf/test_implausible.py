@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from bus_schema.urdf.implausible import tip_warnings
+from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
 from tests.bus_schema.urdf_texts import inertial, joint, two_links
 
 
@@ -47,3 +47,14 @@ def test_tip_that_is_a_finger_or_camera_is_named_with_the_flange(load, tip, kind
     assert robot.tip_link == tip
     assert bool(warned) is is_warned
     assert all(f"is {tip}: a finger or sensor 0.3 m from c" in each for each in warned)
+
+
+@pytest.mark.parametrize(
+    ("axis", "is_warned"), [("0 1 0", True), ("0 -1 0", True), ("0 1 1", False)]
+)
+def test_stages_of_a_telescope_are_named(load, axis, is_warned):
+    stages = joint("outer", "a", "b", "prismatic"), joint("inner", "b", "c", "prismatic", axis)
+    robot = load(two_links(*stages))
+    warned = list(telescope_warnings(ET.fromstring(robot.text), robot.joint_names))
+    assert bool(warned) is is_warned
+    assert all("outer, inner slide along one line: stages of a telescope" in w for w in warned)

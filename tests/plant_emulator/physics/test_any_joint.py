@@ -5,7 +5,6 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from bus_schema.configuration import ConfigurationError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies.dynamics import inverse_dynamics, mass_and_load
@@ -96,12 +95,16 @@ def test_a_follower_stays_with_its_leader_and_energy_is_kept(engine, following):
         assert model.energy(arm.position, arm.velocity) == pytest.approx(before, abs=0.01 * scale)
 
 
-def test_compiled_terms_of_an_arm_that_slides_are_those_of_pinocchio(sliding):
-    model, random = ManipulatorModel(sliding, payload_kg=1.0), np.random.default_rng(5)
+@pytest.mark.parametrize("name", ["sliding", "following"])
+def test_compiled_terms_are_those_of_pinocchio(name, request):
+    robot, random = request.getfixturevalue(name), np.random.default_rng(5)
+    joints = robot.joints
+    rotors = np.linspace(0.1, 0.3, joints)
+    model = ManipulatorModel(robot, payload_kg=1.0, rotor_inertia_kg_m2=rotors)
     bodies, table = model.rigid_bodies(), model.inertia_table()
-    mass, load, torque = np.empty((3, 3)), np.empty(3), np.empty(3)
+    mass, load, torque = np.empty((joints, joints)), np.empty(joints), np.empty(joints)
     for _ in range(10):
-        q, v, a = random.uniform(-1.5, 1.5, (3, 3))
+        q, v, a = random.uniform(-1.5, 1.5, (3, joints))
         mass_and_load(bodies, table, q, v, mass, load)
         inverse_dynamics(bodies, table, q, v, a, torque)
         np.testing.assert_allclose(mass, model.mass_matrix(q), atol=1e-11)
@@ -116,8 +119,3 @@ def test_reduced_terms_fit_together(following):
         np.testing.assert_allclose(model.inverse_dynamics(q, v, a), terms, atol=1e-10)
         np.testing.assert_allclose(model.torque_along(q, v, v, a), terms, atol=1e-10)
         np.testing.assert_allclose(model.inverse_dynamics(q, 0 * q, 0 * q), model.gravity(q))
-
-
-def test_delay_compensation_refuses_followers_in_one_sentence(following):
-    with pytest.raises(ConfigurationError, match=r"mimic joints"):
-        ManipulatorModel(following).rigid_bodies()
