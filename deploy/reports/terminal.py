@@ -29,7 +29,7 @@ _WIDEST = 10_000
 _LEAST = 8
 
 
-_MAIN = ("version", "scenario", "law", "physics", "duration", "starts", "seeds")
+_MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
 _BRIEF = range(1, 81)
 """Conditions that a terminal shows, and how long they may be."""
 
