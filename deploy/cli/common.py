@@ -46,8 +46,8 @@ from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 
-def parse_laws(text: str | None) -> list[str] | None:
-    """Return the names of laws in ``a,b,…``, or None for all laws.
+def parse_laws(text: str | None, option: str = "--laws") -> list[str] | None:
+    """Return the names of laws in ``a,b,…``, the value of an option, or None for all laws.
 
     Raises:
         ScenarioError: the text has no name, or an unknown one.
@@ -56,11 +56,11 @@ def parse_laws(text: str | None) -> list[str] | None:
         return None
     named = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not named:
-        raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
+        raise ScenarioError(f"{option} {text!r}: must name one or more of {', '.join(LAWS)}")
     for law in named:
         if law not in LAWS and law != PROCESS and not is_custom(law):
             allowed = f"{', '.join(LAWS)}, {PROCESS}, module:Class for your own law, or {EXTERNAL}"
-            raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}{likely_law(law)}")
+            raise ScenarioError(f"{option} {shown(law)}: must be one of {allowed}{likely_law(law)}")
     return named
 
 

@@ -10,6 +10,7 @@ import typer
 
 from controller.laws import LAWS
 from deploy.cli.common import parse_laws
+from deploy.cli.options import GateOptions
 from deploy.cli.study.margin_options import StudyOptions, listed
 from deploy.scenario.referenced_files import TRACES
 from deploy.study.benchmark.cells import (
@@ -21,7 +22,7 @@ from deploy.study.benchmark.cells import (
 
 
 @dataclass(kw_only=True)
-class BenchmarkOptions(StudyOptions):
+class BenchmarkOptions(GateOptions, StudyOptions):
     """The options of `benchmark`."""
 
     scenarios: Annotated[

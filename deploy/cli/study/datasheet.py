@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.cli.common import ResultGate, conclude, leave
-from deploy.cli.options import ScenarioArgument, taking
+from deploy.cli.common import ResultGate, conclude, leave, parse_laws
+from deploy.cli.options import GateOptions, ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
 from deploy.judge.run_rows import Row
@@ -25,7 +25,7 @@ from deploy.study.study import StudyOfRuns
 
 
 @dataclass(kw_only=True)
-class DatasheetOptions(WorkerOptions):
+class DatasheetOptions(GateOptions, WorkerOptions):
     """The options of `datasheet`."""
 
     scenario: ScenarioArgument = "paper_arm"
@@ -47,6 +47,7 @@ def datasheet(options: DatasheetOptions) -> None:
     """
     if options.confirm:
         raise ScenarioError("--confirm: must be left out: margin and sweep have it")
+    parse_laws(options.law, "--law")
     sheet = DataSheet(
         options.scenario, options.law, options.network, options.plants, options.fixed(),
         options.quick,

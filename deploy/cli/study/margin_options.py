@@ -24,7 +24,7 @@ from deploy.study.comparison.settling import OFFSETS_RAD
 
 
 @dataclass(kw_only=True)
-class WorkerOptions(GateOptions):
+class WorkerOptions:
     """The options of every command with many runs."""
 
     overrides: Overrides = None
@@ -44,7 +44,7 @@ class WorkerOptions(GateOptions):
 
 
 @dataclass(kw_only=True)
-class CompareOptions(WorkerOptions):
+class CompareOptions(GateOptions, WorkerOptions):
     """The options of `compare`."""
 
     scenario: ScenarioArgument = "paper_arm"
@@ -143,7 +143,7 @@ class TuneOptions(StudyOptions):
 
 
 @dataclass(kw_only=True)
-class SweepOptions(StudyOptions):
+class SweepOptions(GateOptions, StudyOptions):
     """The options of `sweep`."""
 
     sweep: Annotated[
@@ -152,7 +152,7 @@ class SweepOptions(StudyOptions):
 
 
 @dataclass(kw_only=True)
-class MarginOptions(StudyOptions):
+class MarginOptions(GateOptions, StudyOptions):
     """The options of `margin`."""
 
     scenario: Annotated[

@@ -13,7 +13,7 @@ from typing import Any
 import typer
 
 from deploy.cli.common import ResultGate, conclude, leave, say_oddities
-from deploy.cli.options import taking
+from deploy.cli.options import GateOptions, taking
 from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.cli.study.margin_options import (
     CompareOptions,
@@ -86,9 +86,6 @@ def tune(options: TuneOptions) -> None:
     plants, and written to a scenario for each law. After an interruption or a kill, the same
     command continues; so does one with a larger --budget.
     """
-    for name in ("at_least", "baseline", "tolerance", "junit", "markdown", "history"):
-        if getattr(options, name) is not None:
-            raise ScenarioError(f"--{name.replace('_', '-')}: tune has no margin to gate")
     _conduct(Tuning(options.definition(), Path("tune")), options)
 
 
@@ -138,10 +135,12 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
     """Run or continue a study, show its results, and end with its exit code."""
     quantity, pattern = (getattr(study.definition, key, None) for key in ("quantity", "pattern"))
     console = Console()
-    gate = ResultGate(
-        options, study.definition.name, study.unit, study.kind, quantity,
-        patterns=pattern is not None,
-    )  # fmt: skip
+    gate = None
+    if isinstance(options, GateOptions):
+        gate = ResultGate(
+            options, study.definition.name, study.unit, study.kind, quantity,
+            patterns=pattern is not None,
+        )  # fmt: skip
     with carried_out(study, options, console, threading.Event()) as done:
         results = conclude(console, done.folder, lambda: write_study(study, done.folder))
     if not results.summary["completed"]:
@@ -150,7 +149,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
     runs, rows = results.runs, done.folder.rows
     whole = all(run.summary["completed"] for run in runs) and any(not r["error"] for r in rows)
     kept = not require_bounds or all(run.kept_bounds for run in runs)
-    is_passed = not whole or gate.is_passed(results.summary, console, done.folder.note)
+    is_passed = not (whole and gate) or gate.is_passed(results.summary, console, done.folder.note)
     leave(interrupted=False, whole=whole, kept=kept and is_passed)
 
 

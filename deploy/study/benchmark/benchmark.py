@@ -65,6 +65,8 @@ class Benchmark(StudyOfRuns):
             self.bases = list({cell.scenario: setup for cell, setup in setups.items()}.values())
             self.columns |= draw_columns(self.definition, self.bases)
             self._places = [places_of(self.definition, setups[cell], cell) for cell in self.cells]
+            for place in {str(each.overrides): each for each in self._places[0]}.values():
+                load_setup(self.cells[0].scenario, [*self._common(self.cells[0]), *place.overrides])
         self._variants = list(setups.values())
         self._left_out = 0
 
