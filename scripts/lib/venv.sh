@@ -67,6 +67,12 @@ while_it_lasts() {
   return "$code"
 }
 
+# install_quietly LOG EXTRAS: installs this project; what pip prints goes to LOG.
+install_quietly() {
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
+    --editable ".${2:+[$2]}" >"$1" 2>&1
+}
+
 # ensure_venv EXTRAS: provides .venv with this project and EXTRAS ("" or "dev") installed in it.
 # Stamps in .venv tell what it holds; as long as they are up to date, nothing is done.
 ensure_venv() {
@@ -85,8 +91,14 @@ ensure_venv() {
     return
   fi
   echo "Installing funnel-hil${extras:+[$extras]} into .venv (a minute or two at first)"
-  while_it_lasts .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
-    --editable ".${extras:+[$extras]}"
+  local log
+  log=$(mktemp) # what pip warns of matters only where it fails
+  if ! while_it_lasts install_quietly "$log" "$extras"; then
+    cat "$log" >&2
+    rm "$log"
+    return 1
+  fi
+  rm "$log"
   echo "$state" >"$stamp"
   remove_leftovers # of the installation that this one replaced
   # What pip does for all it installs, but not for an editable project; without it, every start of a
