@@ -163,8 +163,6 @@ REFUSED = [
     *[(f"{command} faults/plant_frozen", "", "faults: target = 'plant'")
       for command in ("compare", "simulate")],
     *[(f"tune --laws smc --workers 1 {options}", "", text) for options, text in (
-        ("--at-least 5%", "No such option: --at-least"),
-        ("--history h.json", "No such option: --history"),
         ("--delays 5,9", "--delays: must be left out unless --for margin"),
         ("--for margin --travel-limit 5", "--travel-limit: must be left out"),
         ("--for fun", "goal = 'fun'"), ("--budget 1", "budget = 1"),

@@ -151,3 +151,10 @@ def test_a_law_of_the_user_starts_at_its_defaults_or_within_ranges(tmp_path, mon
 def test_unusable_definitions_are_refused(changed, message):
     with pytest.raises(ScenarioError, match=message):
         Tuning({"scenario": "paper_arm", "laws": ["smc"], **changed}, Path("tune"))
+
+
+def test_tune_has_no_gate(tmp_path):
+    code, output = tuned(tmp_path / "out", "--at-least", "5%")
+    assert code == 2
+    assert "No such option: --at-least" in output
+    assert not (tmp_path / "out").exists()
