@@ -91,3 +91,26 @@ def test_ticks_skipped_by_a_late_plant_are_shown(run):
     assert (rows["Ticks"], rows["Ticks skipped by a late plant"]) == (100, 1)
     assert "skipped" not in shown(run)
     assert not any("skipped" in name for name, _ in health_table(summarise(run)).rows)
+
+
+def test_timing_messages_and_events_are_folded_and_marked_where_something_is_odd(run):
+    usual = run_page(JudgedRun("", run))
+    assert usual.folded[0] == "Timing, messages and events"
+    titles = {table.title for cards in usual.folded[1] for table in cards.tables}
+    assert {"Timing", "Transport", "Events"} <= titles
+    assert "Transport" not in shown(run)
+    lossy = simulate(load_setup("paper_arm", ["duration_s=0.1", "link.uplink.loss=0.2"])).data()
+    lost = summarise(lossy)["transport"]["uplink"]["lost"]
+    assert lost > 5  # of 100
+    title = run_page(JudgedRun("", lossy)).folded[0]
+    assert f"{lost} messages lost" in title
+    assert "⚠" in title
+
+
+def test_a_terminal_shows_the_verdict_first_and_the_main_conditions_on_one_line(run):
+    lines = shown(run).splitlines()
+    assert lines[1] == "bounds kept"
+    (conditions,) = [line for line in lines if line.startswith("Conditions:")]
+    assert "physics:" in conditions
+    assert conditions.endswith("All conditions: summary.json")
+    assert len(conditions) < 250
