@@ -201,6 +201,7 @@ def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) ->
 _LOSSES = {
     "start": "before any command acted",
     "growing": "as an oscillation grew",
+    "late command": "after a command that was much later than usual",
     "saturated": "with torques at their limits",
     "friction or model": "slowly, as by friction or an error of the model",
 }

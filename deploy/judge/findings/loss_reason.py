@@ -14,6 +14,9 @@ from deploy.judge.run_data import RunData
 _BEFORE_S = 1.0
 """Time before the loss that is looked at."""
 _MOSTLY = 0.5
+_LATELY_S, _MUCH_OLDER, _LATE_NS = 0.15, 3.0, 10e6
+"""A command that was in force within this time before the loss, and older than usual by both, is
+its likely cause."""
 AFTER_S = 0.3
 """Time after the loss in which its oscillation continues, if there is one."""
 _FEWEST_SWINGS, _MOST_SWINGS = 4, 8
@@ -26,7 +29,8 @@ class LossReason(NamedTuple):
 
     Attributes:
         reason: ``start``: no command had acted yet, brakes held the arm; ``growing``: an
-            oscillation grew; ``saturated``: torques were at their limits for most of the time
+            oscillation grew; ``late command``: shortly before, a command in force was much older
+            than usual; ``saturated``: torques were at their limits for most of the time
             before; ``friction or model``: anything else, a slow error.
         joint: the first one outside.
         time_s: when.
@@ -60,8 +64,16 @@ def loss_reason(run: RunData) -> LossReason | None:
     growth = _growing_swings(times_s[around], run.true_errors_rad[around, joint])
     if growth is not None:
         return LossReason("growing", *place, *growth)
+    if _was_late(times_s[before], truth["command_age_ns"][before]):
+        return LossReason("late command", *place)
     is_saturated = truth["saturated"][before].mean() > _MOSTLY
     return LossReason("saturated" if is_saturated else "friction or model", *place)
+
+
+def _was_late(times_s: Vector, ages_ns: Vector) -> bool:
+    """Whether a command in force in the last moments was much older than usual before."""
+    usual_ns, recent = np.median(ages_ns), times_s >= times_s[-1] - _LATELY_S
+    return bool(ages_ns[recent].max() > max(_MUCH_OLDER * usual_ns, usual_ns + _LATE_NS))
 
 
 def _growing_swings(times_s: Vector, errors_rad: Vector) -> tuple[float, float] | None:

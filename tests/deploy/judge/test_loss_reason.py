@@ -25,6 +25,8 @@ def loss(*overrides, arm="paper_arm", duration_s=0.5):
         # The arm may be held for 122.7 ms.
         ((ON, "link.uplink.delay_ms=140"), "start"),
         (("link.uplink.delay_ms=8", "controller.law=fixed_time_neural"), "growing"),
+        # No command arrives from 0.1 s to 0.3 s: the arm goes on with the last torque.
+        (("link.downlink.schedule=[{kind: outage, at_s: 0.1, for_s: 0.2}]",), "late command"),
         (("plant.actuator.saturation_nm=[30, 60, 20]",), "saturated"),
         (("plant.friction.coulomb_nm=150", "controller.law=pid"), "friction or model"),
     ],
