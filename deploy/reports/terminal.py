@@ -132,7 +132,7 @@ def print_conditions(console: Console, conditions: Mapping[str, str]) -> None:
     if not main:
         return
     console.print(
-        f"{conditions_line(main)} All conditions: summary.json",
+        f"{conditions_line(main)} All conditions: report.html",
         markup=False,
         highlight=False,
         soft_wrap=not console.is_terminal,

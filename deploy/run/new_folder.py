@@ -22,6 +22,7 @@ _RESULTS = (
     "controller_stdout.log", "controller_stderr.log",
     "run.mcap", "run.partial.mcap", "summary.json", "manifest.json", "report.html", "fault.json",
     "study.yaml", "comparison.parquet", "sweep.parquet", "margin.parquet", "robustness.parquet",
+    "tune.parquet", "benchmark.parquet",
     "provenance.json",
 )  # fmt: skip
 """A folder with any of these holds results."""
@@ -32,8 +33,8 @@ _MORE = re.compile(
     r"|\w+\.partial\.(json|html|parquet|md|yaml)|plotly\.min(\.partial)?\.js"
 )
 """Other files that commands write there."""
-_IDENTIFIED = ("robot.urdf", "before.urdf", "uncertainty.yaml")
-"""Files that `identify` writes beside its summary; elsewhere, files of these names are a user's."""
+_LISTED = re.compile(r"[\w.-]+\.(urdf|yaml|csv)")
+"""Files that a summary may list as its own; elsewhere, files of these names are a user's."""
 _FOLDERS = ("rows", "scenarios", "base", "export")
 """Folders of a study, and of `export`."""
 _SHOWN = 5
@@ -166,10 +167,10 @@ def _remove_files(path: Path) -> None:
 
 
 def _own_files(path: Path) -> set[str]:
-    """Return the files of `identify` that a summary lists."""
+    """Return the files that a summary lists as written beside it."""
     try:
         listed = json.loads((path / "summary.json").read_text(encoding="utf-8"))["files"]
-        return {name for name in _IDENTIFIED if name in listed}
+        return {name for name in listed if _LISTED.fullmatch(name)}
     except (OSError, ValueError, TypeError, KeyError):
         return set()
 

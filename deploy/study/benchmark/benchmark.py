@@ -195,7 +195,7 @@ class Benchmark(StudyOfRuns):
                 values = [cell["margin_ms"], cell["any_pattern_ms"]]
                 values += [worst(cell["rms_rad"]), worst(cell["travel_nm_per_s"])]
                 writer.writerow([*(cell[name] for name in Cell._fields), *values, *shares])
-        summary["cells_file"] = _CELLS_FILE
+        summary["files"] = [_CELLS_FILE]
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
         wanted = self.definition

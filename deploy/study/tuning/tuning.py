@@ -241,6 +241,7 @@ class Tuning(StudyOfRuns):
             overrides = [*self._under(law.name), gains, name]
             write_scenario(load_setup(self.definition.scenario, overrides), path)
             summary["laws"][law.name]["file"] = path.name
+        summary["files"] = [found["file"] for found in summary["laws"].values() if "file" in found]
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
         wanted = self.definition

@@ -40,7 +40,9 @@ def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_h
         "fixed_time_neural", "0.05 s", "7",
     )  # fmt: skip
     assert conditions["starts"].startswith("initial offset")
-    assert all(f"{name}: {text}" in output for name, text in conditions.items())
+    shown = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
+    assert all(f"{name}: {conditions[name]}" in output for name in shown)
+    assert "All conditions: report.html" in output
 
 
 def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):

@@ -112,5 +112,5 @@ def test_a_terminal_shows_the_verdict_first_and_the_main_conditions_on_one_line(
     assert lines[1] == "bounds kept"
     (conditions,) = [line for line in lines if line.startswith("Conditions:")]
     assert "physics:" in conditions
-    assert conditions.endswith("All conditions: summary.json")
+    assert conditions.endswith("All conditions: report.html")
     assert len(conditions) < 250

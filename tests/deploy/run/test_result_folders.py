@@ -104,13 +104,21 @@ def test_old_results_stay_where_new_ones_have_no_room(funnel_hil, tmp_path, requ
     assert (tmp_path / "run.mcap").read_bytes() == old
 
 
-@pytest.mark.parametrize("kind", [None, "run", "identify"])
-def test_overwrite_removes_the_files_of_identify_only_where_it_wrote(tmp_path, kind):
+@pytest.mark.parametrize(
+    ("summary", "is_own"),
+    [
+        (None, False),
+        ({"kind": "run"}, False),
+        ({"files": ["other.urdf", "../robot.urdf", 3]}, False),
+        ({"files": ["robot.urdf"]}, True),
+    ],
+)
+def test_overwrite_removes_only_files_that_the_summary_lists(tmp_path, summary, is_own):
     (tmp_path / "robot.urdf").write_text("an arm")
-    if kind is not None:
-        (tmp_path / "summary.json").write_text(json.dumps({"kind": kind}))
+    if summary is not None:
+        (tmp_path / "summary.json").write_text(json.dumps(summary))
     new_folder("x", tmp_path, overwrite=True)
-    assert (tmp_path / "robot.urdf").exists() == (kind != "identify")
+    assert (tmp_path / "robot.urdf").exists() != is_own
     assert not (tmp_path / "summary.json").exists()
 
 
