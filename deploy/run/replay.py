@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -9,9 +10,12 @@ from itertools import zip_longest
 import numpy as np
 
 from bus_schema.arrays import Vector
+from bus_schema.errors import InvalidMessageError
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role
 from bus_schema.recording.mcap_log import LogContents
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop
@@ -84,6 +88,8 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
         ]
     if missing:
         return _not_comparable(len(recorded), len(answered), missing)
+    if len(replayed) == len(recorded) + 1 and _answered_states(contents) == len(recorded):
+        replayed = replayed[:-1]  # the run ended between the last state and its answer
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
@@ -103,6 +109,17 @@ def _not_comparable(recorded: int, answered: int, missing: str) -> Replay:
     """A replay that ended at a command whose state is not in the recording."""
     return Replay(recorded, answered, first_difference=answered, digest="", recorded_digest="",
                   failure=missing)  # fmt: skip
+
+
+def _answered_states(contents: LogContents) -> int | None:
+    """Return how many states the controller answered, by its own count; None without one."""
+    for payload in reversed(contents.payloads[topics.RUN_EVENTS.name]):
+        with contextlib.suppress(InvalidMessageError, ValueError, KeyError, TypeError):
+            event = RunEvent.decode(payload)
+            if (event.source, event.kind) == (Role.CONTROLLER, EventKind.ENDED):
+                counts = event.values()
+                return int(counts["cycles"]) + int(counts["late"])
+    return None
 
 
 def _states_answered(setup: Setup, contents: LogContents) -> tuple[list[bytes], str]:

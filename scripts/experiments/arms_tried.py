@@ -261,7 +261,7 @@ def page(rows: Sequence[dict[str, Any]], conditions: str) -> str:
     arms = [row for row in rows if not NO_JOINT.search(row.get("reason", ""))]
     read = [row for row in arms if row["opens"]]
     held = [row for row in read if row["load"] <= 1.0]
-    found = [row["difference"] for row in read if row["difference"] is not None]
+    found = [row["difference"] for row in read if row.get("difference") is not None]
     kept = [
         _rate(f"kept, {name}, {whose}", [_kept(row, name) for row in of], goal)
         for of, whose in ((held, "arms that have the torque"), (read, "all that open"))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bus_schema.messages.run_event import EventKind
-from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, Role
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, RUN_EVENTS, Role
 from bus_schema.runtime.modes import Mode, mode_in
 from deploy.judge.metrics import summarise
 from deploy.reports.results import write_run
@@ -67,6 +68,26 @@ def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(import_fo
     assert states[-1]["position"] == position.tolist()
     assert commands[-1]["effort"] == [0.0, 0.0, 0.0]
     assert commands[-2]["effort"] != [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("was_answered", [False, True])
+def test_a_run_that_ended_before_its_last_answer_replays_as_far_as_it_was_answered(
+    tmp_path, was_answered
+):
+    """A recording that lacks the last command: fine unless the controller counts it as sent."""
+    folder = RunFolder(new_folder("interrupted", tmp_path / "run"))
+    simulate(load_setup("paper_arm", ["duration_s=0.05"])).write_log(folder.log)
+    run, contents = load_run(folder.path)
+    contents.payloads[JOINT_COMMANDS.name].pop()
+    if not was_answered:
+        contents.payloads[RUN_EVENTS.name] = [
+            replace(event, detail=json.dumps({**counts, "cycles": counts["cycles"] - 1})).encode()
+            if (event.source, event.kind) == (Role.CONTROLLER, EventKind.ENDED)
+            and (counts := event.values())
+            else event.encode()
+            for event in run.events
+        ]
+    assert replay(run.setup, contents).is_identical != was_answered
 
 
 def test_failing_physics_stops_the_arm():
