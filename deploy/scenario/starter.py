@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.robot_description import RobotDescription
+from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
@@ -114,9 +114,17 @@ def drives_of(robot: RobotDescription) -> Drives:
     if robot.path.parent == ROBOTS and motors.is_file():
         published = read_yaml(motors)
         plant, data = published["plant"], published["robot"]["drive_data"]
-        rated = np.array(plant["actuator"].get("saturation_nm", torque_limits(robot)), float)
-        rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
-        return Drives(rated, rotors, plant["friction"], data)
+        actuator, friction = plant["actuator"], plant["friction"]
+        names = load_robot(robot.path).joint_names
+        places = [names.index(name) for name in robot.joint_names]
+        rated = torque_limits(robot)
+        if "saturation_nm" in actuator:
+            rated = np.array(actuator["saturation_nm"], float)[places]
+        friction = {
+            key: [each[place] for place in places] if isinstance(each, list) else each
+            for key, each in friction.items()
+        }
+        return Drives(rated, np.array(actuator["rotor_inertia_kg_m2"])[places], friction, data)
     rated = torque_limits(robot)
     own = _drives_in_file(robot, rated)
     rotors = own.rotor_inertia_kg_m2
