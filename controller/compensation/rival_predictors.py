@@ -20,6 +20,8 @@ from controller.rigid_bodies.vectors import invert
 
 _SLOW = 1.0 / 6.0
 """Lower end of the band of a network disturbance, as a share of the filter's bandwidth."""
+_LARGEST = 1e6
+"""Of a plausible memory, in rad/s² and less."""
 _FILTERED, _LASTING, _VELOCITY, _POSITION = range(4)
 """Rows of `Arm.memory` that the communication disturbance observer uses."""
 
@@ -82,18 +84,30 @@ def foresee_network(
     commands, memory, step_ns = arm.commands, arm.memory, stamp_ns - arm.last_answered[0]
     joints, last_velocity = measured.shape[1], arm.last[1].copy()
     acted_since_last(arm, stamp_ns, sequence, delay_ns, arrival_ns)
-    if commands.state[0].newest == HELD or step_ns > LONGEST_HORIZON_NS:
+    begins = commands.state[0].newest == HELD or step_ns > LONGEST_HORIZON_NS
+    if not begins:
+        asked = _acceleration(arm, measured, commands.state[0].newest % CAPACITY)
+        _observe(memory, asked, last_velocity, measured[1], bandwidth_rad_s, 1e-9 * step_ns)
+        begins = not _is_plausible(memory)
+    if begins:
         memory[:] = 0.0
         for i in range(joints):
             memory[_FILTERED, i] = bandwidth_rad_s * measured[1, i]
-    else:
-        asked = _acceleration(arm, measured, commands.state[0].newest % CAPACITY)
-        _observe(memory, asked, last_velocity, measured[1], bandwidth_rad_s, 1e-9 * step_ns)
     arm.last[:] = measured
     for i in range(joints):
         predicted[0, i] = measured[0, i] + memory[_POSITION, i]
         predicted[1, i] = measured[1, i] + memory[_VELOCITY, i]
     return aim(measured, predicted, target, commands.state[0].horizon_ns)
+
+
+@compiled
+def _is_plausible(memory: Matrix) -> bool:
+    """Whether an observer's memory is that of an arm: after one wild state it begins again."""
+    for k in range(memory.shape[0]):
+        for i in range(memory.shape[1]):
+            if not -_LARGEST < memory[k, i] < _LARGEST:
+                return False
+    return True
 
 
 @compiled

@@ -126,13 +126,16 @@ def _torque(
 
 @compiled
 def _older_than(memory: _Memory, time_s: float) -> int:
-    """Return the number of the newest torque that is not younger than a time; -1 for none."""
+    """Return the number of the newest torque from before a time; of those remembered, the oldest.
+
+    -1 for none, while all since the start are remembered.
+    """
     written = memory.counts[0]
     following = max(memory.counts[1], written - _REMEMBERED)
     while following < written and memory.times_s[following % _REMEMBERED] <= time_s + _SAME_S:
         following += 1
     memory.counts[1] = following
-    return following - 1  # type: ignore[no-any-return]
+    return max(following - 1, written - _REMEMBERED, -1)  # type: ignore[no-any-return]
 
 
 @compiled

@@ -71,23 +71,23 @@ def export(
         raise ScenarioError(f"export: must be given one or more of {wanted}")
     own = run_dir if run_dir.is_dir() else run_dir.parent
     folder = out or own / "export"
+    is_damaged = False
     if pictures or latex or bibtex:
-        _export_for_paper(run_dir, folder, pictures, columns, latex=latex, bibtex=bibtex)
-    if not formats:
-        return
-    data, _ = load_run(run_dir)
-    for file in export_series(data, folder, formats, names or SERIES):
-        print(file)
-    damage = all_damage(data)
-    for sentence in _missing(data, damage):
-        say(sentence, err=True)
-    raise typer.Exit(FAULT if damage else FINISHED)
+        is_damaged = _export_for_paper(
+            run_dir, folder, pictures, columns, latex=latex, bibtex=bibtex
+        )
+    if formats:
+        data, _ = load_run(run_dir)
+        for file in export_series(data, folder, formats, names or SERIES):
+            print(file)
+        is_damaged = _say_what_is_missing(data)
+    raise typer.Exit(FAULT if is_damaged else FINISHED)
 
 
 def _export_for_paper(
     path: Path, folder: Path, figures: Sequence[str], columns: int, *, latex: bool, bibtex: bool
-) -> None:
-    """Evaluate results again, and write what a paper needs of them."""
+) -> bool:
+    """Evaluate results again, write what a paper needs of them; return whether they are damaged."""
     results_folder, judge = evaluated_again(path)
     with results_folder.lock():
         results = judge()
@@ -100,6 +100,17 @@ def _export_for_paper(
         print(write_latex(results.page, folder / "tables.tex"))
     if bibtex:
         print(write_bibtex(results, folder / "citation.bib"))
+    for run in results.runs:
+        _say_what_is_missing(run.data)
+    return results.is_damaged
+
+
+def _say_what_is_missing(run: RunData) -> bool:
+    """Report what is missing in the files of a run; return whether they are damaged."""
+    damage = all_damage(run)
+    for sentence in _missing(run, damage):
+        say(sentence, err=True)
+    return bool(damage)
 
 
 def export_series(

@@ -12,6 +12,7 @@ from rich.cells import cell_len, set_cell_size
 from rich.console import Console
 from rich.text import Text
 
+from bus_schema.configuration import shortened
 from deploy.judge.conditions import conditions_line
 from deploy.reports.page import Page
 from deploy.reports.tables import Column, Status, Table
@@ -30,8 +31,8 @@ _LEAST = 8
 
 
 _MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
-_BRIEF = range(1, 81)
-"""Conditions that a terminal shows, and how long they may be."""
+_LONGEST = 80
+"""Conditions that a terminal shows, and of how many letters at most."""
 
 
 def print_page(console: Console, page: Page[Any]) -> None:
@@ -128,11 +129,11 @@ def _width(console: Console, table: rich_table.Table) -> int:
 
 def print_conditions(console: Console, conditions: Mapping[str, str]) -> None:
     """Print the main conditions on one line; results are to be quoted with all of them."""
-    main = {name: conditions[name] for name in _MAIN if len(conditions.get(name, "")) in _BRIEF}
+    main = {name: shortened(conditions[name], _LONGEST) for name in _MAIN if conditions.get(name)}
     if not main:
         return
     console.print(
-        f"{conditions_line(main)} All conditions: report.html",
+        f"{conditions_line(main)} The report has all conditions.",
         markup=False,
         highlight=False,
         soft_wrap=not console.is_terminal,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.robot_description import RobotDescription
+from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
@@ -114,15 +114,23 @@ def drives_of(robot: RobotDescription) -> Drives:
     if robot.path.parent == ROBOTS and motors.is_file():
         published = read_yaml(motors)
         plant, data = published["plant"], published["robot"]["drive_data"]
-        rated = np.array(plant["actuator"].get("saturation_nm", torque_limits(robot)), float)
-        rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
-        return Drives(rated, rotors, plant["friction"], data)
+        actuator, known = plant["actuator"], plant["friction"]
+        names = load_robot(robot.path).joint_names
+        places = [names.index(name) for name in robot.joint_names]
+        rated = torque_limits(robot)
+        if "saturation_nm" in actuator:
+            rated = np.array(actuator["saturation_nm"], float)[places]
+        friction: dict[str, Any] = {
+            key: [each[place] for place in places] if isinstance(each, list) else each
+            for key, each in known.items()
+        }
+        return Drives(rated, np.array(actuator["rotor_inertia_kg_m2"])[places], friction, data)
     rated = torque_limits(robot)
     own = _drives_in_file(robot, rated)
     rotors = own.rotor_inertia_kg_m2
     rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
     given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
-    friction: dict[str, Any] = {key: _rounded(each) for key, each in given.items() if each.any()}
+    friction = {key: _rounded(each) for key, each in given.items() if each.any()}
     if not own.friction_nm.all():
         shares = np.where(own.friction_nm > 0.0, 0.0, FRICTION_SHARE)
         friction["coulomb_share"] = shares.tolist() if own.friction_nm.any() else FRICTION_SHARE

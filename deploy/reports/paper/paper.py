@@ -19,11 +19,14 @@ FORMATS = ("pdf", "svg")
 _ESCAPES = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "×": r"$\times$", "−": "$-$", "–": "--", "…": r"\dots{}", "Σ": r"$\Sigma$", "Δ": r"$\Delta$",
+    "×": r"$\times$", "−": "$-$", "–": "--", "…": r"\dots{}",
+    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}",
+    "Σ": r"$\Sigma$", "Δ": r"$\Delta$",
     "τ": r"$\tau$", "µ": r"$\mu$", "≤": r"$\leq$", "≥": r"$\geq$", "°": r"$^\circ$",
+    "α": r"$\alpha$", "ε": r"$\varepsilon$",
     "⁻": "$^{-}$", "²": "$^{2}$", "³": "$^{3}$", "¹": "$^{1}$", "→": r"$\rightarrow$",
 }  # fmt: skip
-_NEEDS = "--figures: needs matplotlib: pip install 'funnel-hil[papers]'"
+_NEEDS = "--figures: needs matplotlib: pip install matplotlib"
 
 
 def write_figures(
@@ -51,7 +54,7 @@ def write_figures(
 
 def write_latex(page: Page[Any], file: Path) -> Path:
     """Write all tables of a page, for the packages booktabs and longtable."""
-    conditions = conditions_line(page.conditions)
+    conditions = " ".join(conditions_line(page.conditions).splitlines())
     head = f"% funnel-hil {version('funnel-hil')}: {page.name}\n% {conditions}\n"
     file.write_text(head + "\n".join(map(as_latex, page.tables)), encoding="utf-8")
     return file

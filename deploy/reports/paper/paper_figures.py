@@ -7,11 +7,13 @@ drawn once more with Matplotlib: lines, markers, bands and bars, one row per sub
 from __future__ import annotations
 
 import html
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -85,13 +87,11 @@ def _axis(figure: go.Figure, name: str) -> Any:
 
 def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
     traces = [trace for trace in figure.data if (trace.yaxis or "y") == row]
-    before = None
-    for trace in traces:
-        if trace.type == "bar":
-            at.bar(trace.x, trace.y, label=_text(trace.name), color=_colour(trace.marker.color))
-            continue
+    _draw_bars([trace for trace in traces if trace.type == "bar"], figure.layout.bargap, at)
+    lines = [trace for trace in traces if trace.type != "bar"]
+    for before, trace in zip([None, *lines], lines, strict=False):
         _draw_line(trace, before, at)
-        before = trace
+    _draw_levels(figure, row, at)
     across, along = _axis(figure, row), _axis(figure, traces[0].xaxis or "x")
     for axis, scale, limit, label in (
         (along, at.set_xscale, at.set_xlim, at.set_xlabel),
@@ -108,6 +108,37 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
             ticks = at.set_xticks if axis is along else at.set_yticks
             ticks(list(axis.tickvals), [_text(text) for text in axis.ticktext])
             (at.xaxis if axis is along else at.yaxis).minorticks_off()
+
+
+def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
+    """Draw bars at their numbers, or at names, side by side."""
+    names = list(dict.fromkeys(x for trace in bars for x in trace.x))
+    has_names = any(isinstance(x, str) for x in names)
+    places = {x: float(index if has_names else x) for index, x in enumerate(names)}
+    room = min(np.diff(sorted(places.values())), default=1.0) * (1.0 - (gap or 0.0))
+    width = room / max(len(bars), 1)
+    for number, trace in enumerate(bars):
+        off = (number - 0.5 * (len(bars) - 1)) * width
+        heights = [math.nan if y is None else y for y in trace.y]
+        own = trace.marker.color
+        colour = [*map(_colour, own)] if isinstance(own, list | tuple) else _colour(own)
+        at.bar([places[x] + off for x in trace.x], heights, width, label=_text(trace.name),
+               color=colour)  # fmt: skip
+    if has_names:
+        at.set_xticks(list(places.values()), [_text(name) for name in names])
+
+
+def _draw_levels(figure: go.Figure, row: str, at: Axes) -> None:
+    """Draw lines across a whole row, such as a bound."""
+    for shape in figure.layout.shapes:
+        style = {
+            "color": _colour(shape.line.color), "linewidth": 0.6,
+            "linestyle": _DASHES.get(shape.line.dash or "solid", "-"),
+        }  # fmt: skip
+        if shape.type == "line" and shape.yref == row and shape.y0 == shape.y1:
+            at.axhline(shape.y0, **style)
+        elif shape.type == "line" and shape.yref == f"{row} domain" and shape.x0 == shape.x1:
+            at.axvline(shape.x0, **style)
 
 
 def _draw_line(trace: Any, before: Any, at: Axes) -> None:

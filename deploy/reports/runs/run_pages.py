@@ -75,9 +75,11 @@ def run_page(
 def _folded_title(summary: Mapping[str, Any]) -> str:
     """Return the title of the tables that are only read where something is odd, and what is."""
     timing, transport = summary["timing"], summary["transport"]
+    ways = [transport[way] for way in ("uplink", "downlink")]
     counts = {
         "deadlines missed": timing["deadline_misses"] or 0,
-        "messages lost": sum(transport[way]["lost"] or 0 for way in ("uplink", "downlink")),
+        "messages lost": sum(way["lost"] or 0 for way in ways),
+        "messages rejected": sum(sum(way["rejected"].values()) for way in ways),
         "faults": len(summary["faults"]),
         "messages lost by the recorder": summary["recorder"]["lost"] or 0,
     }

@@ -26,11 +26,8 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a benchmark."""
     summary = study.summary
     entries = _ranked(summary)
-    (law, predictor, gains), cells = entries[0]
-    sentence = (
-        f"Largest delay that every arm and pattern kept: {_least(cells, 'any_pattern_ms'):g} ms,"
-        f" by {law} with predictor {predictor} and {gains} gains."
-    )
+    headline = f"{len(entries)} laws with predictors"
+    headline += "" if summary["completed"] else ", not complete"
     limits = (
         "The delays are a grid, so that a margin is at least the value shown. RMS error and travel"
         f" are those at {summary['delays_ms'][0]:g} ms."
@@ -38,10 +35,9 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     return Page(
         "benchmark",
         summary["name"],
-        verdict=ReportHead("mixed", f"{len(entries)} laws with predictors", [sentence, limits]),
+        verdict=ReportHead("mixed", headline, [_first_sentence(summary, entries), limits]),
         facts=[
             Fact("Arms", str(len(_names(summary, "scenario")))),
-            Fact("Runs", str(summary["runs"])),
             Fact("Uncertain plants", str(summary["plants"] or "none")),
         ],
         panels=lambda: [*map(_kept_panel, _names(summary, "predictor")), _SCATTER],
@@ -51,20 +47,42 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     )
 
 
+def _first_sentence(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> str:
+    if not summary["completed"]:
+        return (
+            f"{summary['runs']} of about {summary['runs_expected']} runs: margins, shares and ranks"
+            " are those so far, and may change."
+        )
+    (law, predictor, gains), cells = entries[0]
+    kept_ms = _least(cells, "any_pattern_ms")
+    if not kept_ms:
+        return f"No law with any predictor kept {summary['delays_ms'][0]:g} ms on every arm."
+    alike = [each for _, each in entries[1:] if len(each) == len(cells)]
+    others = sum(_least(each, "any_pattern_ms") == kept_ms for each in alike)
+    return (
+        f"Largest delay that every arm and pattern kept: {kept_ms:g} ms, by {law} with predictor"
+        f" {predictor} and {gains} gains" + f"; {others} more kept as much" * bool(others) + "."
+    )
+
+
 def _names(summary: Summary, key: str) -> list[str]:
     return list(dict.fromkeys(cell[key] for cell in summary["cells"]))
 
 
 def _ranked(summary: Summary) -> list[tuple[Entry, list[Summary]]]:
-    """Return the cells of all arms by entry: by the worst arm, then by the mean."""
+    """Return the cells of all arms by entry: by the worst arm, then by the mean.
+
+    Entries without a cell of every arm, such as gains tuned on one, come last: their worst arm may
+    be one that they have not run.
+    """
     found: dict[Entry, list[Summary]] = {}
     for cell in summary["cells"]:
         found.setdefault((cell["law"], cell["predictor"], cell["gains"]), []).append(cell)
 
-    def rank(item: tuple[Entry, list[Summary]]) -> tuple[float, float, float]:
+    def rank(item: tuple[Entry, list[Summary]]) -> tuple[float, ...]:
         cells = item[1]
         return (
-            -_least(cells, "any_pattern_ms"), -_mean(cells, "any_pattern_ms"),
+            -len(cells), -_least(cells, "any_pattern_ms"), -_mean(cells, "any_pattern_ms"),
             -_mean(cells, "margin_ms"),
         )  # fmt: skip
 
@@ -85,6 +103,10 @@ def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Ta
         Column("Any pattern, worst arm", "ms"), Column("Constant, worst arm", "ms"),
         Column("Constant, mean", "ms"), Column("RMS error, worst arm", "mrad"),
     ]  # fmt: skip
+    arms = len(_names(summary, "scenario"))
+    is_uneven = any(len(cells) < arms for _, cells in entries)
+    if is_uneven:
+        columns.append(Column("Arms", is_text=True))
     if summary["networks"]:
         columns.append(Column("Windows kept", is_text=True))
     if summary["plants"]:
@@ -98,6 +120,8 @@ def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Ta
             _mean(cells, "margin_ms"),
             1e3 * max(known) if len(known) == len(errors) and known else None,
         ]  # fmt: skip
+        if is_uneven:
+            row.append(f"{len(cells)} of {arms}")
         if summary["networks"]:
             row.append(_share([each for cell in cells for each in cell["networks"].values()]))
         if summary["plants"]:
@@ -106,7 +130,8 @@ def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Ta
     return Table(
         f"{summary['name']} · by the worst arm, then the mean", columns, rows,
         "A law that is lost at the smallest delay has no further runs: 0 ms, and windows and plants"
-        " of its other arms only. Plants: over all delays that were asked for.",
+        " of its other arms only. Plants: over all delays that were asked for."
+        + " Rows without every arm come last." * is_uneven,
     )  # fmt: skip
 
 
@@ -147,14 +172,14 @@ def _kept_panel(predictor: str) -> Panel[DrawnStudy]:
         "Delay", f"benchmark-{predictor}", f"Cases that are kept, predictor {predictor}",
         partial(_kept, predictor),
         "Share of arms and uncertain plants that keep their bounds up to a constant delay, with the"
-        " better of given and tuned gains.",
+        " better of given and tuned gains; plants of an arm that is lost itself count as lost.",
     )  # fmt: skip
 
 
 def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
     summary = study.summary
     figure = style.new_figure(_HEIGHT_PX, "round trip / ms", "kept / %")
-    delays_ms = summary["delays_ms"]
+    delays_ms, arms = summary["delays_ms"], len(_names(summary, "scenario"))
     for index, law in enumerate(_names(summary, "law")):
         curves = []
         for gains in _names(summary, "gains"):
@@ -162,8 +187,9 @@ def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
                 cell for cell in summary["cells"]
                 if (cell["law"], cell["predictor"], cell["gains"]) == (law, predictor, gains)
             ]  # fmt: skip
-            if cells:
-                curves.append([_share_at(cells, delay_ms) for delay_ms in delays_ms])
+            if len(cells) == arms:
+                plants = summary["plants"] or 0
+                curves.append([_share_at(cells, delay_ms, plants) for delay_ms in delays_ms])
         if curves:
             figure.add_scatter(
                 x=delays_ms, y=max(curves, key=sum), name=law, mode="lines+markers",
@@ -173,13 +199,13 @@ def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
     return figure
 
 
-def _share_at(cells: list[Summary], delay_ms: float) -> float:
+def _share_at(cells: list[Summary], delay_ms: float, plants_of_arm: int) -> float:
     """Return the share of all arms, and of their plants, that are kept at a delay, in %."""
     kept = sum(cell["margin_ms"] >= delay_ms for cell in cells)
     plants = [
         each for cell in cells for each in cell["plants_kept"] if each["round_trip_ms"] == delay_ms
     ]
-    total = len(cells) + sum(each["total"] for each in plants)
+    total = len(cells) * (1 + plants_of_arm)
     return float(100.0 * (kept + sum(each["kept"] for each in plants)) / total)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from bus_schema.configuration import ConfigurationError
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, held, tolerated
 from deploy.scenario import study_keys
@@ -44,8 +45,10 @@ class Benchmark(StudyOfRuns):
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         values = {"name": "benchmark", "uncertainty": "half", **values}
+        given = validated(with_ranges(values, source), BenchmarkDefinition, source)
         with naming(source):
-            given = validated(with_ranges(values, source), BenchmarkDefinition, source)
+            if given.delays_ms != sorted(given.delays_ms):
+                raise ConfigurationError("delays_ms", given.delays_ms, "must rise")
             own = {
                 study_keys.LAW: "as laws",
                 study_keys.SEED: "as seeds",
@@ -65,10 +68,24 @@ class Benchmark(StudyOfRuns):
             self.bases = list({cell.scenario: setup for cell, setup in setups.items()}.values())
             self.columns |= draw_columns(self.definition, self.bases)
             self._places = [places_of(self.definition, setups[cell], cell) for cell in self.cells]
-            for place in {str(each.overrides): each for each in self._places[0]}.values():
-                load_setup(self.cells[0].scenario, [*self._common(self.cells[0]), *place.overrides])
+        self._require_usable_places()
         self._variants = list(setups.values())
         self._left_out = 0
+
+    def _require_usable_places(self) -> None:
+        """Load the places of one cell of each arm, with the largest delay where it is varied.
+
+        Raises:
+            ScenarioError: a place cannot be used on an arm.
+        """
+        delays = [override(key, 0.5 * self.definition.delays_ms[-1]) for key in DELAYS]
+        of_arms = {cell.scenario: index for index, cell in reversed(list(enumerate(self.cells)))}
+        for arm, index in of_arms.items():
+            common = self._common(self.cells[index])
+            with naming(Path(arm)):
+                for place in {str(each.overrides): each for each in self._places[index]}.values():
+                    own = (*place.overrides, *delays) if place.has_delays else place.overrides
+                    load_setup(arm, [*common, *own])
 
     @property
     def unit(self) -> str:

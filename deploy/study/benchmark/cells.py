@@ -26,7 +26,7 @@ from deploy.study.study import Different
 from deploy.study.tuning.places import DELAYS, REAL_ARM
 
 NO_PREDICTOR = "none"
-BENCHMARK_ARMS = ("paper_arm", "panda_motors", "ur10e_motors", "openarm")
+BENCHMARK_ARMS = ("paper_arm", "panda_motors", "ur10e_motors", "iiwa_motors")
 BENCHMARK_PREDICTORS = (NO_PREDICTOR, ADAPTIVE, "smith", COMMUNICATION_DISTURBANCE_OBSERVER)
 BENCHMARK_DELAYS_MS = (1.0, 4.0, 8.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0)
 """What a benchmark has by default."""

@@ -69,8 +69,8 @@ class Tuning(StudyOfRuns):
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         values = {"name": "tune", "plants": 3, "uncertainty": "half", **values}
+        given = validated(with_ranges(values, source), TuneDefinition, source)
         with naming(source):
-            given = validated(with_ranges(values, source), TuneDefinition, source)
             own = {study_keys.LAW: "as laws (--laws)", study_keys.SEED: "under seeds"}
             own |= dict.fromkeys(DELAYS, "as delays (--delays with --for margin)")
             study_keys.require_effect(given.fixed, own)

@@ -77,6 +77,24 @@ def test_network_observer_follows_its_equations():
         np.testing.assert_allclose(foreseen_rate, d_q + velocity, atol=1e-7)
 
 
+@pytest.mark.parametrize("predictor", PREDICTORS)
+@pytest.mark.parametrize("wild_rad_s", [1e30, 1e160])
+def test_one_wild_state_does_not_end_the_prediction(predictor, wild_rad_s):
+    """0.4 s later, the prediction is as in a run without it, to what an observer still forgets."""
+    foreseen = []
+    for velocity in (0.0, wild_rad_s):
+        bench = bench_of(predictor)
+        bench.run(100, 8)
+        true, bench.measured.velocity[1] = bench.measured.velocity.copy(), velocity
+        bench.answer()
+        bench.measured.velocity[:] = true
+        bench.fly(1, 8)
+        bench.run(400, 8)
+        foreseen.append(bench.predicted[500][1] - bench.truth[500][0])
+    np.testing.assert_allclose(foreseen[1], foreseen[0], atol=7e-4)
+    assert np.abs(foreseen[1]).max() > 1e-4
+
+
 def inertial_law(sees_prediction):
     """A law with poles at 30 rad/s: 24 ms of delay are more than it stands."""
 

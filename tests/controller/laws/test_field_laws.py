@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bus_schema.robot_description import load_robot
-from controller.control_law import UPPER, Tracking
+from controller.control_law import LOWER, UPPER, Tracking
 from controller.funnel import Funnel
 from controller.laws import COMPARED_LAWS, LAWS
 from controller.manipulator_model import ManipulatorModel
@@ -166,6 +166,24 @@ def test_ppc_delay_widens_its_envelope_by_the_torques_in_flight():
         expected.append(-gains.torque_nm * transformed(pulled / envelope))
     assert position.min() > 1e-4  # rad: the correction matters
     np.testing.assert_allclose(torques("ppc_delay", gains), expected, rtol=1e-9)
+
+
+def test_ppc_delay_widens_as_for_the_oldest_torque_if_its_delay_is_longer_than_its_memory():
+    """2048 torques are remembered, here of 2.048 s."""
+    torque_of = {}
+    for delay_ms in (2047.0, 5000.0):
+        law = LAWS["ppc_delay"].build(
+            gains_of("ppc_delay")._replace(delay_ms=delay_ms), MODEL, LIMITS
+        )
+        now = Tracking(JOINTS)
+        now.bounds[UPPER] = now.bounds[LOWER] = 0.01
+        now.step_s, torques_nm = 1e-3, []
+        for tick in range(3000):
+            now.time_s = tick * 1e-3
+            now.error[:] = 0.005 * np.sin(now.time_s)
+            torques_nm.append(law.torque(now).copy())
+        torque_of[delay_ms] = torques_nm[2500:]
+    np.testing.assert_allclose(torque_of[5000.0], torque_of[2047.0], rtol=0.01)
 
 
 def test_ppc_delay_has_the_prescribed_envelope_without_delay():

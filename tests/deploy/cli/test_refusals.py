@@ -145,7 +145,7 @@ def test_last_of_a_key_that_is_set_twice_holds(funnel_hil, tmp_path: Path) -> No
     twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
     output = funnel_hil.output("simulate", *twice, "--no-report", "--out", tmp_path / "out")
     assert "--set duration_s=2: replaced by a later --set" in output
-    assert "set: duration_s=0.1. All" in " ".join(output.split())
+    assert "set: duration_s=0.1. The" in " ".join(output.split())
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100
 
 

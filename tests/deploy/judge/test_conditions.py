@@ -42,7 +42,7 @@ def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_h
     assert conditions["starts"].startswith("initial offset")
     shown = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
     assert all(f"{name}: {conditions[name]}" in output for name in shown)
-    assert "All conditions: report.html" in output
+    assert "The report has all conditions." in output
 
 
 def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):

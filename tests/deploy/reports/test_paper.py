@@ -14,6 +14,8 @@ from deploy.reports.tables import Cell, Column, Table
 from tests.warm_process import here
 
 pytest.importorskip("matplotlib", reason="the extra papers is not installed")
+from matplotlib.figure import Figure
+
 from deploy.reports.paper.paper_figures import WIDTHS_MM, can_be_drawn, write_figure
 
 
@@ -58,6 +60,36 @@ def test_only_lines_and_columns_in_the_plane_are_drawn(trace, is_drawn):
     assert not can_be_drawn(np.zeros(3))
 
 
+def drawn(figure, tmp_path, monkeypatch):
+    """The axes of a figure's first row."""
+    kept = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda f, *a, **k: (kept.append(f), save(f, *a, **k)))
+    write_figure(figure, tmp_path / "figure.svg", 1)
+    return kept[0].axes[0]
+
+
+def test_bars_stand_side_by_side_and_those_without_a_value_are_left_out(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    figure.add_bar(x=["a", "b"], y=[1.0, None], name="one", marker_color=["red", "blue"])
+    figure.add_bar(x=["a", "b"], y=[3.0, 2.0], name="two")
+    figure.add_hline(2.5, line_dash="dot")
+    at = drawn(figure, tmp_path, monkeypatch)
+    (first, _), (second, _) = (bars.patches for bars in at.containers)
+    assert first.get_x() + first.get_width() == pytest.approx(second.get_x())
+    assert first.get_facecolor()[:3] == (1.0, 0.0, 0.0)
+    assert [label.get_text() for label in at.get_xticklabels()] == ["a", "b"]
+    assert [line.get_ydata()[0] for line in at.lines] == [2.5]
+
+
+def test_bars_at_numbers_are_as_wide_as_their_distance(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    figure.add_bar(x=[0.1, 0.2, 0.3], y=[1.0, 2.0, 3.0])
+    figure.update_layout(bargap=0)
+    at = drawn(figure, tmp_path, monkeypatch)
+    assert [bar.get_width() for bar in at.patches] == pytest.approx([0.1] * 3)
+
+
 def test_no_letter_of_a_table_is_a_command_of_latex():
     table = Table(
         "A & B", [Column("Law", is_text=True), Column("Share", "%")],
@@ -67,6 +99,7 @@ def test_no_letter_of_a_table_is_a_command_of_latex():
     assert r"\textbackslash{}input\{/etc/passwd\}\_x & 0.5 \\" in text
     assert r"\caption{A \& B. 100 \% of \#1} \\" in text
     assert r"Law & Share (\%) \\" in text
+    assert latex_text("|e| < 1") == r"\textbar{}e\textbar{} \textless{} 1"
     assert latex_text("τ × 10⁻³") == r"$\tau$ $\times$ 10$^{-}$$^{3}$"
 
 
@@ -84,6 +117,11 @@ def test_export_writes_figures_tables_and_a_citation_of_a_run(tmp_path):
     citation = (folder / "citation.bib").read_text()
     (digest,) = re.findall(r"digest (\w{16})", citation)
     assert digest in (out / "summary.json").read_text()
+    recording = out / "run.mcap"
+    recording.write_bytes(recording.read_bytes()[:-20_000])
+    code, output = here("export", out, "--latex")
+    assert code == 1
+    assert output.count("The recording is damaged") == 1
 
 
 def test_an_unknown_format_is_refused(tmp_path):

@@ -13,7 +13,7 @@ from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
 from deploy.reports.runs.run_pages import run_page
 from deploy.reports.runs.run_tables import health_table
-from deploy.reports.terminal import print_page
+from deploy.reports.terminal import print_conditions, print_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -112,5 +112,21 @@ def test_a_terminal_shows_the_verdict_first_and_the_main_conditions_on_one_line(
     assert lines[1] == "bounds kept"
     (conditions,) = [line for line in lines if line.startswith("Conditions:")]
     assert "physics:" in conditions
-    assert conditions.endswith("All conditions: report.html")
+    assert conditions.endswith("The report has all conditions.")
     assert len(conditions) < 250
+
+
+def test_folded_part_names_what_is_odd_in_it(run):
+    judged = JudgedRun("", run)
+    assert "⚠" not in run_page(judged).folded[0]
+    judged.summary["transport"]["uplink"]["rejected"] = {"stale": 2, "invalid": 1}
+    assert run_page(judged).folded[0].endswith("⚠ 3 messages rejected")
+
+
+def test_conditions_shorten_long_overrides_and_say_where_all_are():
+    console = Console(file=io.StringIO(), width=400)
+    print_conditions(console, {"law": "pid", "set": "a=1, " * 40, "host": "h"})
+    (line,) = console.file.getvalue().splitlines()
+    assert "law: pid; set: a=1, a=1" in line
+    assert line.endswith("a=.... The report has all conditions.")
+    assert "host" not in line

@@ -118,6 +118,16 @@ def test_a_shipped_arm_with_motors_keeps_its_bounds_over_a_delay(name):
     assert execute(setup).summary["verdict"] == "kept"
 
 
+def test_a_shipped_arm_with_held_joints_keeps_the_motors_of_the_others():
+    names = ["elbow_joint", "wrist_1_joint"]
+    robot = load_robot(shipped_arm("ur10e").path, names, hold={"shoulder_lift_joint": -1.0})
+    whole, some = (starter_scenario(each)["plant"] for each in (shipped_arm("ur10e"), robot))
+    for key in ("rotor_inertia_kg_m2", "saturation_nm"):
+        assert some["actuator"][key] == whole["actuator"][key][2:4]
+    assert some["friction"]["coulomb_nm"] == whole["friction"]["coulomb_nm"][2:4]
+    assert some["friction"]["coulomb_share"] == whole["friction"]["coulomb_share"]
+
+
 def test_reference_beyond_the_largest_torque_causes_a_warning(two_links):
     # Held out flat, the first joint carries 9.81 (3 · 0.25 + 2 · 0.75) = 22 N m.
     flat = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": 0.0}]}

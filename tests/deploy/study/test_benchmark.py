@@ -11,7 +11,14 @@ import pytest
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.benchmark.benchmark import Benchmark
-from deploy.study.benchmark.cells import CONSTANT, NETWORK, PATTERN, PLANTS, tuned_gains
+from deploy.study.benchmark.cells import (
+    BENCHMARK_ARMS,
+    CONSTANT,
+    NETWORK,
+    PATTERN,
+    PLANTS,
+    tuned_gains,
+)
 from deploy.study.follow_ups.patterns import HANDFUL
 from tests.deploy.study.studies import Here, made_up
 from tests.warm_process import here
@@ -118,11 +125,19 @@ def test_tuned_gains_are_cells_of_their_own():
         ({"predictors": ["smyth"]}, "predictors = smyth: must be one of none, adaptive"),
         ({"laws": ["nosuch"]}, "one of fixed_time_neural"),
         ({"set": {"controller.law": "pid"}}, "as laws"),
+        ({"delays_ms": [8, 1]}, r"^benchmark: delays_ms = .*: must rise"),
+        ({"windows": 0}, r"^benchmark: windows = 0"),
+        ({"scenarios": ["paper_arm", "openarm"]}, "^openarm: .* must be without delays"),
     ],
 )
 def test_what_cannot_be_run_is_refused(values, reason):
     with pytest.raises(ScenarioError, match=reason):
         defined(**values)
+
+
+def test_default_arms_can_be_run_with_delays_and_on_networks():
+    study = defined(scenarios=list(BENCHMARK_ARMS), laws=["smc"], predictors=["none"], plants=None)
+    assert {cell.scenario for cell in study.cells} == set(BENCHMARK_ARMS)
 
 
 def test_an_unfinished_or_foreign_folder_has_no_tuned_gains(tmp_path):
