@@ -60,8 +60,9 @@ class Benchmark(StudyOfRuns):
         self.definition = given.model_copy(update={"scenarios": names})
         self.cells = cells_of(self.definition)
         self.columns = {
-            "arm": "string", "predictor": "string", "gains": "string", "condition": "string",
-            "round_trip_ms": "double", "pattern": "string", "network": "string", "window": "double",
+            "arm": "string", "law": "string", "predictor": "string", "gains": "string",
+            "condition": "string", "round_trip_ms": "double", "pattern": "string",
+            "network": "string", "window": "double",
         }  # fmt: skip
         with naming(source):
             setups = {cell: load_setup(cell.scenario, self._common(cell)) for cell in self.cells}
@@ -136,7 +137,7 @@ class Benchmark(StudyOfRuns):
         delays = [] if delay_ms is None else [override(key, 0.5 * delay_ms) for key in DELAYS]
         columns = {
             **dict.fromkeys(self.columns), **place.columns,
-            "arm": cell.scenario, "predictor": cell.predictor, "gains": cell.gains,
+            "arm": cell.scenario, "law": cell.law, "predictor": cell.predictor, "gains": cell.gains,
             "condition": place.condition, "round_trip_ms": delay_ms,
         }  # fmt: skip
         for each in self.definition.seeds if seed is None else [seed]:

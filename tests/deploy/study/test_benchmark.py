@@ -20,7 +20,7 @@ from deploy.study.benchmark.cells import (
     tuned_gains,
 )
 from deploy.study.follow_ups.patterns import HANDFUL
-from tests.deploy.study.studies import Here, made_up
+from tests.deploy.study.studies import Here, folder_of, made_up
 from tests.warm_process import here
 
 DELAYS_MS = [1.0, 8.0, 32.0]
@@ -147,6 +147,29 @@ def test_an_unfinished_or_foreign_folder_has_no_tuned_gains(tmp_path):
     (tmp_path / "summary.json").write_text(json.dumps(unfinished))
     with pytest.raises(ScenarioError, match="must be a finished result of tune"):
         tuned_gains([tmp_path])
+
+
+def test_rows_stay_with_their_law_when_cells_are_added_or_missing(tmp_path):
+    """Cells of the second arm get other numbers by a further law."""
+    more = {"scenarios": ["paper_arm", "iiwa"], "plants": None, "networks": []}
+    earlier = defined(**more)
+    folder, rows = folder_of(earlier, tmp_path), carried_out(earlier)
+    lost, alone = [row for row in rows if row["law"] == "smc"], tmp_path / "alone"
+    for run in earlier.first():
+        folder.add(run, next(row for row in rows if row["point"] == run.point))
+    folder.write()
+    grown = defined(**more, laws=["pid_gravity", "tsmc", "smc"])
+    again = folder_of(grown, tmp_path)
+    found = {grown.cells[int(run.point[:4])].law: again.find(run) for run in grown.first()}
+    assert {law: row and row["law"] for law, row in found.items()} == {
+        "pid_gravity": "pid_gravity", "tsmc": None, "smc": "smc",
+    }  # fmt: skip
+    interrupted = folder_of(earlier, alone)
+    for run in earlier.first():
+        if (row := next((each for each in lost if each["point"] == run.point), None)) is not None:
+            interrupted.add(run, row)
+    interrupted.write()
+    assert folder_of(earlier, alone).find(earlier.first()[0]) is None
 
 
 SHORT = (
