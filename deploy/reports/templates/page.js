@@ -137,6 +137,30 @@ async function drawAll() {
   if (clock) clock.set(0);
 }
 
+// A click on a heading sorts the rows of its table: numbers by size, a second click turns them round.
+function sortBy(heading) {
+  const body = heading.closest("table").tBodies[0], column = heading.cellIndex;
+  const falls = heading.getAttribute("aria-sort") === "ascending";
+  for (const each of heading.parentElement.cells) each.removeAttribute("aria-sort");
+  heading.setAttribute("aria-sort", falls ? "descending" : "ascending");
+  const text = (row) => row.cells[column].textContent.trim();
+  const value = (row) => parseFloat(text(row).replaceAll(",", "").replace("−", "-"));
+  const order = (a, b) => {
+    const [x, y] = [value(a), value(b)];
+    if (isNaN(x) || isNaN(y)) return isNaN(x) - isNaN(y) || text(a).localeCompare(text(b));
+    return x - y;
+  };
+  const rows = [...body.rows].sort(order);
+  body.append(...(falls ? rows.reverse() : rows));
+}
+
+for (const heading of document.querySelectorAll("thead th")) {
+  heading.tabIndex = 0;
+  heading.title = "Sort by this column";
+  heading.addEventListener("click", () => sortBy(heading));
+  heading.addEventListener("keydown", (event) => { if (event.key === "Enter") sortBy(heading); });
+}
+
 drawAll().catch((error) => {
   const message = document.getElementById("no-figures");
   message.textContent = `The figures cannot be drawn: ${error.message}.`;

@@ -88,3 +88,23 @@ def test_nothing_in_a_report_is_clipped(width_px, report, tmp_path):
             return await page.value(CLIPPED)
 
     assert asyncio.run(clipped()) == []
+
+
+def test_a_click_on_a_heading_sorts_its_table_and_a_second_one_turns_it_round(report, tmp_path):
+    click = "document.querySelectorAll('main > .panels thead th')[1].click()"
+    rows = "[...document.querySelector('main > .panels tbody').rows]"
+    cells = f"{rows}.map(row => parseFloat(row.cells[1].textContent))"
+
+    async def sorted_twice():
+        async with opened(report.as_uri(), tmp_path / "profile") as page:
+            await page.await_true("document.querySelectorAll('thead th[tabindex]').length > 3")
+            found = []
+            for _ in range(2):
+                await page.value(click)
+                found.append(await page.value(cells))
+            return found
+
+    rising, falling = asyncio.run(sorted_twice())
+    assert len(set(rising)) == 3
+    assert rising == sorted(rising)
+    assert falling == rising[::-1]
