@@ -104,7 +104,7 @@ def foresee_network(
 def _is_plausible(memory: Matrix) -> bool:
     """Whether an observer's memory is that of an arm: after one wild state it begins again."""
     for k in range(memory.shape[0]):
-        for i in range(memory.shape[1]):  # noqa: SIM110 (numba compiles no generators)
+        for i in range(memory.shape[1]):
             if not -_LARGEST < memory[k, i] < _LARGEST:
                 return False
     return True

@@ -114,17 +114,18 @@ def drives_of(robot: RobotDescription) -> Drives:
     if robot.path.parent == ROBOTS and motors.is_file():
         published = read_yaml(motors)
         plant, data = published["plant"], published["robot"]["drive_data"]
-        actuator, friction = plant["actuator"], plant["friction"]
+        actuator = plant["actuator"]
         names = load_robot(robot.path).joint_names
         places = [names.index(name) for name in robot.joint_names]
         rated = torque_limits(robot)
         if "saturation_nm" in actuator:
             rated = np.array(actuator["saturation_nm"], float)[places]
-        friction = {
+        published_friction = {
             key: [each[place] for place in places] if isinstance(each, list) else each
-            for key, each in friction.items()
+            for key, each in plant["friction"].items()
         }
-        return Drives(rated, np.array(actuator["rotor_inertia_kg_m2"])[places], friction, data)
+        rotors = np.array(actuator["rotor_inertia_kg_m2"])[places]
+        return Drives(rated, rotors, published_friction, data)
     rated = torque_limits(robot)
     own = _drives_in_file(robot, rated)
     rotors = own.rotor_inertia_kg_m2
