@@ -35,11 +35,11 @@ _REMEMBERED = 2048
 
 
 class PpcDelayGains(NamedTuple):
-    """Torque K, N m, rate λ, 1/s, and inertia M̄, kg m², per joint; opening σ; delay d; μ.
+    """Torque K, N m, rate λ, 1/s, and inertia M̄, kg m², per joint; opening σ, d and μ.
 
     Attributes:
-        delay_ms: round trip d that the law is designed for; 0 for none.
-        forgetting: rate μ at which a widened envelope narrows again, 1/s.
+        delay_ms: round trip d that the envelope is widened for; 0 for none.
+        forgetting: rate μ at which the widening is forgotten, 1/s.
     """
 
     torque_nm: PerJointPositive

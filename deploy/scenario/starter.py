@@ -114,23 +114,24 @@ def drives_of(robot: RobotDescription) -> Drives:
     if robot.path.parent == ROBOTS and motors.is_file():
         published = read_yaml(motors)
         plant, data = published["plant"], published["robot"]["drive_data"]
-        actuator, known = plant["actuator"], plant["friction"]
+        actuator = plant["actuator"]
         names = load_robot(robot.path).joint_names
         places = [names.index(name) for name in robot.joint_names]
         rated = torque_limits(robot)
         if "saturation_nm" in actuator:
             rated = np.array(actuator["saturation_nm"], float)[places]
-        friction: dict[str, Any] = {
+        published_friction = {
             key: [each[place] for place in places] if isinstance(each, list) else each
-            for key, each in known.items()
+            for key, each in plant["friction"].items()
         }
-        return Drives(rated, np.array(actuator["rotor_inertia_kg_m2"])[places], friction, data)
+        rotors = np.array(actuator["rotor_inertia_kg_m2"])[places]
+        return Drives(rated, rotors, published_friction, data)
     rated = torque_limits(robot)
     own = _drives_in_file(robot, rated)
     rotors = own.rotor_inertia_kg_m2
     rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
     given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
-    friction = {key: _rounded(each) for key, each in given.items() if each.any()}
+    friction: dict[str, Any] = {key: _rounded(each) for key, each in given.items() if each.any()}
     if not own.friction_nm.all():
         shares = np.where(own.friction_nm > 0.0, 0.0, FRICTION_SHARE)
         friction["coulomb_share"] = shares.tolist() if own.friction_nm.any() else FRICTION_SHARE

@@ -30,7 +30,10 @@ class BenchmarkOptions(GateOptions, StudyOptions):
         typer.Argument(metavar="[ARM]…", help="Scenarios; by default four shipped ones."),
     ] = None
     laws: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Laws to run; all by default.")
+        str | None,
+        typer.Option(
+            metavar="A,B,…", help="Laws to run, all for the shipped ones; all by default."
+        ),
     ] = None
     predictors: Annotated[
         str | None,
@@ -60,7 +63,7 @@ class BenchmarkOptions(GateOptions, StudyOptions):
         networks = sorted(file.stem for file in TRACES.glob("*.parquet"))
         chosen = _names(self.networks)
         given = {
-            "scenarios": self.scenarios, "laws": parse_laws(self.laws),
+            "scenarios": self.scenarios, "laws": parse_laws(_with_all(self.laws)),
             "predictors": _names(self.predictors), "networks": chosen,
             "delays_ms": listed("delays", self.delays), "windows": self.windows,
             "duration_s": self.duration,
@@ -84,3 +87,10 @@ class BenchmarkOptions(GateOptions, StudyOptions):
 
 def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",")]
+
+
+def _with_all(laws: str | None) -> str | None:
+    """Return a list of laws in which the word all stands for the shipped ones."""
+    if laws is None:
+        return None
+    return ",".join(",".join(LAWS) if name.strip() == "all" else name for name in laws.split(","))

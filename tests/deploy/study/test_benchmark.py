@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from controller.laws import LAWS
+from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.benchmark.benchmark import Benchmark
@@ -138,6 +140,11 @@ def test_what_cannot_be_run_is_refused(values, reason):
 def test_default_arms_can_be_run_with_delays_and_on_networks():
     study = defined(scenarios=list(BENCHMARK_ARMS), laws=["smc"], predictors=["none"], plants=None)
     assert {cell.scenario for cell in study.cells} == set(BENCHMARK_ARMS)
+
+
+def test_all_stands_for_the_shipped_laws():
+    options = BenchmarkOptions(laws="all,mine:Law", quick=True)
+    assert options.definition()["laws"] == [*LAWS, "mine:Law"]
 
 
 def test_an_unfinished_or_foreign_folder_has_no_tuned_gains(tmp_path):
