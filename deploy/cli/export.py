@@ -71,6 +71,8 @@ def export(
         raise ScenarioError(f"export: must be given one or more of {wanted}")
     own = run_dir if run_dir.is_dir() else run_dir.parent
     folder = out or own / "export"
+    if folder.exists() and not folder.is_dir():
+        raise ScenarioError(f"--out {folder}: is a file: must be a folder")
     is_damaged = False
     if pictures or latex or bibtex:
         is_damaged = _export_for_paper(

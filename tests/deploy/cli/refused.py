@@ -85,6 +85,7 @@ REFUSED = [
     ("reference paper_arm", "", "one of --csv and --parquet"),
     ("ros2-control paper_arm --out file", "", "cannot be written"),
     ("ros-package file", "", "cannot be written"),
+    ("export damaged --latex --out file", "--out file", "is a file: must be a folder"),
     ("export damaged", "", "must be given one or more of --csv, --parquet"),
     *[(f"{command} paper_arm --set link.security.enabled=true --set link.security.folder=/nowhere",
        "/nowhere/authority.crt: does not exist") for command in ("run", "controller", "record")],
