@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -19,6 +20,7 @@ Summary = Mapping[str, Any]
 Entry = tuple[str, str, str]
 """Law, predictor, and whether its gains are given or tuned."""
 _HEIGHT_PX = 430
+_DASHES = ("solid", "dash", "dot")
 _SYMBOLS = ("circle", "diamond", "square", "cross", "x")
 
 
@@ -26,8 +28,9 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a benchmark."""
     summary = study.summary
     entries = _ranked(summary)
-    headline = f"{len(entries)} laws with predictors"
-    headline += "" if summary["completed"] else ", not complete"
+    best_ms = _least(entries[0][1], "any_pattern_ms")
+    headline = f"{best_ms:g} ms on the worst arm, of {len(entries)} laws with predictors and gains"
+    headline = headline if summary["completed"] else "not complete"
     limits = (
         "The delays are a grid, so that a margin is at least the value shown. RMS error and travel"
         f" are those at {summary['delays_ms'][0]:g} ms."
@@ -42,8 +45,7 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=lambda: [*map(_kept_panel, _names(summary, "predictor")), _SCATTER],
         subject=study,
-        before=("Ranking", [Cards([_ranking(summary, entries)], "stacked")]),
-        after=("Each arm", [Cards([_by_arm(summary)], "stacked")]),
+        after=("Ranking", [Cards([_ranking(summary, entries), _by_arm(summary)], "stacked")]),
     )
 
 
@@ -70,7 +72,7 @@ def _names(summary: Summary, key: str) -> list[str]:
 
 
 def _ranked(summary: Summary) -> list[tuple[Entry, list[Summary]]]:
-    """Return the cells of all arms by entry: by the worst arm, then by the mean.
+    """Return the cells of all arms by entry: by the worst arm, the mean, then the error.
 
     Entries without a cell of every arm, such as gains tuned on one, come last: their worst arm may
     be one that they have not run.
@@ -83,7 +85,7 @@ def _ranked(summary: Summary) -> list[tuple[Entry, list[Summary]]]:
         cells = item[1]
         return (
             -len(cells), -_least(cells, "any_pattern_ms"), -_mean(cells, "any_pattern_ms"),
-            -_mean(cells, "margin_ms"),
+            -_mean(cells, "margin_ms"), _worst_rms_rad(cells),
         )  # fmt: skip
 
     return sorted(found.items(), key=rank)
@@ -91,6 +93,12 @@ def _ranked(summary: Summary) -> list[tuple[Entry, list[Summary]]]:
 
 def _least(cells: list[Summary], key: str) -> float:
     return min(float(cell[key]) for cell in cells)
+
+
+def _worst_rms_rad(cells: list[Summary]) -> float:
+    """Return the error of the worst joint of the worst arm; infinite if one is unknown."""
+    errors = [worst(cell["rms_rad"]) for cell in cells]
+    return max(math.inf if each is None else each for each in errors)
 
 
 def _mean(cells: list[Summary], key: str) -> float:
@@ -113,12 +121,11 @@ def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Ta
         columns.append(Column("Plants kept", is_text=True))
     rows = []
     for entry, cells in entries:
-        errors = [worst(cell["rms_rad"]) for cell in cells]
-        known = [each for each in errors if each is not None]
+        rms_rad = _worst_rms_rad(cells)
         row: list[Any] = [
             *entry, _least(cells, "any_pattern_ms"), _least(cells, "margin_ms"),
             _mean(cells, "margin_ms"),
-            1e3 * max(known) if len(known) == len(errors) and known else None,
+            1e3 * rms_rad if math.isfinite(rms_rad) else None,
         ]  # fmt: skip
         if is_uneven:
             row.append(f"{len(cells)} of {arms}")
@@ -193,7 +200,7 @@ def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
         if curves:
             figure.add_scatter(
                 x=delays_ms, y=max(curves, key=sum), name=law, mode="lines+markers",
-                line_color=style.palette(index),
+                line={"color": style.palette(index), "dash": _DASHES[index // 7 % len(_DASHES)]},
             )  # fmt: skip
     style.put_legend_on_top(figure, 1 + len(figure.data) // 4)
     return figure
