@@ -12,6 +12,8 @@ import ctypes
 import logging
 import math
 import os
+import pickle
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import setitem
@@ -31,6 +33,10 @@ COMPILES = (
 P = ParamSpec("P")
 R = TypeVar("R")
 
+
+_CUT_OFF = (EOFError, pickle.UnpicklingError)
+"""Errors of a file of the cache that another process is writing, or left unfinished."""
+_BEING_WRITTEN_S = 0.2
 
 _is_kept = kernel_cache.choose_folder()
 # Intel's vector functions, if installed, differ in their last bits between CPUs.
@@ -57,13 +63,24 @@ class _CompiledBefore(_Cache):  # type: ignore[misc]
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:
-            rtsys.initialize(target)  # symbols that machine code may call
-            found = self._load_overload(signature, target)
-        except (AttributeError, TypeError):  # from another version of numba
-            found = super().load_overload(signature, target)
+            found = self._found(signature, target)
+        except _CUT_OFF:
+            time.sleep(_BEING_WRITTEN_S)
+            try:
+                found = self._found(signature, target)
+            except _CUT_OFF:
+                self.flush()
+                found = None
         if found is None:
             say_that_it_compiles(logger.warning)
         return found
+
+    def _found(self, signature: Any, target: Any) -> Any:
+        try:
+            rtsys.initialize(target)  # symbols that machine code may call
+            return self._load_overload(signature, target)
+        except (AttributeError, TypeError):  # from another version of numba
+            return super().load_overload(signature, target)
 
     def save_overload(self, signature: Any, machine_code: Any) -> None:
         try:

@@ -17,7 +17,7 @@ exit 3
 def test_report_is_printed_once_and_the_exit_code_passed_on(tmp_path: Path) -> None:
     library = tmp_path / "scripts" / "lib" / "venv.sh"
     library.parent.mkdir(parents=True)
-    library.write_text("ensure_venv() { :; }\n")
+    library.write_text("ensure_venv() { :; }\nwhile_it_lasts() { :; }\n")
     demo = shutil.copy(DEMO, tmp_path / "scripts")
     command = tmp_path / ".venv" / "bin" / "funnel-hil"
     command.parent.mkdir(parents=True)

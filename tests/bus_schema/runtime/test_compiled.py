@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
 import bus_schema
 from bus_schema.runtime.compiled import HAS_SAID
 
@@ -157,3 +159,19 @@ def test_compilation_is_reported_once_and_only_when_it_happens(tmp_path, monkeyp
     again = fresh(file)
     assert (again.double(2), again.triple(2)) == (4, 6)
     assert caplog.messages == []
+
+
+@pytest.mark.parametrize("left", [0, 30, 0.5])
+def test_a_cache_that_was_cut_off_is_compiled_again_and_mended(tmp_path, monkeypatch, left):
+    """Bytes, or a share, that a killed process left of the index of a kernel."""
+    file = tmp_path / "kernels.py"
+    file.write_text(KERNELS)
+    kernel = fresh(file).double
+    assert kernel(2) == 4
+    (index,) = Path(kernel.stats.cache_path).glob("kernels.double-*.nbi")
+    whole = index.read_bytes()
+    index.write_bytes(whole[: int(left * len(whole)) if isinstance(left, float) else left])
+    assert fresh(file).double(2) == 4
+    mended = fresh(file).double
+    assert mended(2) == 4
+    assert sum(mended.stats.cache_hits.values()) == 1
