@@ -106,20 +106,23 @@ def inertial_law(sees_prediction):
     return torque
 
 
-@pytest.mark.parametrize("predictor", RIVALS)
-def test_a_loop_that_delay_makes_swing_comes_to_rest_with_each_predictor(predictor):
-    """Without prediction the error still swings by 0.11 rad at 0.8 s, with it by 0.003 rad."""
-    largest = []
-    for sees_prediction in (False, True):
-        bench = bench_of(predictor, law=inertial_law(sees_prediction))
-        bench.run(700, 24)
-        errors = []
-        for _ in range(100):
-            bench.run(1, 24)
-            errors.append(np.abs(bench.measured.error).max())
-        largest.append(max(errors))
-    assert largest[0] > 0.05
-    assert largest[1] < 0.01
+def largest_error(predictor, *, sees_prediction):
+    """Largest error from 0.4 s on, of a loop with 24 ms of delay."""
+    bench = bench_of(predictor, law=inertial_law(sees_prediction))
+    bench.run(400, 24)
+    errors = []
+    for _ in range(100):
+        bench.run(1, 24)
+        errors.append(np.abs(bench.measured.error).max())
+    return max(errors)
+
+
+def test_a_loop_that_delay_makes_swing_comes_to_rest_with_each_predictor():
+    """Without prediction the error still swings by 0.1 rad; the network observer is the slowest."""
+    assert largest_error(RIVALS[0], sees_prediction=False) > 0.05
+    limits = {"smith": 1e-3, "hold_prediction": 1e-3, NETWORK: 0.05}
+    for predictor in RIVALS:
+        assert largest_error(predictor, sees_prediction=True) < limits[predictor], predictor
 
 
 def test_a_predictor_that_cannot_serve_is_refused():
