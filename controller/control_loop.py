@@ -220,10 +220,10 @@ class ControlLoop:
             except InvalidMessageError as error:
                 self.rejections.note(error)
             else:
-                said = messages.plant_status.scalars
-                start_ns = join_stamp(said.start_sec, said.start_nanosec)
+                report = messages.plant_status.scalars
+                start_ns = join_stamp(report.start_sec, report.start_nanosec)
                 self._feedback = CommandFeedback(
-                    said.command_sequence, said.command_delay_ns, said.arrival_delay_ns
+                    report.command_sequence, report.command_delay_ns, report.arrival_delay_ns
                 )
         return start_ns
 

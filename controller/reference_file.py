@@ -45,14 +45,14 @@ class ReferenceRows:
             return ()
         steps = np.diff(self.motion[:, 0], axis=0) * (speed / np.diff(self.times_s))[:, np.newaxis]
         too_fast = np.abs(steps) > robot.velocity_limits_rad_s
-        said = [
+        warnings = [
             f"{self.file}, {self.place((row := int(np.argmax(too_fast[:, j]))) + 1)}: {name}"
             f" needs {abs(steps[row, j]):.4g} rad/s to get there, but its velocity limit is"
             f" {robot.velocity_limits_rad_s[j]:.4g}"
             for j, name in enumerate(robot.joint_names)
             if too_fast[:, j].any()
         ]
-        return tuple(said[:_MOST_WARNINGS])
+        return tuple(warnings[:_MOST_WARNINGS])
 
     def moves_at_an_end(self) -> bool:
         """Whether a joint moves in the first or last row."""

@@ -122,7 +122,7 @@ def acted_since_last(
     if explains(commands, sequence, delay_ns, stamp_ns):
         observe(commands, CommandFeedback(sequence, delay_ns, arrival_ns), stamp_ns, last_ns)
         if delay_ns <= commands.announced_ns[sequence % CAPACITY]:
-            delay_ns = 0  # it acted when it said so, and so did those before
+            delay_ns = 0  # it acted at its announced time, and so did those before
     else:
         sequence = assumed_in_force(commands, stamp_ns)
         delay_ns = commands.state[0].horizon_ns

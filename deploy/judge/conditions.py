@@ -71,8 +71,8 @@ def _physics_of(setups: Sequence[Setup]) -> str:
 
 def drives_of(setups: Sequence[Setup]) -> Conditions:
     """Return the sources of the motors' and friction's numbers, if scenarios name them."""
-    said = dict.fromkeys(setup.drive_data for setup in setups)
-    return {"drives": "; ".join(filter(None, said))} if any(said) else {}
+    sources = dict.fromkeys(setup.drive_data for setup in setups)
+    return {"drives": "; ".join(filter(None, sources))} if any(sources) else {}
 
 
 def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
@@ -95,8 +95,8 @@ def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
 
 def _warnings_of(manifest: Mapping[str, Any]) -> Conditions:
     """Return warnings about missing or suspicious contents of the arm's file."""
-    told = manifest.get("warnings")
-    return {"warnings": "; ".join(map(str, told))} if told and isinstance(told, list) else {}
+    known = manifest.get("warnings")
+    return {"warnings": "; ".join(map(str, known))} if known and isinstance(known, list) else {}
 
 
 def host_of(manifest: Mapping[str, Any]) -> Conditions:

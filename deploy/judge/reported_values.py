@@ -64,15 +64,15 @@ ReportedValues = dict[tuple[str, str], dict[str, Any]]
 
 def reported_values(events: Iterable[RunEvent]) -> tuple[ReportedValues, list[str]]:
     """Return the last usable value of each expected item, by source and kind, and notes."""
-    told: ReportedValues = {}
+    found: ReportedValues = {}
     notes: dict[str, None] = {}
     for event in events:
         expected = _EXPECTED.get(event.kind)
         if expected is not None:
             where = f"{event.kind} of {event.source[:40]}"
-            values = told.setdefault((event.source, event.kind), {})
+            values = found.setdefault((event.source, event.kind), {})
             _take(values, event.values(), expected, where, notes)
-    return told, list(notes)[:_MOST_NOTES]
+    return found, list(notes)[:_MOST_NOTES]
 
 
 def _take(

@@ -182,13 +182,13 @@ class Lockstep:
             start_new_session=True,
         )  # fmt: skip
         self.on_start(process.terminate)
-        said, errors = process.communicate()
+        output, errors = process.communicate()
         if code := process.returncode:
             last = last_line(errors) or how_it_ended(code).removeprefix("ended with ")
             failures = [f"the run failed: {last}"]
             record_failures(folder.log, failures)
         else:
-            failures = json.loads(said)
+            failures = json.loads(output)
         try:
             data, _ = load_run(folder.path)
         except RunFolderError as error:

@@ -149,10 +149,10 @@ def _states_answered(setup: Setup, contents: LogContents) -> tuple[list[bytes], 
 
 def _is_answer(status: Record, state: Record) -> bool:
     """Return whether a control status has the errors of a state, bit for bit."""
-    said, seen = status.fields, state.fields
+    reported, seen = status.fields, state.fields
     return np.array_equal(
-        seen["position"] - said["reference_position"], said["error"]
-    ) and np.array_equal(seen["velocity"] - said["reference_velocity"], said["error_rate"])
+        seen["position"] - reported["reference_position"], reported["error"]
+    ) and np.array_equal(seen["velocity"] - reported["reference_velocity"], reported["error_rate"])
 
 
 def _statuses_beside(contents: LogContents) -> list[bytes | None]:

@@ -142,8 +142,8 @@ def _failures(path: Path, contents: LogContents) -> list[str]:
     """Return what ended processes of a run; for older recordings only the folder contains it."""
     if FAILURES_METADATA in contents.metadata:
         return list(contents.metadata[FAILURES_METADATA].values())
-    told = read_summary(path).get("unrecorded_faults")
-    return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
+    listed = read_summary(path).get("unrecorded_faults")
+    return [each for each in listed if isinstance(each, str)] if isinstance(listed, list) else []
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

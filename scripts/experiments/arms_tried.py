@@ -308,8 +308,8 @@ def _line(row: dict[str, Any]) -> str:
     start = f"| {_VENDOR.sub('', row['vendor'])} | `{_cell(row['command'])}` |"
     if not row["opens"]:
         return f"{start} – | – | does not open: {_cell(row['reason'])} | – | – | – | – |"
-    said = row["warnings"]
-    warned = f"{len(said)}: {_cell(said[0])}" if said else "–"
+    warnings = row["warnings"]
+    warned = f"{len(warnings)}: {_cell(warnings[0])}" if warnings else "–"
     cells = [
         row["joints"], f"{row['mass_kg']:.3g}", ", ".join(row["estimated"]) or "–",
         f"{row['load']:.2g}", warned,

@@ -86,7 +86,7 @@ def timeline(run: RunData) -> go.Figure | None:
 
 
 def mode_spans(run: RunData, role: Role) -> list[tuple[Mode, float, float]]:
-    """Mode, start and end in s of all that a side mode_events of."""
+    """Modes of a side, each with its start and end in s."""
     mode_events = [e for e in run.events if e.source == role and e.kind == EventKind.MODE]
     changes = [
         (mode, e.stamp_ns * 1e-9) for e in mode_events if (mode := mode_in(e.detail)) is not None

@@ -203,9 +203,9 @@ class Child(ChildProcess):
                 if message.kind == "note":
                     self.has_started.set()
                 elif message.kind == "fault":
-                    told = dict(message.values)
-                    told["text"] = f"the {self.role} failed: {told['text']}"
-                    self._faults.append(Failure(**told, role=self.role))
+                    values = dict(message.values)
+                    values["text"] = f"the {self.role} failed: {values['text']}"
+                    self._faults.append(Failure(**values, role=self.role))
                 self._inbox.put(message)
 
 

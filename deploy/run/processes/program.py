@@ -125,10 +125,10 @@ class ControllerProcess(ChildProcess):
             plant_gave_up_first: the plant waited for it in vain and ended, which may have ended the
                 program.
         """
-        who, said = f"the controller ({self._name})", self._last_line()
+        who, last_line = f"the controller ({self._name})", self._last_line()
         if not self._was_asked_to_stop and not plant_gave_up_first:
-            return Failure(f"{who} ended by itself with exit code 0: {said}", is_cause=True)
-        if said == SILENT:
+            return Failure(f"{who} ended by itself with exit code 0: {last_line}", is_cause=True)
+        if last_line == SILENT:
             return None
         how = "had to be stopped" if self._was_asked_to_stop else "ended after the plant"
-        return Failure(f"{who} {how}; end of its standard error: {said}", is_cause=False)
+        return Failure(f"{who} {how}; end of its standard error: {last_line}", is_cause=False)

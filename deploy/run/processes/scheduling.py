@@ -67,9 +67,9 @@ def leave_loops_their_cpus() -> None:
 
 def report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
     """Report the settings requested from the system, and the cost of those that are missing."""
-    told = [vars(setting) for setting in settings]
-    reporter.report("realtime", settings=told)
-    if text := missing_settings(told):
+    shown = [vars(setting) for setting in settings]
+    reporter.report("realtime", settings=shown)
+    if text := missing_settings(shown):
         reporter.report("lacks", text=text)
 
 
@@ -95,10 +95,11 @@ def missing_settings(settings: Iterable[Mapping[str, Any]]) -> str:
     if not names:
         return ""
     own = {setting["detail"] for setting in refused if setting["name"] == AFFINITY}
-    said = f"works without {', '.join(names)}" + "".join(f" ({detail})" for detail in sorted(own))
+    details = "".join(f" ({detail})" for detail in sorted(own))
+    sentence = f"works without {', '.join(names)}{details}"
     if names.keys() & set(_REMEDIED):
-        said += ": more deadlines may be missed; funnel-hil doctor --fix shows how to allow it"
-    return said
+        sentence += ": more deadlines may be missed; funnel-hil doctor --fix shows how to allow it"
+    return sentence
 
 
 def remedy() -> str:
