@@ -19,7 +19,6 @@ from deploy.reports.studies.data_sheet_results import sheet_folder, write_data_s
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.run_folder import ResultFolder
-from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.data_sheet import DataSheet, any_pattern_ms
 from deploy.study.study import StudyOfRuns
 
@@ -45,8 +44,6 @@ def datasheet(options: DatasheetOptions) -> None:
     and of uncertain plants that keep their bounds, the worst window, and what helps. After an
     interruption or a kill, the same command continues.
     """
-    if options.confirm:
-        raise ScenarioError("--confirm: must be left out: margin and sweep have it")
     parse_laws(options.law, "--law")
     sheet = DataSheet(
         options.scenario, options.law, options.network, options.plants, options.fixed(),

@@ -36,7 +36,6 @@ class WorkerOptions:
     ] = None
     out: Out = None
     overwrite: Overwrite = False
-    confirm: Confirm = False
 
     def fixed(self) -> dict[str, Any]:
         """Return the values of ``--set`` by dotted key."""
@@ -56,6 +55,7 @@ class CompareOptions(GateOptions, WorkerOptions):
         typer.Option("--settling", help="Also measure settling times from offsets of up to 1 rad."),
     ] = False
     require_bounds: RequireBounds = False
+    confirm: Confirm = False
 
     def definition(self) -> dict[str, Any]:
         """Return the comparison that the options describe."""
@@ -68,7 +68,7 @@ class CompareOptions(GateOptions, WorkerOptions):
 
 @dataclass(kw_only=True)
 class StudyOptions(WorkerOptions):
-    """The options that `sweep` and `margin` have in common."""
+    """The options of studies that can draw uncertain plants."""
 
     plants: Annotated[
         int | None, typer.Option(metavar="N", help="Number of uncertain plants to draw.")
@@ -84,9 +84,18 @@ class StudyOptions(WorkerOptions):
         """What is given of a study's definition, but for what ``--set`` gives."""
         given = {
             "plants": self.plants, "plant_seed": self.plant_seed, "uncertainty": self.uncertainty,
-            "confirm": self.confirm or None,
         }  # fmt: skip
         return {key: value for key, value in given.items() if value is not None}
+
+
+@dataclass(kw_only=True)
+class ConfirmedStudyOptions(StudyOptions):
+    """The options that `sweep` and `margin` have in common."""
+
+    confirm: Confirm = False
+
+    def definition(self) -> dict[str, Any]:
+        return super().definition() | ({"confirm": True} if self.confirm else {})
 
 
 @dataclass(kw_only=True)
@@ -143,7 +152,7 @@ class TuneOptions(StudyOptions):
 
 
 @dataclass(kw_only=True)
-class SweepOptions(GateOptions, StudyOptions):
+class SweepOptions(GateOptions, ConfirmedStudyOptions):
     """The options of `sweep`."""
 
     sweep: Annotated[
@@ -152,7 +161,7 @@ class SweepOptions(GateOptions, StudyOptions):
 
 
 @dataclass(kw_only=True)
-class MarginOptions(GateOptions, StudyOptions):
+class MarginOptions(GateOptions, ConfirmedStudyOptions):
     """The options of `margin`."""
 
     scenario: Annotated[

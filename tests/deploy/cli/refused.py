@@ -170,7 +170,7 @@ REFUSED = [
         ("--laws smcc", "did you mean smc?"))],
     *[(f"datasheet paper_arm --quick {options}", "", text) for options, text in (
         ("--network nowhere", "nowhere"), ("--law smcc", "did you mean smc?"),
-        ("--confirm", "--confirm: must be left out"), ("--set duration_s=abc", "duration_s"))],
+        ("--set duration_s=abc", "duration_s"))],
     *[(f"link {options}", "", text) for options, text in (
         ("", "give a HOST, or --serve"), ("somewhere --serve", "give a HOST, or --serve"),
         ("127.0.0.1 --size 10", "--size 100 to 60000"),

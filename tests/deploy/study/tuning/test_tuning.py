@@ -153,7 +153,13 @@ def test_unusable_definitions_are_refused(changed, message):
         Tuning({"scenario": "paper_arm", "laws": ["smc"], **changed}, Path("tune"))
 
 
-def test_tune_has_no_gate(tmp_path):
-    output = tuned(tmp_path / "out", "--at-least", "5%", code=2)
-    assert "No such option: --at-least" in output
+@pytest.mark.parametrize("option", ["--at-least=5%", "--confirm"])
+def test_options_of_other_studies_are_refused(tmp_path, option):
+    output = tuned(tmp_path / "out", option, code=2)
+    assert f"No such option: {option.partition('=')[0]}" in output
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["benchmark", "datasheet"])
+def test_studies_that_confirm_nothing_have_no_option_for_it(command):
+    assert "No such option: --confirm" in output_of(command, "--confirm", code=2)
