@@ -45,8 +45,9 @@ def export(
         typer.Option(metavar="pdf,svg", help="Write the report's figures, for a paper."),
     ] = None,
     columns: Annotated[
-        int, typer.Option(min=1, max=2, help="Columns of a page that a figure is as wide as.")
-    ] = 1,
+        int | None,
+        typer.Option(min=1, max=2, help="Columns that a figure is as wide as; default 1."),
+    ] = None,
     latex: Annotated[bool, typer.Option("--latex", help="Write the report's tables.")] = False,
     bibtex: Annotated[bool, typer.Option("--bibtex", help="Write a citation.")] = False,
     out: Annotated[
@@ -69,6 +70,10 @@ def export(
     if not (formats or pictures or latex or bibtex):
         wanted = "--csv, --parquet, --figures, --latex or --bibtex"
         raise ScenarioError(f"export: must be given one or more of {wanted}")
+    if columns is not None and not pictures:
+        raise ScenarioError("--columns: must be left out without --figures")
+    if names and not formats:
+        raise ScenarioError("--series: must be left out without --csv and --parquet")
     own = run_dir if run_dir.is_dir() else run_dir.parent
     folder = out or own / "export"
     if folder.exists() and not folder.is_dir():
@@ -76,7 +81,7 @@ def export(
     is_damaged = False
     if pictures or latex or bibtex:
         is_damaged = _export_for_paper(
-            run_dir, folder, pictures, columns, latex=latex, bibtex=bibtex
+            run_dir, folder, pictures, columns or 1, latex=latex, bibtex=bibtex
         )
     if formats:
         data, _ = load_run(run_dir)
@@ -101,7 +106,7 @@ def _export_for_paper(
     if latex:
         print(write_latex(results.page, folder / "tables.tex"))
     if bibtex:
-        print(write_bibtex(results, folder / "citation.bib"))
+        print(write_bibtex(results, results.page, folder / "citation.bib"))
     for run in results.runs:
         _say_what_is_missing(run.data)
     return results.is_damaged

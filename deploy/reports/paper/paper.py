@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,7 @@ def write_figures(
 def write_latex(page: Page[Any], file: Path) -> Path:
     """Write all tables of a page, for the packages booktabs and longtable."""
     conditions = " ".join(conditions_line(page.conditions).splitlines())
-    head = f"% funnel-hil {version('funnel-hil')}: {page.name}\n% {conditions}\n"
+    head = f"% {page.name}\n% {conditions}\n"
     file.write_text(head + "\n".join(map(as_latex, page.tables)), encoding="utf-8")
     return file
 
@@ -78,21 +77,16 @@ def latex_text(text: str) -> str:
     return "".join(_ESCAPES.get(letter, letter) for letter in text)
 
 
-def write_bibtex(results: Results, file: Path) -> Path:
-    """Write a citation of the software's version and of these results, by their digest."""
-    shown = version("funnel-hil")
+def write_bibtex(results: Results, page: Page[Any], file: Path) -> Path:
+    """Write a citation: the version that made the results, their year, and their digest."""
     digest = digest_of_results(results)
-    name = results.page.name if results.page is not None else ""
-    when = str(results.summary.get("conditions", {}).get("date", ""))[:4]
-    conditions = "" if results.page is None else str(results.page.conditions.get("date", ""))
-    year = when or conditions[:4]
     entry = {
         "title": "{funnel-hil}: a hardware-in-the-loop test bench for prescribed-performance and"
         " fixed-time robot control",
         "author": "{the funnel-hil authors}",
-        "version": shown,
-        "year": year,
-        "note": latex_text(f"results of {name}, digest {digest}"),
+        "version": page.conditions.get("version", "").removeprefix("funnel-hil "),
+        "year": page.conditions.get("date", "")[:4],
+        "note": latex_text(f"results of {page.name}, digest {digest}"),
     }
     fields = ",\n".join(f"  {key} = {{{value}}}" for key, value in entry.items() if value)
     file.write_text(f"@software{{funnel_hil_{digest[:8]},\n{fields}\n}}\n", encoding="utf-8")
@@ -100,9 +94,13 @@ def write_bibtex(results: Results, file: Path) -> Path:
 
 
 def digest_of_results(results: Results) -> str:
-    """Return the digest of a run, or one of the summary of a study."""
+    """Return the digest of a run, or one of the summary of a study without date and host."""
     own = results.summary.get("digest")
     if isinstance(own, str):
         return own[:16]
-    kept = {key: value for key, value in results.summary.items() if key != "conditions"}
+    kept = json.loads(json.dumps(results.summary), object_hook=_without_conditions)
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _without_conditions(part: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in part.items() if key != "conditions"}

@@ -143,7 +143,8 @@ class Benchmark(StudyOfRuns):
         for each in self.definition.seeds if seed is None else [seed]:
             yield PlannedRun(
                 f"{index:04d}-{number:03d}-{at:02d}", cell.scenario,
-                (*self._common(cell), *place.overrides, *delays), each + place.seed_offset,
+                (*self._common(cell), *place.overrides, *delays),
+                each + place.window * max(self.definition.seeds),
                 columns, ends_early=bool(number or at),
             )  # fmt: skip
 

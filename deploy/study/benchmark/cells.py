@@ -90,14 +90,14 @@ class Place(NamedTuple):
         overrides: without the delay.
         columns: values that identify it.
         has_delays: whether a delay is varied.
-        seed_offset: added to the seeds of the study, for windows of a network.
+        window: number of the window of a network; windows and seeds share no seed of a run.
     """
 
     condition: str
     overrides: tuple[str, ...]
     columns: Mapping[str, Any]
     has_delays: bool = True
-    seed_offset: int = 0
+    window: int = 0
 
 
 def cells_of(wanted: BenchmarkDefinition) -> list[Cell]:
@@ -134,7 +134,7 @@ def places_of(wanted: BenchmarkDefinition, base: Setup, cell: Cell) -> list[Plac
         texts = tuple(override(key, network) for key in _TRACES)
         for window in range(wanted.windows):
             columns = {"network": network, "window": float(window)}
-            places.append(Place(NETWORK, texts, columns, has_delays=False, seed_offset=window))
+            places.append(Place(NETWORK, texts, columns, has_delays=False, window=window))
     if wanted.plants is not None:
         drawn = draw_plants(wanted, base, [study_keys.LAW, study_keys.SEED, *DELAYS])
         places += [Place(PLANTS, each.overrides, each.columns) for each in drawn]

@@ -86,6 +86,8 @@ REFUSED = [
     ("ros2-control paper_arm --out file", "", "cannot be written"),
     ("ros-package file", "", "cannot be written"),
     ("export damaged --latex --out file", "--out file", "is a file: must be a folder"),
+    ("export damaged --latex --columns 2", "--columns", "left out without --figures"),
+    ("export damaged --bibtex --series tracking", "--series", "left out without --csv"),
     ("export damaged", "", "must be given one or more of --csv, --parquet"),
     *[(f"{command} paper_arm --set link.security.enabled=true --set link.security.folder=/nowhere",
        "/nowhere/authority.crt: does not exist") for command in ("run", "controller", "record")],

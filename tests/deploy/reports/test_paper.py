@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -9,7 +10,8 @@ import plotly.graph_objects as go
 import pytest
 
 from deploy.reports.figures.style import new_figure
-from deploy.reports.paper.paper import as_latex, latex_text
+from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text
+from deploy.reports.results import Results
 from deploy.reports.tables import Cell, Column, Table
 from tests.warm_process import here
 
@@ -103,6 +105,16 @@ def test_no_letter_of_a_table_is_a_command_of_latex():
     assert latex_text("τ × 10⁻³") == r"$\tau$ $\times$ 10$^{-}$$^{3}$"
 
 
+def test_digest_of_a_data_sheet_does_not_change_with_its_date():
+    def digest(date, margin_ms):
+        part = {"margin_ms": margin_ms, "conditions": {"date": date}}
+        summary = {"kind": "datasheet", "parts": [part], "conditions": {"date": date}}
+        return digest_of_results(Results(summary, None))
+
+    assert digest("today", 4.0) == digest("yesterday", 4.0)
+    assert digest("today", 4.0) != digest("today", 5.0)
+
+
 def test_export_writes_figures_tables_and_a_citation_of_a_run(tmp_path):
     out = tmp_path / "run"
     code, output = here(
@@ -117,6 +129,11 @@ def test_export_writes_figures_tables_and_a_citation_of_a_run(tmp_path):
     citation = (folder / "citation.bib").read_text()
     (digest,) = re.findall(r"digest (\w{16})", citation)
     assert digest in (out / "summary.json").read_text()
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["versions"]["funnel-hil"] = "0.0.9"  # an earlier version made the run
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    assert here("export", out, "--bibtex")[0] == 0
+    assert "version = {0.0.9}" in (folder / "citation.bib").read_text()
     recording = out / "run.mcap"
     recording.write_bytes(recording.read_bytes()[:-20_000])
     code, output = here("export", out, "--latex")

@@ -107,6 +107,17 @@ def test_number_of_runs_is_known_at_the_end(finished):
     assert len(rows) == (3 + patterns + 3 + 3 * 3 + 2) + (3 + 3 + 3 * 3 + 2) + 2
 
 
+def test_windows_and_seeds_share_no_seed_of_a_run():
+    study = defined(seeds=[1, 2], laws=["pid_gravity"], predictors=["none"], plants=None)
+    (first, _) = study.first()
+    runs = list(study.follow(first, made_up(first, law="pid_gravity")))
+    other = [r for r in study.first() if r.seed == 2]
+    runs += study.follow(other[0], made_up(other[0], law="pid_gravity"))
+    seeds = [run.seed for run in runs if run.columns["condition"] == NETWORK]
+    # Each seed follows once: windows 0 to 2 of seed 1 are 1, 3 and 5, of seed 2 they are 2, 4, 6.
+    assert sorted(seeds) == [1, 2, 3, 4, 5, 6]
+
+
 def test_only_cells_without_prediction_have_patterns(finished):
     _, rows, _ = finished
     assert {row["predictor"] for row in rows if row["condition"] == PATTERN} == {"none"}
