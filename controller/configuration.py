@@ -80,7 +80,7 @@ class DelayCompensationConfiguration(StrictModel):
         predictor: ``adaptive``, or a rival that learns nothing of the arm's model: ``smith``,
             ``communication_disturbance_observer`` or ``hold_prediction``.
         observer_bandwidth_rad_s: bandwidth of the observer for model errors and disturbances, or of
-            a rival's filter.
+            a rival's filter; ``hold_prediction`` has none.
         learn_friction: whether Coulomb friction is identified too (``adaptive`` only).
         identify_model: whether inertia, payload, viscous friction and actuator lag are identified
             while the arm moves (``adaptive`` only).
