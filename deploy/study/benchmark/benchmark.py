@@ -12,10 +12,12 @@ from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, held, tolerated
 from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, validated
 from deploy.study.benchmark.cells import (
     CONSTANT,
     NETWORK,
+    NO_PREDICTOR,
     PATTERN,
     PLANTS,
     PREDICTOR,
@@ -68,7 +70,13 @@ class Benchmark(StudyOfRuns):
             setups = {cell: load_setup(cell.scenario, self._common(cell)) for cell in self.cells}
             self.bases = list({cell.scenario: setup for cell, setup in setups.items()}.values())
             self.columns |= draw_columns(self.definition, self.bases)
-            self._places = [places_of(self.definition, setups[cell], cell) for cell in self.cells]
+            # Laws and gains of an arm share its places, whose plants take long to draw.
+            kinds = [(cell.scenario, cell.predictor == NO_PREDICTOR) for cell in self.cells]
+            of_kind = {
+                kind: places_of(self.definition, setups[cell], cell)
+                for kind, cell in dict(zip(kinds, self.cells, strict=True)).items()
+            }
+            self._places = [of_kind[kind] for kind in kinds]
         self._require_usable_places()
         self._variants = list(setups.values())
         self._left_out = 0
@@ -93,7 +101,7 @@ class Benchmark(StudyOfRuns):
         return "ms"
 
     @property
-    def variants(self) -> list[Any]:
+    def variants(self) -> list[Setup]:
         return self._variants
 
     def _common(self, cell: Cell) -> tuple[str, ...]:
