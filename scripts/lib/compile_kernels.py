@@ -12,6 +12,7 @@ from bus_schema.runtime.compiled import HAS_SAID  # its import chooses where the
 from bus_schema.runtime.kernel_cache import FOLDER
 from controller.laws import LAWS
 
+ROOT = Path(__file__).resolve().parents[2]
 SHORT = "duration_s=0.01"
 DEFAULT = "fixed_time_adaptive"
 COMPENSATED = ["controller.delay_compensation.enabled=true"]
@@ -25,8 +26,9 @@ def main() -> None:
     """
     folder = os.environ.get(FOLDER)
     is_usual = "--usual" in sys.argv
-    done = [Path(folder or "") / f"{name}.done" for name in ("all", "usual")[: 1 + is_usual]]
-    if folder is None or any(each.exists() for each in done):
+    # In .venv, as numba's cache of these sources is of no use to the same ones elsewhere.
+    stamps = [ROOT / ".venv" / f"kernels-{name}" for name in ("all", "usual")[: 1 + is_usual]]
+    if folder is None or any(each.is_file() and each.read_text() == folder for each in stamps):
         return
     if is_usual:
         print("Compiling the numerical kernels, once (up to a minute)", flush=True)
@@ -38,7 +40,7 @@ def main() -> None:
     others = [[], COMPENSATED] if is_usual else [COMPENSATED, OVER_CAN]
     for overrides in laws + others:
         simulate(load_setup("paper_arm", [SHORT, *overrides]))
-    done[-1].touch()
+    stamps[-1].write_text(folder)
 
 
 if __name__ == "__main__":
