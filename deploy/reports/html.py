@@ -41,15 +41,15 @@ def write_page(path: Path, page: Page[T]) -> None:
     address = library_address(path)
     with ThreadPoolExecutor(max_workers=1) as beside:
         packing = None if address else beside.submit(packed_library)  # a tenth of a second and more
-        sections = _drawn(list(page.panels()), page.subject)
+        lead, *sections = _drawn(list(page.panels()), page.subject) or [("", [])]
         packed = "" if packing is None else packing.result()
     html = _ENVIRONMENT.get_template("page.html").render(
-        page=page, sections=sections, library=address, packed_library=packed
+        page=page, lead=lead, sections=sections, library=address, packed_library=packed
     )
     write_whole(path, html)
 
 
-def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
+def _drawn(panels: Sequence[Panel[T]], subject: T) -> list[tuple[str, list[Any]]]:
     """Panels with what they show, by section; without those that have nothing to show."""
     contents: dict[str, Any] = {}
     for panel in sorted(panels, key=lambda panel: not panel.is_drawn_beside):
@@ -62,7 +62,7 @@ def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel
             content = content()
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
-    return sections
+    return list(sections.items())
 
 
 @cache

@@ -45,7 +45,7 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=lambda: [*map(_kept_panel, _names(summary, "predictor")), _SCATTER],
         subject=study,
-        after=("Ranking", [Cards([_ranking(summary, entries), _by_arm(summary)], "stacked")]),
+        results=[Cards([_ranking(summary, entries), _by_arm(summary)], "stacked")],
     )
 
 

@@ -47,9 +47,9 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)
         ],
         subject=study,
-        after=("Results", [
-            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary)], "stacked"),
-        ]),
+        results=[
+            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary)], "stacked")
+        ],
         points=[
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
@@ -90,10 +90,10 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
-        after=("Results", [
+        results=[
             Cards([tables.robustness_table(summary), tables.interval_table(summary),
-                   tables.losses_table(summary)], "stacked"),
-        ]),
+                   tables.losses_table(summary)], "stacked")
+        ],
         points=[
             (_value_name(case, value, summary), point, study.rerun(point))
             for case in cases

@@ -49,7 +49,7 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=lambda: [*_curve_panels(summary), *_heat_map_panels(summary)],
         subject=study,
-        after=("Results", [Cards([point_table(summary)], "stacked")]),
+        results=[Cards([point_table(summary)], "stacked")],
         points=[
             (_given(summary, point, every) or "all", point["worst_point"], study.rerun_worst(point))
             for point in points

@@ -42,7 +42,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
             )
         ],
         subject=study,
-        after=("Results", [Cards(tune_tables(summary), "stacked")]),
+        results=[Cards(tune_tables(summary), "stacked")],
     )
 
 

@@ -250,7 +250,7 @@ def test_arm_without_shapes_is_drawn_as_a_skeleton(run, tmp_path):
 
 
 def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monkeypatch):
-    only("tip-path", "tip-error")
+    only("error-in-funnel", "tip-path")
 
     def speed(runs):
         truth = runs.runs[0].data.tables["plant_truth"]
