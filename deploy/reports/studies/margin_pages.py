@@ -32,6 +32,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             f"{texts.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
             " kept",
             texts.margin_sentences(summary),
+            printed=texts.brief_margin_sentences(summary),
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
@@ -48,9 +49,15 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         subject=study,
         results=[
-            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary)], "stacked")
+            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary),
+                   *tables.help_tables(summary)], "stacked")
         ],
         points=[
+            (f"{texts.case_title(case)}, worst pattern", worst["point"],
+             worst.get("trace_command") or worst["command"])
+            for case in summary["cases"]
+            if (worst := case.get("worst_pattern"))
+        ] + [
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
             for probe in case["probes"]
