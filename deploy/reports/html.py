@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import re
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +18,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
 from bus_schema.recording.atomic_files import write_whole
@@ -101,6 +103,9 @@ _ENVIRONMENT = Environment(
 )
 _ENVIRONMENT.policies["json.dumps_function"] = lambda content, **_: (
     figure_json(content) if isinstance(content, go.Figure) else json.dumps(content)
+)
+_ENVIRONMENT.filters["breakable"] = lambda text: Markup(  # names go on below after a _ or a .
+    re.sub(r"([_.])(?=[A-Za-z])", r"\1<wbr>", str(escape(text)))
 )
 _ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
 _ENVIRONMENT.tests["motion"] = lambda content: isinstance(content, Motion)

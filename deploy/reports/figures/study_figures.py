@@ -18,7 +18,7 @@ from deploy.reports.studies.study_texts import (
     setting_text,
     value_title,
 )
-from deploy.reports.tables import scaled
+from deploy.reports.tables import number, scaled
 from deploy.study.study import shown_value
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
@@ -112,6 +112,7 @@ class Curve:
         points: values with their runs.
         is_hollow: whether its points are hollow.
         key: names of its colour and of its pattern, where the legend has these instead.
+        is_sequence: whether a line joins its points: not those of windows, seeds or names.
     """
 
     name: str
@@ -120,12 +121,13 @@ class Curve:
     points: Sequence[tuple[Any, Runs]]
     is_hollow: bool = False
     key: tuple[str, str] | None = None
+    is_sequence: bool = True
 
 
 def curves(
     study: DrawnStudy, lines: Sequence[Curve], x_title: str, quantity: StudyQuantity
 ) -> go.Figure | None:
-    """Lines over a swept value, each with the band from its lowest to its highest run."""
+    """Lines over a swept value, each with its spread from the lowest to the highest run."""
     figure = style.new_figure(_HEIGHT_PX, x_title, quantity.axis)
     for line in lines:
         _add_curve(figure, study, line, quantity)
@@ -151,7 +153,7 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
     for index, group in enumerate(groups):
         members = [case for case in cases if setting_text(case) == group]
         decided = (probe_at(c, c["first_failure"]) or probe_at(c, c["margin"]) for c in members)
-        own = [style.palette(number) for number in range(len(members))]
+        own = [style.palette(place) for place in range(len(members))]
         figure.add_bar(
             x=[style.plain(case["law"]) for case in members],
             y=[case["margin"] or 0.0 for case in members],
@@ -192,7 +194,7 @@ def heat_map(
         quantity: what is drawn.
     """
     means = [[runs and quantity.value(runs, "mean") for runs in row] for row in rows]
-    texts = [["" if mean is None else f"{mean:.3g}" for mean in row] for row in means]
+    texts = [["" if mean is None else number(mean) for mean in row] for row in means]
     crowded = len(x[1]) * len(y[1]) > 150
     field = go.Heatmap(
         x=[style.plain(shown_value(value)) for value in x[1]],
@@ -220,7 +222,7 @@ def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure
     if not bars:
         return None
     height_px = _FRAME_PX + _EFFECT_PX * len(bars)
-    figure = style.new_figure(height_px, "effect (rank-biserial correlation)")
+    figure = style.new_figure(height_px, "effect")
     sizes = [effect for _, effect in bars]
     beyond = [abs(effect) > chance_level for effect in sizes]
     figure.add_bar(
@@ -246,7 +248,11 @@ def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: Stud
     x = [value for value, _ in line.points]
     ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
     known = [end for end in ends if end[1] is not None]
-    if any(lowest != highest for _, lowest, highest in known):
+    means, spread = drawn("mean"), dict[str, Any]()
+    if quantity is PLANTS_KEPT or not line.is_sequence:  # intervals that overlap hide as bands
+        above, below = map(_apart, drawn("highest"), means), map(_apart, means, drawn("lowest"))
+        spread = {"symmetric": False, "array": list(above), "arrayminus": list(below)}
+    elif any(lowest != highest for _, lowest, highest in known):
         figure.add_scatter(
             x=[end[0] for end in known] + [end[0] for end in reversed(known)],
             y=[end[2] for end in known] + [end[1] for end in reversed(known)],
@@ -254,15 +260,19 @@ def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: Stud
             hoverinfo="skip", showlegend=False, legendgroup=group,
         )  # fmt: skip
     figure.add_scatter(
-        x=x, y=drawn("mean"), name=style.plain(line.name), legendgroup=group,
+        x=x, y=means, name=style.plain(line.name), legendgroup=group, error_y=spread,
         customdata=[study.rerun_worst(runs) for _, runs in line.points],
         hovertemplate="%{x}: %{y:.3g}", **_looks(line, colour),
     )  # fmt: skip
 
 
+def _apart(high: float | None, low: float | None) -> float | None:
+    return None if high is None or low is None else high - low
+
+
 def _looks(line: Curve, colour: str) -> dict[str, Any]:
     return {
-        "mode": "lines+markers",
+        "mode": "lines+markers" if line.is_sequence else "markers",
         "line": {"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
         "marker": {"size": 7, "symbol": "circle-open" if line.is_hollow else "circle"},
     }
