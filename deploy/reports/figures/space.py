@@ -146,7 +146,7 @@ def tip_error_envelopes(runs: ComparedRuns) -> go.Figure | None:
     """Size of the tip's error along each axis of the base frame, on a logarithmic scale."""
     if not runs.drawn:
         return None
-    figure = with_runs(style.joint_rows(("x", "y", "z"), "mm"))
+    figure = with_runs(style.joint_rows(("x", "y", "z"), "mm"), runs)
     for run in runs.drawn:
         times_s, actual, wanted = tip_positions(run.data)
         add_envelopes(figure, runs, run.law, times_s, style.MM * (actual - wanted))

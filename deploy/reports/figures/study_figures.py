@@ -22,13 +22,12 @@ from deploy.reports.tables import number, scaled
 from deploy.study.study import shown_value
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
-_LETTER_PX, _NARROW_NAME = 7.5, 10
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
 _HEADROOM = 1.1
 _EFFECT_PX, _FRAME_PX = 26, 110
-_MOST_UPRIGHT = 14
-"""Bars whose figures have room side by side; those of more are turned."""
+_MOST_UPRIGHT = 6
+"""Bars whose figures have room side by side on a telephone; those of more are turned."""
 
 
 Runs = Mapping[str, Any]
@@ -133,7 +132,7 @@ def curves(
         _add_curve(figure, study, line, quantity)
     if not any(value is not None for trace in figure.data for value in trace.y):
         return None
-    _add_legend(figure, _name_in_legend(figure, lines))
+    style.add_legend(figure, _name_in_legend(figure, lines))
     if quantity.is_log:
         style.log_axis(figure, ticks=4)
     else:
@@ -166,7 +165,7 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
             marker={"color": style.palette(index) if len(groups) > 1 else own},
         )  # fmt: skip
     if len(groups) > 1:
-        _add_legend(figure, [bars.name for bars in figure.data])
+        style.add_legend(figure, [bars.name for bars in figure.data])
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
@@ -193,7 +192,9 @@ def heat_map(
         rows: a row per value of `y`; None leaves a field white.
         quantity: what is drawn.
     """
-    means = [[runs and quantity.value(runs, "mean") for runs in row] for row in rows]
+    means = [
+        [None if runs is None else quantity.value(runs, "mean") for runs in row] for row in rows
+    ]
     texts = [["" if mean is None else number(mean) for mean in row] for row in means]
     crowded = len(x[1]) * len(y[1]) > 150
     field = go.Heatmap(
@@ -299,10 +300,3 @@ def _name_in_legend(figure: go.Figure, lines: Sequence[Curve]) -> list[str]:
 def _pale(colour: str) -> str:
     red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.14)"
-
-
-def _add_legend(figure: go.Figure, names: Sequence[str]) -> None:
-    """A legend in as many columns as fit, with room for what narrow pages take."""
-    widest = max(map(len, names), default=0)
-    rows = len(names) if widest > _NARROW_NAME else -(-len(names) // 2)
-    style.put_legend_on_top(figure, rows, entrywidthmode="pixels", entrywidth=_LETTER_PX * widest)

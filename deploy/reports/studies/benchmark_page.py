@@ -190,7 +190,7 @@ def _kept_panel(predictor: str, section: str) -> Panel[DrawnStudy]:
 
 def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
     summary = study.summary
-    figure = style.new_figure(_HEIGHT_PX, "round trip / ms", "kept / %")
+    figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "kept (%)")
     delays_ms, arms = summary["delays_ms"], len(_names(summary, "scenario"))
     for index, law in enumerate(_names(summary, "law")):
         curves = []
@@ -223,7 +223,7 @@ def _share_at(cells: list[Summary], delay_ms: float, plants_of_arm: int) -> floa
 
 def _margin_and_error(study: DrawnStudy) -> go.Figure:
     summary = study.summary
-    figure = style.new_figure(_HEIGHT_PX, "RMS error / mrad", "constant delay kept / ms")
+    figure = style.new_figure(_HEIGHT_PX, "RMS error (mrad)", "constant delay kept (ms)")
     figure.update_xaxes(type="log")
     predictors = _names(summary, "predictor")
     for index, law in enumerate(_names(summary, "law")):
