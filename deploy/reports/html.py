@@ -105,7 +105,9 @@ _ENVIRONMENT.policies["json.dumps_function"] = lambda content, **_: (
     figure_json(content) if isinstance(content, go.Figure) else json.dumps(content)
 )
 _ENVIRONMENT.filters["breakable"] = lambda text: Markup(  # names go on below after a _ or a .
-    re.sub(r"([_.])(?=[A-Za-z])", r"\1<wbr>", str(escape(text)))
+    str(escape(text))
+    if " " in text
+    else re.sub(r"([_.])(?=[A-Za-z])", r"\1<wbr>", str(escape(text)))
 )
 _ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
 _ENVIRONMENT.tests["motion"] = lambda content: isinstance(content, Motion)

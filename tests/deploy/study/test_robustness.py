@@ -223,7 +223,7 @@ def test_a_study_of_plants_is_reported_again(funnel_hil, tmp_path):
     page = (path / "report.html").read_text()
     assert_shows_before_it_tells(page)
     rerun = f"funnel-hil simulate {path}/scenarios/000-000002-"
-    for text in (headline, 'id="kept-paper_arm"', 'id="losses-0"', rerun, "rank-biserial"):
+    for text in (headline, 'id="kept-paper_arm"', 'id="losses-0"', rerun, "Effect: +1"):
         assert text in page
 
 

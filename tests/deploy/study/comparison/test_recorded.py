@@ -190,14 +190,16 @@ def test_numbers_are_those_of_each_summary(folder):
 def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil):
     out = tmp_path / "diff"
     output = funnel_hil.output("diff", folder / "first", folder / "pushed", "--out", out)
-    for part in ("First tick that differs", "Worst error in % of its bound", "faults", "Timing"):
+    for part in ("First tick that differs", "Worst error in % of its bound", "faults"):
         assert part in output
+    assert "Timing" not in output  # folded in the report
     summary = json.loads((out / "summary.json").read_text())
     assert summary["kind"] == "diff"
     assert summary["completed"]
     assert list(summary["runs"]) == ["first", "pushed"]
     page = (out / "report.html").read_text()
     assert_shows_before_it_tells(page)
+    assert page.index("<details") < page.index("<h3>Timing (µs)</h3>") < page.index("<h3>Counts<")
     for panel in ("errors", "positions-apart", "torques", "control-step", "tip-paths"):
         assert f'id="{panel}"' in page
     assert 'id="round-trip"' not in page  # always 0: there is nothing to draw
