@@ -64,6 +64,9 @@ def robot(
     ] = False,
     include: IncludeOption = None,
     mass: MassOption = None,
+    gains: Annotated[
+        bool, typer.Option("--gains", help="Show the gains that follow from the inertias.")
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the arm to this file.")
     ] = None,
@@ -106,7 +109,8 @@ def robot(
         print_table(console, _other_joints_table(arm))
     if len(chains := chains_of(ET.fromstring(arm.text), _of_chains(arm))) > 1:
         print_table(console, _chains_table(chains))
-    print_table(console, _gains_table(setup))
+    if gains:
+        print_table(console, _gains_table(setup))
     print_table(console, _drives_table(arm))
     console.print(_funnel_line(setup), markup=False, highlight=False)
     for each in robot_warnings(setup):

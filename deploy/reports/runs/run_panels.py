@@ -53,7 +53,6 @@ _ONE_RUN: dict[str, Draw] = {
     "learned-viscous": _of_run(partial(learned.learned_over_time, key="viscous_nm_s")),
     "timing-percentiles": _of_run(timeline.times_of_run),
     "deadline-misses": _of_run(timeline.deadline_misses),
-    "playout": _of_run(link.playout),
     "trace-percentiles": _of_run(link.trace_percentiles),
     "trace-autocorrelation": _of_run(link.trace_autocorrelation),
 }

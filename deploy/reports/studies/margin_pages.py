@@ -48,9 +48,15 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         subject=study,
         after=("Results", [
-            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary)], "stacked"),
+            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary),
+                   *tables.help_tables(summary)], "stacked"),
         ]),
         points=[
+            (f"{texts.case_title(case)}, worst pattern", worst["point"],
+             worst.get("trace_command") or worst["command"])
+            for case in summary["cases"]
+            if (worst := case.get("worst_pattern"))
+        ] + [
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
             for probe in case["probes"]

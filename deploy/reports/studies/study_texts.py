@@ -100,7 +100,7 @@ def rotors_text(case: Summary, summary: Summary) -> str | None:
 
 
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
-    """What is known of a case under delays that vary, and the command that shows the worst."""
+    """What is known of a case under delays that vary."""
     if case.get("guaranteed"):
         return (
             f"{case_title(case)}: holds for every delay up to"
@@ -111,14 +111,13 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
         return None
     name = ", ".join(f"{key} {value}" for key, value in worst["pattern"].items())
     return (
-        f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst"
-        f" ({name}) at {value_text(worst['value'], summary)}:"
-        f" {worst.get('trace_command') or worst['command']}"
+        f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst, at"
+        f" {value_text(worst['value'], summary)}: {name}."
     )
 
 
 def _remedy_sentence(case: Summary, summary: Summary) -> str | None:
-    """What helps a case at its first failure, with the command that shows the best of it."""
+    """What helps a case at its first failure."""
     if (helps := case.get("what_helps")) is None:
         return None
     where, best = f"{case_title(case)}, {value_text(helps['value'], summary)}", helps["best"]
@@ -130,7 +129,7 @@ def _remedy_sentence(case: Summary, summary: Summary) -> str | None:
         else f"not {each['change']}"
         for each in helps["tried"]
     ]
-    return f"{where}: what helps: {_listed(tried)}. The best, {best['change']}: {best['command']}"
+    return f"{where}: what helps: {_listed(tried)}. The best: {best['change']}."
 
 
 def probe_at(case: Summary, value: float | None) -> Summary | None:
@@ -149,7 +148,7 @@ def margin_sentences(summary: Summary) -> list[str]:
         for case in summary["cases"]
         if (smaller := rotors_text(case, summary))
     ]
-    return [*found, *rotors, *_theory(summary), *helps, *_saved(summary)]
+    return [*found, *rotors, *theory_sentences(summary), *helps, *_saved(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:
@@ -247,17 +246,21 @@ def _growing(summary: Summary) -> list[str]:
     ]
 
 
+def losses_text(runs: Summary) -> str:
+    """Why runs left their funnel, the most frequent reason first, and most often which joint."""
+    losses, joints = (Counter(runs.get(key) or {}) for key in ("losses", "loss_joints"))
+    if not losses and runs.get("runs_growing"):
+        losses["growing"] = runs["runs_growing"]
+    return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
+
+
 def loss_text(case: Summary) -> str:
-    """Why runs at the first failure left their funnel, the most frequent reason first."""
-    probe = probe_at(case, case["first_failure"])
-    losses: Counter[str] = Counter((probe or {}).get("losses") or {})
-    if probe and not losses and probe.get("runs_growing"):
-        losses["growing"] = probe["runs_growing"]
-    named = ", ".join(reason for reason, _ in losses.most_common())
+    """Why runs at the first failure left their funnel, and most often which joint."""
+    named = losses_text(probe_at(case, case["first_failure"]) or {})
     return f"{named}, already without it" if named and case["margin"] is None else named or ABSENT
 
 
-def _theory(summary: Summary) -> list[str]:
+def theory_sentences(summary: Summary) -> list[str]:
     """Theoretical margins, a sentence per case; and the reasons why other cases have none."""
     sentences, reasons = [], dict[str, list[str]]()
     for case in summary["cases"]:

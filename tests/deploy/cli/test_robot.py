@@ -136,10 +136,14 @@ def test_arguments_follow_an_arm_wherever_one_is_given(folder, two_kinds, funnel
         load_setup(str(folder / "test.yaml"), ["robot.urdf=paper_arm"])
 
 
+def test_robot_shows_gains_only_when_asked(funnel_hil):
+    assert "Gains of" not in funnel_hil.output("robot", "panda")
+
+
 def test_robot_shows_joints_gains_funnel_and_what_is_held(funnel_hil, tmp_path):
     picture = tmp_path / "arm.png"
     output = funnel_hil.output(
-        "robot", "panda", *(["--picture", picture] if "bullet" in INSTALLED else [])
+        "robot", "panda", "--gains", *(["--picture", picture] if "bullet" in INSTALLED else [])
     )
     for text in ("7 driven joints", "7 panda_joint7", "governing, for gains", "M_ii, others held",
                  "12 N m", "panda_finger_joint1", "held",
