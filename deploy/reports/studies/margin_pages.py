@@ -32,6 +32,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             f"{texts.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
             " kept",
             texts.margin_sentences(summary),
+            printed=texts.brief_margin_sentences(summary),
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),

@@ -116,22 +116,6 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     )
 
 
-def _remedy_sentence(case: Summary, summary: Summary) -> str | None:
-    """What helps a case at its first failure."""
-    if (helps := case.get("what_helps")) is None:
-        return None
-    where, best = f"{case_title(case)}, {value_text(helps['value'], summary)}", helps["best"]
-    if best is None:
-        return f"{where}: nothing helps of {_listed([each['change'] for each in helps['tried']])}."
-    tried = [
-        f"{each['change']} ({100.0 * each['margin_min']:.0f} % of the bound left)"
-        if each["held"]
-        else f"not {each['change']}"
-        for each in helps["tried"]
-    ]
-    return f"{where}: what helps: {_listed(tried)}. The best: {best['change']}."
-
-
 def probe_at(case: Summary, value: float | None) -> Summary | None:
     """What became of a value that was tried."""
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
@@ -141,14 +125,18 @@ def margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, the best first."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
     found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
-    helps = filter(None, (_remedy_sentence(case, summary) for case in summary["cases"]))
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
         f" {smaller} if the rotors are a tenth."
         for case in summary["cases"]
         if (smaller := rotors_text(case, summary))
     ]
-    return [*found, *rotors, *theory_sentences(summary), *helps, *_saved(summary)]
+    return [*found, *rotors, *theory_sentences(summary), *_saved(summary)]
+
+
+def brief_margin_sentences(summary: Summary) -> list[str]:
+    """Return margins in words, without what a table beside them says."""
+    return [*_headlines(summary), *_held_again(summary), *_in_theory(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:
@@ -262,22 +250,24 @@ def loss_text(case: Summary) -> str:
 
 def theory_sentences(summary: Summary) -> list[str]:
     """Theoretical margins, a sentence per case; and the reasons why other cases have none."""
-    sentences, reasons = [], dict[str, list[str]]()
+    reasons = dict[str, list[str]]()
     for case in summary["cases"]:
-        theory = case.get("theory") or {}
-        if "reason" in theory:
+        if "reason" in (theory := case.get("theory") or {}):
             reasons.setdefault(theory["reason"], []).append(case["law"])
-        elif theory:
-            sentences.append(
-                f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
-                f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
-                f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
-            )
-    for reason, names in reasons.items():
-        sentences.append(
-            f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}."
-        )
-    return sentences
+    return _in_theory(summary) + [
+        f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}."
+        for reason, names in reasons.items()
+    ]
+
+
+def _in_theory(summary: Summary) -> list[str]:
+    return [
+        f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
+        f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
+        f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
+        for case in summary["cases"]
+        if (theory := case.get("theory")) and "reason" not in theory
+    ]
 
 
 def furthest(summary: Summary) -> str:
