@@ -77,6 +77,7 @@ _SEVERAL_RUNS: dict[str, Draw] = {
     "network-output": learned.network_output,
     **_TIMES,
 }
+_FOLDED = {"Events over time", "Timing", "The link compared with its trace"}
 _OF_RECORDINGS = {"positions-apart", *_TIMES}
 _OF_LAWS = {"settling", "settling-from-afar", "tip-errors", "total-variation", "chatter-share",
             "network-output"}  # fmt: skip
@@ -91,6 +92,7 @@ def _panels(texts: Mapping[str, Any], draws: Mapping[str, Draw]) -> list[RunsPan
         Panel(
             id=name,
             draw=timeline.with_faults(draws[name]) if name in shaded else draws[name],
+            is_folded=text["section"] in _FOLDED,
             **text,
         )
         for name, text in texts.items()

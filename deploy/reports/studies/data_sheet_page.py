@@ -53,7 +53,7 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
         panels=lambda: _panels(sheet),
         subject=sheet,
         conditions=summary["conditions"],
-        after=("Results", [Cards(cards, "stacked")]),
+        results=[Cards(cards, "stacked")],
         footer="Each part has a report of its own, in the folders beside this file.",
     )  # fmt: skip
 

@@ -285,7 +285,6 @@ def losses_table(summary: Summary) -> Table:
             Column("Plants lost / kept", brief="Lost /\nkept"),
         ],
         rows,
-        "Effect: +1 if every lost plant had more of the quantity than every kept one, −1 if less, 0"
-        " if it makes no difference (rank-biserial correlation). Effects below the chance level are"
-        " likely to be chance; above it, the quantity goes with losses but need not cause them.",
+        "Effect: +1 if every lost plant had more of the quantity than every kept one, −1 if less."
+        " Effects below the chance level may be chance.",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any
 
@@ -121,6 +122,33 @@ def probe_at(case: Summary, value: float | None) -> Summary | None:
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
 
 
+def margin_headline(summary: Summary) -> str:
+    """The margins of the best law in one sentence: of each arm without and with compensation.
+
+    Of more than two settings it has the best.
+    """
+    cases, texts = summary["cases"], []
+    laws, arms = (list(dict.fromkeys(case[key] for case in cases)) for key in ("law", "arm"))
+    for arm in arms:
+        settings: dict[str, list[Summary]] = {}
+        for case in cases:
+            if case["arm"] == arm:
+                settings.setdefault(setting_text(case), []).append(case)
+        best = list(map(_largest, settings.values()))
+        shown = best if len(best) <= 2 else [_largest(best)]
+        margins = (f"{margin_text(case, summary)} {setting_text(case)}".rstrip() for case in shown)
+        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(margins)}")
+    who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
+    known = ", if the arm is known exactly" if any(c["compensation"] for c in cases) else ""
+    kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{known}"
+    return f"{kept}: {'; '.join(texts)}"
+
+
+def _largest(cases: list[Summary]) -> Summary:
+    """The case with the furthest margin; one without a margin is behind all others."""
+    return max(cases, key=lambda c: -math.inf if c["margin"] is None else c["growth"] * c["margin"])
+
+
 def margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, the best first."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
@@ -189,7 +217,7 @@ def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
     where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
     if not known:
         return f"{where}: no law keeps its bounds at all."
-    best = max(known, key=lambda case: case["growth"] * case["margin"])
+    best = _largest(known)
     laws: dict[str, list[str]] = {}
     for case in known:
         if case["margin"] == best["margin"]:

@@ -9,6 +9,7 @@ import pytest
 
 from deploy.reports.kinds import gauged
 from tests.deploy.own_laws import own_law
+from tests.deploy.reports.page_order import assert_shows_before_it_tells
 from tests.warm_process import output_of
 
 
@@ -73,6 +74,7 @@ def test_each_change_that_helped_has_its_command(made):
     assert any(each["held"] for each in tried)
     assert all(("command" in each) == each["held"] for each in tried)
     page = (out / "report.html").read_text()
+    assert_shows_before_it_tells(page)
     for each in tried:
         assert f"simulate margin/scenarios/{each['point']}.yaml --set seed={each['seed']}" in page
         assert (out / "margin" / "scenarios" / f"{each['point']}.yaml").exists()
