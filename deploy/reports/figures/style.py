@@ -71,7 +71,7 @@ def new_figure(
     made = go.Figure(list(traces), {"template": "none"})
     apply(made, height_px, legend=legend)
     if x_title:
-        made.update_xaxes(title_text=plain(x_title))
+        made.update_xaxes(title_text=plain(x_title).replace(", ", ",<br>"))
     if y_title:
         made.update_yaxes(title_text=plain(y_title))
     return made
