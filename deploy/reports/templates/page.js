@@ -116,7 +116,7 @@ function stepBack({ scene }, place) {
 
 /* Colours of a figure on white, by what they are on a dark page; the others are read on both. */
 const onDark = {
-  "#1f2933": "#e3e8ee", "#7b8794": "#9aa6b2", "#e9edf1": "#2b333c", "#cbd2d9": "#4a545f", white: "#171c22", "#2a3f5f": "#e3e8ee", "#c3cad1": "#5b6672", "#9aa5b1": "#7d8995",
+  "#1f2933": "#e3e8ee", "#7b8794": "#9aa6b2", "#e9edf1": "#2b333c", "#cbd2d9": "#4a545f", white: "#171c22", "#2a3f5f": "#e3e8ee", "#DFE8F3": "#3a444f", "#EBF0F8": "#3a444f", "#c3cad1": "#5b6672", "#9aa5b1": "#7d8995",
   "#0072b2": "#4aa3df", "#d55e00": "#f08a3c", "#009e73": "#35c495", "#a3508b": "#d488bd", "#b07d00": "#d9a92b", "#3a9bd9": "#a5d8f8", "#5b5b5b": "#a9a9a9",
   "rgba(0,114,178,0.11)": "rgba(74,163,223,0.2)",
 };
