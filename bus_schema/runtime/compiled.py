@@ -101,7 +101,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
     config = cast("Any", numba.config)
     chosen, config.DISABLE_JIT = config.DISABLE_JIT, 0  # the user's, for kernels of their own
-    dispatcher = cast("Any", numba.njit(error_model="numpy", no_cfunc_wrapper=True)(function))
+    # A second wrapper, for C, costs as much as a kernel; nothing here passes kernels as values.
+    dispatcher = cast("Any", numba.njit)(error_model="numpy", no_cfunc_wrapper=True)(function)
     config.DISABLE_JIT = chosen
     if _is_kept and _Cache is not object and hasattr(dispatcher, "_cache"):
         dispatcher._cache = cast("Any", _CompiledBefore)(function)
