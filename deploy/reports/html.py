@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import re
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +18,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
 from bus_schema.recording.atomic_files import write_whole
@@ -41,15 +43,15 @@ def write_page(path: Path, page: Page[T]) -> None:
     address = library_address(path)
     with ThreadPoolExecutor(max_workers=1) as beside:
         packing = None if address else beside.submit(packed_library)  # a tenth of a second and more
-        sections = _drawn(list(page.panels()), page.subject)
+        lead, *sections = _drawn(list(page.panels()), page.subject) or [("", [])]
         packed = "" if packing is None else packing.result()
     html = _ENVIRONMENT.get_template("page.html").render(
-        page=page, sections=sections, library=address, packed_library=packed
+        page=page, lead=lead, sections=sections, library=address, packed_library=packed
     )
     write_whole(path, html)
 
 
-def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
+def _drawn(panels: Sequence[Panel[T]], subject: T) -> list[tuple[str, list[Any]]]:
     """Panels with what they show, by section; without those that have nothing to show."""
     contents: dict[str, Any] = {}
     for panel in sorted(panels, key=lambda panel: not panel.is_drawn_beside):
@@ -62,7 +64,7 @@ def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel
             content = content()
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
-    return sections
+    return list(sections.items())
 
 
 @cache
@@ -101,6 +103,9 @@ _ENVIRONMENT = Environment(
 )
 _ENVIRONMENT.policies["json.dumps_function"] = lambda content, **_: (
     figure_json(content) if isinstance(content, go.Figure) else json.dumps(content)
+)
+_ENVIRONMENT.filters["breakable"] = lambda text: Markup(  # names go on below after a _ or a .
+    re.sub(r"([_.])(?=[A-Za-z])", r"\1<wbr>", str(escape(text)))
 )
 _ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
 _ENVIRONMENT.tests["motion"] = lambda content: isinstance(content, Motion)

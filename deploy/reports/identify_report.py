@@ -63,9 +63,9 @@ def write_identify_report(found: Identified, summary: Mapping[str, Any], path: P
     notes = Table("Notes", [Column("Note", is_text=True)], [[each] for each in found.notes])
     page = Page(
         "identification", found.robot.path.stem, head, facts, lambda: _PANELS, found,
-        before=("Joints", [Cards([error_table(found), joint_table(found)], "stacked"),
-                           Cards([notes] if found.notes else [], "stacked")]),
-        after=("Base parameters", [Cards([_base_table(summary)], "stacked")]),
+        results=[Cards([error_table(found), joint_table(found)], "stacked"),
+                 Cards([notes] if found.notes else [], "stacked"),
+                 Cards([_base_table(summary)], "stacked")],
     )  # fmt: skip
     write_page(path, page)
 

@@ -85,6 +85,7 @@ class Panel(Generic[T]):
             instant that is looked at.
         is_drawn_beside: whether `draw` begins what another process does, and gives a function that
             waits for that and does the rest once the other panels are drawn.
+        is_folded: whether its section stands among what a page has folded.
     """
 
     section: str
@@ -95,6 +96,7 @@ class Panel(Generic[T]):
     is_clickable: bool = False
     is_over_time: bool = False
     is_drawn_beside: bool = False
+    is_folded: bool = False
 
 
 class Cards(NamedTuple):
@@ -108,18 +110,21 @@ class Cards(NamedTuple):
 class Page(Generic[T]):
     """Results as a terminal and an HTML file show them.
 
+    Every report has the same order: headline, first section of figures, reasons, tables, other
+    figures, and folded what is only read where something is odd.
+
     Attributes:
         kind: kind of the results.
         name: of the results, which begins the title.
-        verdict: top of the page.
-        facts: labelled values below the verdict, in HTML only.
-        panels: returns the figures in order; it imports what draws them.
+        verdict: headline and reasons.
+        facts: labelled values beside the conditions, in HTML only.
+        panels: returns the figures in order; it imports what draws them. Those of the first
+            section answer the question of the page.
         subject: argument of the panels' `draw`.
         conditions: conditions of the results.
         heading: first line in a terminal.
-        before: title and tables before the figures.
-        after: title and tables after the figures.
-        folded: title and tables that a report has folded below them.
+        results: tables.
+        folded: title and tables that a report has folded.
         lines: sentences that only a terminal shows, below its tables and verdict.
         points: description, file and command of points of a study that can be run again.
         points_title: title of these points.
@@ -138,9 +143,8 @@ class Page(Generic[T]):
     subject: T
     conditions: Mapping[str, str] = field(default_factory=dict)
     heading: str = ""
-    before: tuple[str, Sequence[Cards]] = ("", ())
-    after: tuple[str, Sequence[Cards]] = ("", ())
-    folded: tuple[str, Sequence[Cards]] = ("", ())
+    results: Sequence[Cards] = ()
+    folded: tuple[str, Sequence[Cards]] = ("Timing", ())
     lines: Sequence[str] = ()
     points: Sequence[tuple[str, str, str]] = ()
     points_title: str = "Every point, with the command that repeats it"
@@ -158,7 +162,7 @@ class Page(Generic[T]):
     @property
     def open_tables(self) -> list[Table]:
         """All tables that are not folded, in order."""
-        return _tables((*self.before[1], *self.after[1]))
+        return _tables(self.results)
 
 
 def _tables(groups: Iterable[Cards]) -> list[Table]:

@@ -185,7 +185,6 @@ def study_page(summary: dict[str, Any], folder: StudyFolder) -> Page[Any]:
     page = of_kind(DrawnStudy(summary, folder.rerun_command))
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
     others = f"; add --set seed={seeds[1]} and so on for the others" if seeds[1:] else ""
-    title, cards = page.after
     return replace(
         page,
         verdict=_with_failures(page.verdict, summary),
@@ -197,7 +196,7 @@ def study_page(summary: dict[str, Any], folder: StudyFolder) -> Page[Any]:
         ],
         panels=page.panels if summary["runs"] else list,
         conditions=summary.get("conditions", {}),
-        after=(title, [*cards, Cards(confirmation_tables([summary]), "stacked")]),
+        results=[*page.results, Cards(confirmation_tables([summary]), "stacked")],
         points_note=f"The scenarios have seed {seeds[0]}{others}.",
         footer="All runs, one row each:",
         footer_code=folder.rows_file.name,

@@ -25,7 +25,7 @@ STYLES: dict[Status | Level, str] = {
 """Styles of cells and verdicts."""
 _COMMAND = ": funnel-hil "
 """Before a command at the end of a sentence, which stays on one line to be copied."""
-_WHOLE_LETTERS = 24
+_WHOLE_LETTERS, _WHOLE_IN_HEADINGS = 24, 7
 _WIDEST = 10_000
 _LEAST = 8
 
@@ -76,7 +76,7 @@ def print_table(console: Console, table: Table) -> None:
         shown = _rendered(table, _WHOLE_LETTERS)
         shown.padding, shown.show_edge = 0, False
     console.print(Text(table.title, "table.title"))  # not as the table's, which may be narrower
-    console.print(shown)
+    console.print(shown, crop=False)  # a number without its end would be another one
     if not shown.show_edge:  # which is a blank line, too
         console.print()
 
@@ -104,12 +104,17 @@ def _rendered(table: Table, longest: int | None = None) -> rich_table.Table:
     ]
     shown = rich_table.Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     for place, column in enumerate(table.columns[index] for index in chosen):
-        widest = max((len(row[place]) for row in rows), default=0)
+        heading = _heading(column)
+        cells = [row[place].plain for row in rows]
+        words = [word for cell in cells for word in cell.split()]
+        is_name = len(words) <= len(rows) and max(map(len, cells), default=0) <= _WHOLE_LETTERS
+        words += [word[:_WHOLE_IN_HEADINGS] for word in heading.plain.split()]
         shown.add_column(
-            _heading(column),
+            heading,
             justify="left" if column.is_text else "right",
             overflow="fold",
-            no_wrap=column.is_text and widest <= _WHOLE_LETTERS,
+            no_wrap=column.is_text and is_name,
+            min_width=max(map(cell_len, words), default=0),
         )
     for row in rows:
         shown.add_row(*row)

@@ -9,7 +9,8 @@ from typing import Any
 
 from deploy.judge.run_rows import Row
 from deploy.scenario.study_keys import LAW
-from deploy.study.cases import COMPENSATION
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
 from deploy.study.robustness import margin_study
 from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
@@ -46,9 +47,8 @@ class DataSheet:
         given: float | None = (self.fixed or {}).get("duration_s")
         return (3.0 if self.is_quick else 6.0) if given is None else given
 
-    def _set(self, **more: Any) -> dict[str, Any]:
-        given = {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
-        return {**given, **more}
+    def _set(self) -> dict[str, Any]:
+        return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
 
     def margin(self) -> StudyOfRuns:
         """Return the search for margins, without and with delay compensation, for any pattern."""
@@ -63,17 +63,27 @@ class DataSheet:
         return margin_study(values | (quick if self.is_quick else {}), _SOURCE)
 
     def windows(self) -> StudyOfRuns | None:
-        """Return runs on windows of the network, with compensation; None without a network."""
+        """Return runs on windows of the network; None without a network.
+
+        With compensation first; also without, and each with feedback at the drives where that is
+        possible.
+        """
         if self.network is None:
             return None
         file = Path(self.network)
         name = str(file.resolve()) if file.is_file() else self.network
-        more = {LAW: self.law, COMPENSATION: True, "duration_s": self.duration_s}
+        grid = {_TRACES: [name], COMPENSATION: [True, False], DRIVE_FEEDBACK: [False, True]}
+        given = {LAW: self.law, "duration_s": self.duration_s, **self._set()}
         values = {
-            "name": "network", "scenario": self.arm, "grid": {_TRACES: [name]},
-            "seeds": 5 if self.is_quick else 12, "set": self._set(**more),
+            "name": "network", "scenario": self.arm, "grid": grid,
+            "seeds": 5 if self.is_quick else 12,
+            "set": {key: each for key, each in given.items() if key not in grid},
         }  # fmt: skip
-        return Sweep(values, _SOURCE)
+        try:
+            return Sweep(values, _SOURCE)
+        except ScenarioError:
+            del grid[DRIVE_FEEDBACK]
+            return Sweep(values, _SOURCE)
 
     def of_plants(self, margin_ms: float) -> StudyOfRuns | None:
         """Return runs of uncertain plants at parts of a margin; None without plants or margin."""
@@ -97,5 +107,6 @@ def any_pattern_ms(case: Mapping[str, Any]) -> float | None:
 
 
 def worst_window(rows: list[Row]) -> Row:
-    """Return the worst run on a network."""
-    return max(rows, key=badness)
+    """Return the worst run on a network with compensation alone, the first point of the grid."""
+    first = min(row["point"] for row in rows)
+    return max((row for row in rows if row["point"] == first), key=badness)

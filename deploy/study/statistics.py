@@ -24,6 +24,7 @@ def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
         "runs_kept": sum(held(row) for row in rows),
         "runs_growing": sum(bool(row.get("growing")) for row in rows),
         "losses": dict(Counter(filter(None, (row.get("loss_reason") for row in rows)))),
+        "loss_joints": dict(Counter(filter(None, (row.get("loss_joint") for row in rows)))),
         "runs_failed": sum(row["error"] is not None for row in rows),
         "first_violation_s": spread([row.get("first_violation_s") for row in rows]),
         "violation_fraction": spread([row["violation_fraction"] for row in whole]),

@@ -10,12 +10,14 @@ value that the error message names, and ``arm`` if it names none; where the mess
 a joint (macros, materials) do not count, nor do those of `NO_ARMS`. Each arm is compared with
 pinocchio's own reading of its URDF, or MuJoCo's of its MJCF, and simulated from its starter
 scenario, with the default law and derived gains, with an exact nominal model and two
-wrong ones. What is in FILE.jsonl already is not tried again.
+wrong ones. What is in FILE.jsonl already is not tried again. ``--page`` writes the rates to FILE.md
+and a line for each file to FILE.csv beside it.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import re
 import shlex
@@ -255,10 +257,9 @@ def files_of(folder: Path) -> list[Path]:
     return [path for path in found if not NO_ARMS.search(str(path.relative_to(folder)))]
 
 
-def page(rows: Sequence[dict[str, Any]], conditions: str) -> str:
-    """Return the page with the rates and a line for each file."""
-    rows = [row for row in rows if not NO_ARMS.search(row["file"])]
-    arms = [row for row in rows if not NO_JOINT.search(row.get("reason", ""))]
+def page(rows: Sequence[dict[str, Any]], conditions: str, table: str) -> str:
+    """Return the page with the rates, which offers the table with a line for each file."""
+    arms = _arms(rows)
     read = [row for row in arms if row["opens"]]
     held = [row for row in read if row["load"] <= 1.0]
     found = [row["difference"] for row in read if row.get("difference") is not None]
@@ -283,12 +284,20 @@ def page(rows: Sequence[dict[str, Any]], conditions: str) -> str:
         "",
         conditions,
         "",
-        "| vendor | command | joints | mass, kg | estimated | gravity / torque | warnings |"
-        f" {' | '.join(RUNS)} |",
-        f"|---|---|---|---|---|---|---|{'---|' * len(RUNS)}",
-        *map(_line, arms),
+        f"{{download}}`A line for each file <{table}>`.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def table(rows: Sequence[dict[str, Any]]) -> list[list[Any]]:
+    """Return a heading and a line for each file."""
+    columns = "vendor", "command", "joints", "mass_kg", "estimated", "gravity_by_torque", "warnings"
+    return [[*columns, *RUNS], *map(_line, _arms(rows))]
+
+
+def _arms(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    whole = (row for row in rows if not NO_ARMS.search(row["file"]))
+    return [row for row in whole if not NO_JOINT.search(row.get("reason", ""))]
 
 
 def _kept(row: dict[str, Any], run: str) -> list[bool]:
@@ -304,24 +313,21 @@ def _rate(what: str, kept: Sequence[Sequence[bool]], goal: int | None) -> str:
     return f"| {what} | {len(kept)} | {' | '.join(texts)} | {aim} |"
 
 
-def _line(row: dict[str, Any]) -> str:
-    start = f"| {_VENDOR.sub('', row['vendor'])} | `{_cell(row['command'])}` |"
+def _line(row: dict[str, Any]) -> list[Any]:
+    start = [_VENDOR.sub("", row["vendor"]), _cell(row["command"])]
     if not row["opens"]:
-        return f"{start} – | – | does not open: {_cell(row['reason'])} | – | – | – | – |"
+        return [*start, *[""] * 4, f"does not open: {_cell(row['reason'])}", *[""] * len(RUNS)]
     warnings = row["warnings"]
-    warned = f"{len(warnings)}: {_cell(warnings[0])}" if warnings else "–"
-    cells = [
-        row["joints"], f"{row['mass_kg']:.3g}", ", ".join(row["estimated"]) or "–",
-        f"{row['load']:.2g}", warned,
+    return [
+        *start, row["joints"], f"{row['mass_kg']:.3g}", ", ".join(row["estimated"]),
+        f"{row['load']:.2g}", f"{len(warnings)}: {_cell(warnings[0])}" if warnings else "",
         *(_cell(", ".join(dict.fromkeys(row[name]) if len({*row[name]}) == 1 else row[name]))
           for name in RUNS),
     ]  # fmt: skip
-    return f"{start} {' | '.join(map(str, cells))} |"
 
 
 def _cell(text: str) -> str:
-    text = re.sub(r"(?<!\w)/\S*/", "", text)  # no folders of this machine
-    return text.replace("|", "\\|")[:_REASON]
+    return re.sub(r"(?<!\w)/\S*/", "", text)[:_REASON]  # no folders of this machine
 
 
 def _short(error: Exception, folder: Path) -> str:
@@ -356,7 +362,10 @@ def main() -> None:
             stream.write(json.dumps(row) + "\n")
             stream.flush()
     if given.page:
-        given.page.write_text(page(rows, given.conditions), encoding="utf-8")
+        name = f"{given.page.stem}.csv"
+        given.page.write_text(page(rows, given.conditions, name), encoding="utf-8")
+        with given.page.with_name(name).open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream, lineterminator="\n").writerows(table(rows))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.cli.common import ResultGate, conclude, leave, parse_laws
+from deploy.cli.common import ResultGate, conclude, leave, parse_laws, say_oddities
 from deploy.cli.options import GateOptions, ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
@@ -53,6 +53,7 @@ def datasheet(options: DatasheetOptions) -> None:
     gate = ResultGate(options, "datasheet", "ms", "datasheet")
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
+    say_oddities(*margin.bases, *(() if windows is None else windows.bases))
     parts = {"margin": _made(margin, options, out / "margin", console, stop)}
     rows: list[Row] = []
     if windows is not None:

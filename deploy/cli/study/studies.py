@@ -141,6 +141,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
             options, study.definition.name, study.unit, study.kind, quantity,
             patterns=pattern is not None,
         )  # fmt: skip
+    say_oddities(*study.bases)
     with carried_out(study, options, console, threading.Event()) as done:
         results = conclude(console, done.folder, lambda: write_study(study, done.folder))
     if not results.summary["completed"]:
@@ -176,7 +177,6 @@ def _workers(study: StudyOfRuns, options: WorkerOptions) -> StartWorkers:
             require_program(each)
         if study.definition.confirm:
             check_confirmable(each)
-    say_oddities(*study.bases)
     return partial(DaskWorkers, options.workers, options.scheduler, study.laws)
 
 

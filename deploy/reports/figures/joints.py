@@ -16,7 +16,13 @@ from deploy.judge.findings.chattering import CHATTER_HZ, power_spectrum
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
-from deploy.reports.figures.several_runs import add_envelopes, add_run, colour_of, with_runs
+from deploy.reports.figures.several_runs import (
+    add_envelopes,
+    add_run,
+    colour_of,
+    group_of,
+    with_runs,
+)
 from deploy.run.execute import JudgedRun
 from deploy.scenario.setup import Setup
 from deploy.study.comparison.comparison import ComparedRuns
@@ -28,7 +34,6 @@ _BAND_POINTS = 600
 _HEADROOM = 1.6
 _TORQUE_POINTS = 1500
 _ROW_PX = 150
-_TITLES_PX = 65
 _SPECTRUM_FLOOR = 1e-12
 _NEAR = 0.8
 
@@ -63,7 +68,7 @@ def error_envelopes(runs: ComparedRuns) -> go.Figure | None:
         return None
     setup = runs.drawn[0].data.setup
     rows = style.joint_rows(setup.robot.joint_names, "mrad")
-    figure = with_runs(rows) if len(runs.runs) > 1 else rows
+    figure = with_runs(rows, runs) if len(runs.runs) > 1 else rows
     for run in runs.drawn:
         errors = style.MRAD * run.data.true_errors_rad
         add_envelopes(figure, runs, run.law, run.data.times_s(_TRUTH), errors)
@@ -79,7 +84,7 @@ def positions_apart(runs: ComparedRuns) -> go.Figure | None:
     """How far each run's positions are from those of the first, at the same instant."""
     first = runs.runs[0].data
     own = first.tables[_TRUTH.name]["position"]
-    figure = with_runs(style.joint_rows(first.setup.robot.joint_names, "mrad"))
+    figure = with_runs(style.joint_rows(first.setup.robot.joint_names, "mrad"), runs)
     for run in runs.drawn:
         theirs = run.data.tables[_TRUTH.name]["position"]
         here, there = ticks_in_common(first, run.data)
@@ -98,7 +103,7 @@ def _errors(runs: ComparedRuns, until_s: float) -> go.Figure | None:
         _add_error(figure, runs.drawn[0].data, until_s)
         return figure
     figure.update_traces(showlegend=False, hoverinfo="skip")
-    with_runs(figure)
+    with_runs(figure, runs)
     for run in reversed(runs.drawn):  # the first run lies on top
         times_s = run.data.times_s(_TRUTH)
         shown = times_s <= until_s
@@ -153,18 +158,20 @@ def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
     names = shown[0].data.setup.robot.joint_names
     figure = make_subplots(
         rows=len(names), cols=len(shown), shared_xaxes=True, shared_yaxes="rows",
-        column_titles=[style.plain(run.law) for run in shown],
         horizontal_spacing=0.012, vertical_spacing=0.06 / max(1, len(names) / 3),
-        figure=style.new_figure(len(names) * _ROW_PX + 120),
+        figure=style.new_figure(len(names) * _ROW_PX + 90),
     )  # fmt: skip
     for column, run in enumerate(shown, start=1):
         stroke = {"color": colour_of(runs, run.law), "width": 1}
         times_s = run.data.times_s(topics.JOINT_COMMANDS)
         for row, effort in enumerate(_efforts(run).T, start=1):
             x, y = style.decimate(times_s, effort, _TORQUE_POINTS)
-            figure.add_scatter(x=x, y=y, mode="lines", line=stroke, row=row, col=column)
-    figure.update_layout(margin={"t": 64, "l": 84})
-    figure.update_annotations(font={"size": _TITLES_PX / max(5, len(shown)), "color": style.INK})
+            figure.add_scatter(
+                x=x, y=y, mode="lines", line=stroke, row=row, col=column,
+                name=style.plain(run.law), legendgroup=group_of(runs, run.law), showlegend=row == 1,
+            )  # fmt: skip
+    figure.update_layout(margin={"l": 84})
+    style.add_legend(figure, [run.law for run in shown])
     figure.update_xaxes(title_text="time (s)", row=len(names))
     for row, name in enumerate(names, start=1):
         title = {"text": f"{style.plain(name)}<br>(N m)", "font": {"size": 11}}
@@ -178,7 +185,7 @@ def torque_spectra(runs: ComparedRuns) -> go.Figure | None:
     if not shown:
         return None
     names = shown[0].data.setup.robot.joint_names
-    figure = with_runs(style.joint_rows(names, "N m"))
+    figure = with_runs(style.joint_rows(names, "N m"), runs)
     for run in reversed(shown):
         after_gaps = rows_after_gaps(run.data, run.data.times_s(topics.JOINT_COMMANDS))
         rate_hz = run.data.setup.scenario.rate_hz

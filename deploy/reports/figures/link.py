@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import plotly.graph_objects as go
 
+from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
@@ -19,11 +20,6 @@ _DASHES = {"did": ("channel", "solid"), "trace": ("trace", "dash")}
 _HEIGHT_PX, _LOW_PX = 380, 240
 _SAME_MS = 0.01
 """Delays that differ by less are the same to a reader."""
-_PLAYOUT = (
-    (topics.CONTROL_STATUS, "horizon_ns", "acts"),
-    (topics.PLANT_STATUS, "arrival_delay_ns", "arrives, the last of a tick"),
-)
-"""Topic, field and name of the lines that show when commands act and arrive."""
 
 
 def trace_percentiles(run: RunData) -> go.Figure | None:
@@ -44,8 +40,19 @@ def trace_autocorrelation(run: RunData) -> go.Figure | None:
     return figure.update_xaxes(type="log")
 
 
+def arrivals(run: RunData) -> tuple[Vector, Vector]:
+    """Times in s, and how long after its state the last command of each tick arrived, in ms.
+
+    Without an automatic play-out commands act when they arrive, or after a constant time.
+    """
+    field = "arrival_delay_ns" if run.setup.link.plays_automatically else "command_delay_ns"
+    table = run.tables[topics.PLANT_STATUS.name]
+    given = (table[field] > 0) & (table["command_sequence"] > 0)
+    return run.times_s(topics.PLANT_STATUS)[given], 1e-6 * table[field][given]
+
+
 def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
-    """How late each command in force was, and which one was in force when bounds were left.
+    """How late commands arrived and acted, and which one acted when bounds were left.
 
     None where the delay was always the same and the bounds were kept.
     """
@@ -53,30 +60,23 @@ def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
     delays_ns = run.tables[topics.PLANT_STATUS.name]["command_delay_ns"]
     given = run.tables[topics.PLANT_STATUS.name]["command_sequence"] > 0
     times_s, delays_ms = run.times_s(topics.PLANT_STATUS)[given], 1e-6 * delays_ns[given]
-    if not len(times_s) or (lost_s is None and np.ptp(delays_ms) < _SAME_MS):
+    arrived_s, arrived_ms = arrivals(run)
+    most = max((np.ptp(each) for each in (delays_ms, arrived_ms) if len(each)), default=0.0)
+    if not len(times_s) or (lost_s is None and most < _SAME_MS):
         return None
-    line = style.line(times_s, delays_ms, style.INK, "command in force")
-    figure = style.new_figure(_LOW_PX, "time (s)", "after its state (ms)", [line], legend=True)
+    lines = [style.line(times_s, delays_ms, style.INK, "acts")]
+    if run.setup.link.plays_automatically:
+        lines += [
+            style.line(arrived_s, arrived_ms, style.palette(0), "arrives, the last of a tick")
+        ]
+    figure = style.new_figure(_LOW_PX, "time (s)", "after its state (ms)", lines)
     if lost_s is not None:
         at = max(0, int(np.searchsorted(times_s, lost_s, side="right")) - 1)
         figure.add_scatter(
             x=[lost_s], y=[delays_ms[at]], mode="markers", name="bounds left for the first time",
             marker={"color": style.palette(1), "size": 11, "symbol": "x"},
         )  # fmt: skip
-    return figure.update_yaxes(rangemode="tozero")
-
-
-def playout(run: RunData) -> go.Figure | None:
-    """When commands arrived and when they acted, after their states; None if they did not say."""
-    if not run.setup.link.plays_automatically:
-        return None
-    lines = []
-    for number, (topic, field, name) in enumerate(_PLAYOUT):
-        values_ns = run.tables[topic.name][field]
-        given = values_ns > 0
-        times_s, values_ms = run.times_s(topic)[given], 1e-6 * values_ns[given]
-        lines.append(style.line(times_s, values_ms, style.palette(number), name))
-    figure = style.new_figure(_HEIGHT_PX, "time (s)", "after the state (ms)", lines, legend=True)
+    style.put_legend_on_top(figure, len(figure.data) - 1)
     return figure.update_yaxes(rangemode="tozero")
 
 

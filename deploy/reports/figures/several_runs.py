@@ -18,7 +18,6 @@ from deploy.study.comparison.settling import LONGEST_S, Start
 
 _ENVELOPE_S = 0.05
 _SMALLEST = 1e-6
-_LEGEND_ROWS = 3  # which six laws take
 
 
 def joint_bars(comparison: ComparedRuns, quantity: JointQuantity) -> go.Figure | None:
@@ -33,16 +32,20 @@ def joint_bars(comparison: ComparedRuns, quantity: JointQuantity) -> go.Figure |
         )  # fmt: skip
     if not any(height for bars in figure.data for height in bars.y):
         return None
-    add_legend(figure)
+    _add_legend(figure, comparison)
     figure.update_layout(barmode="group", bargap=0.25, bargroupgap=0.08)
     style.log_axis(figure, ticks=4)
     return figure
 
 
-def with_runs(rows: go.Figure) -> go.Figure:
+def _add_legend(figure: go.Figure, comparison: ComparedRuns) -> None:
+    style.add_legend(figure, [run.law for run in comparison.runs])
+
+
+def with_runs(rows: go.Figure, comparison: ComparedRuns) -> go.Figure:
     """A figure of rows, titles in ink, to which `add_run` adds a line per run in each."""
     rows.update_annotations(font={"size": 12, "color": style.INK})
-    add_legend(rows)
+    _add_legend(rows, comparison)
     return rows
 
 
@@ -80,11 +83,6 @@ def colour_of(comparison: ComparedRuns, law: str) -> str:
 def group_of(comparison: ComparedRuns, law: str) -> str:
     """Group of a run's traces in a legend: what is switched off there disappears everywhere."""
     return f"law{comparison.colour_index(law)}"
-
-
-def add_legend(figure: go.Figure) -> None:
-    """A legend of runs in two columns."""
-    style.put_legend_on_top(figure, _LEGEND_ROWS, entrywidthmode="fraction", entrywidth=0.48)
 
 
 def settling(comparison: ComparedRuns) -> go.Figure | None:
@@ -131,9 +129,9 @@ def settling_from_afar(comparison: ComparedRuns) -> go.Figure | None:
                 line={"color": colour, "width": 1.6, "dash": "dot"},
                 hovertemplate="bound %{y:.3g} s",
             )  # fmt: skip
-    add_legend(figure)
+    _add_legend(figure, comparison)
     figure.update_layout(legend={"traceorder": "reversed"})
-    figure.update_xaxes(type="log", tickvals=distances)
+    figure.update_xaxes(type="log", tickvals=distances, tickangle=-45)
     figure.update_yaxes(rangemode="tozero")
     return figure
 

@@ -24,6 +24,8 @@ _POINTS = 2000
 _HEADROOM = 1.6
 _HEIGHT_PX = 480
 _MARK = {"size": 5, "color": style.INK}
+_AXES = (style.INK, "#9aa5b1", style.INK)
+"""Colours that no joint has."""
 _GHOST = {"color": style.MUTED, "width": 18}
 _ROOM = 0.05
 """On every side, as a share of the longest one."""
@@ -72,7 +74,7 @@ def arm_motion(run: RunData) -> Motion | None:
     ghost, arm = (skeletons(model, each) for each in (wanted, truth["position"][shown]))
     traces = [
         _in_space(ghost[0], "reference", "lines", line=_GHOST, opacity=0.35, hoverinfo="skip"),
-        _in_space(arm[0], "true", "lines+markers", line={"color": style.palette(0), "width": 7},
+        _in_space(arm[0], "true", "lines+markers", line={"color": style.INK, "width": 7},
                   marker={"size": 4, "color": style.INK}, hoverinfo="skip"),
     ]  # fmt: skip
     figure = style.new_figure(_HEIGHT_PX, traces=traces, legend=True)
@@ -108,7 +110,7 @@ def tip_path(runs: ComparedRuns) -> go.Figure | None:
             figure.add_trace(_in_space(wanted, "reference", "lines", line=reference))
             start = {**_MARK, "symbol": "circle"}
             figure.add_trace(_in_space(actual[:1], "start", "markers", marker=start))
-        stroke = {"color": colour_of(runs, run.law), "width": 4}
+        stroke = {"color": style.INK if is_alone else colour_of(runs, run.law), "width": 4}
         name = "true" if is_alone else run.law
         figure.add_trace(_in_space(actual, name, "lines", line=stroke))
         if is_alone:
@@ -127,10 +129,11 @@ def tip_error(run: RunData) -> go.Figure | None:
     if not len(times_s):
         return None
     errors = style.MM * (actual - wanted)
-    traces = (
-        style.line(times_s, error, style.palette(index), axis)
-        for index, (axis, error) in enumerate(zip("xyz", errors.T, strict=True))
-    )
+    traces = [
+        style.line(times_s, error, colour, axis)
+        for colour, axis, error in zip(_AXES, "xyz", errors.T, strict=True)
+    ]
+    traces[2].line.dash = "dot"
     figure = style.new_figure(_HEIGHT_PX, "time (s)", "mm", traces, legend=True)
     late = times_s >= run.setup.scenario.metrics.from_s
     if late.any():
@@ -143,7 +146,7 @@ def tip_error_envelopes(runs: ComparedRuns) -> go.Figure | None:
     """Size of the tip's error along each axis of the base frame, on a logarithmic scale."""
     if not runs.drawn:
         return None
-    figure = with_runs(style.joint_rows(("x", "y", "z"), "mm"))
+    figure = with_runs(style.joint_rows(("x", "y", "z"), "mm"), runs)
     for run in runs.drawn:
         times_s, actual, wanted = tip_positions(run.data)
         add_envelopes(figure, runs, run.law, times_s, style.MM * (actual - wanted))

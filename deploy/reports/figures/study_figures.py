@@ -18,17 +18,16 @@ from deploy.reports.studies.study_texts import (
     setting_text,
     value_title,
 )
-from deploy.reports.tables import scaled
+from deploy.reports.tables import number, scaled
 from deploy.study.study import shown_value
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
-_LETTER_PX, _NARROW_NAME = 7.5, 10
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
 _HEADROOM = 1.1
 _EFFECT_PX, _FRAME_PX = 26, 110
-_MOST_UPRIGHT = 14
-"""Bars whose figures have room side by side; those of more are turned."""
+_MOST_UPRIGHT = 6
+"""Bars whose figures have room side by side on a telephone; those of more are turned."""
 
 
 Runs = Mapping[str, Any]
@@ -112,6 +111,7 @@ class Curve:
         points: values with their runs.
         is_hollow: whether its points are hollow.
         key: names of its colour and of its pattern, where the legend has these instead.
+        is_sequence: whether a line joins its points: not those of windows, seeds or names.
     """
 
     name: str
@@ -120,18 +120,19 @@ class Curve:
     points: Sequence[tuple[Any, Runs]]
     is_hollow: bool = False
     key: tuple[str, str] | None = None
+    is_sequence: bool = True
 
 
 def curves(
     study: DrawnStudy, lines: Sequence[Curve], x_title: str, quantity: StudyQuantity
 ) -> go.Figure | None:
-    """Lines over a swept value, each with the band from its lowest to its highest run."""
+    """Lines over a swept value, each with its spread from the lowest to the highest run."""
     figure = style.new_figure(_HEIGHT_PX, x_title, quantity.axis)
     for line in lines:
         _add_curve(figure, study, line, quantity)
     if not any(value is not None for trace in figure.data for value in trace.y):
         return None
-    _add_legend(figure, _name_in_legend(figure, lines))
+    style.add_legend(figure, _name_in_legend(figure, lines))
     if quantity.is_log:
         style.log_axis(figure, ticks=4)
     else:
@@ -151,7 +152,7 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
     for index, group in enumerate(groups):
         members = [case for case in cases if setting_text(case) == group]
         decided = (probe_at(c, c["first_failure"]) or probe_at(c, c["margin"]) for c in members)
-        own = [style.palette(number) for number in range(len(members))]
+        own = [style.palette(place) for place in range(len(members))]
         figure.add_bar(
             x=[style.plain(case["law"]) for case in members],
             y=[case["margin"] or 0.0 for case in members],
@@ -164,7 +165,7 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
             marker={"color": style.palette(index) if len(groups) > 1 else own},
         )  # fmt: skip
     if len(groups) > 1:
-        _add_legend(figure, [bars.name for bars in figure.data])
+        style.add_legend(figure, [bars.name for bars in figure.data])
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
@@ -191,8 +192,10 @@ def heat_map(
         rows: a row per value of `y`; None leaves a field white.
         quantity: what is drawn.
     """
-    means = [[runs and quantity.value(runs, "mean") for runs in row] for row in rows]
-    texts = [["" if mean is None else f"{mean:.3g}" for mean in row] for row in means]
+    means = [
+        [None if runs is None else quantity.value(runs, "mean") for runs in row] for row in rows
+    ]
+    texts = [["" if mean is None else number(mean) for mean in row] for row in means]
     crowded = len(x[1]) * len(y[1]) > 150
     field = go.Heatmap(
         x=[style.plain(shown_value(value)) for value in x[1]],
@@ -220,7 +223,7 @@ def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure
     if not bars:
         return None
     height_px = _FRAME_PX + _EFFECT_PX * len(bars)
-    figure = style.new_figure(height_px, "effect (rank-biserial correlation)")
+    figure = style.new_figure(height_px, "effect")
     sizes = [effect for _, effect in bars]
     beyond = [abs(effect) > chance_level for effect in sizes]
     figure.add_bar(
@@ -246,7 +249,11 @@ def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: Stud
     x = [value for value, _ in line.points]
     ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
     known = [end for end in ends if end[1] is not None]
-    if any(lowest != highest for _, lowest, highest in known):
+    means, spread = drawn("mean"), dict[str, Any]()
+    if quantity is PLANTS_KEPT or not line.is_sequence:  # intervals that overlap hide as bands
+        above, below = map(_apart, drawn("highest"), means), map(_apart, means, drawn("lowest"))
+        spread = {"symmetric": False, "array": list(above), "arrayminus": list(below)}
+    elif any(lowest != highest for _, lowest, highest in known):
         figure.add_scatter(
             x=[end[0] for end in known] + [end[0] for end in reversed(known)],
             y=[end[2] for end in known] + [end[1] for end in reversed(known)],
@@ -254,15 +261,19 @@ def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: Stud
             hoverinfo="skip", showlegend=False, legendgroup=group,
         )  # fmt: skip
     figure.add_scatter(
-        x=x, y=drawn("mean"), name=style.plain(line.name), legendgroup=group,
+        x=x, y=means, name=style.plain(line.name), legendgroup=group, error_y=spread,
         customdata=[study.rerun_worst(runs) for _, runs in line.points],
         hovertemplate="%{x}: %{y:.3g}", **_looks(line, colour),
     )  # fmt: skip
 
 
+def _apart(high: float | None, low: float | None) -> float | None:
+    return None if high is None or low is None else high - low
+
+
 def _looks(line: Curve, colour: str) -> dict[str, Any]:
     return {
-        "mode": "lines+markers",
+        "mode": "lines+markers" if line.is_sequence else "markers",
         "line": {"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
         "marker": {"size": 7, "symbol": "circle-open" if line.is_hollow else "circle"},
     }
@@ -289,10 +300,3 @@ def _name_in_legend(figure: go.Figure, lines: Sequence[Curve]) -> list[str]:
 def _pale(colour: str) -> str:
     red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.14)"
-
-
-def _add_legend(figure: go.Figure, names: Sequence[str]) -> None:
-    """A legend in as many columns as fit, with room for what narrow pages take."""
-    widest = max(map(len, names), default=0)
-    rows = len(names) if widest > _NARROW_NAME else -(-len(names) // 2)
-    style.put_legend_on_top(figure, rows, entrywidthmode="pixels", entrywidth=_LETTER_PX * widest)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, lru_cache
 from typing import Any
 
@@ -31,6 +31,7 @@ _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#
 TOP_PX, BOTTOM_PX, _ROW_GAP_PX = 34, 50, 34
 _TITLE_LETTERS = 36  # as wide as a figure on a telephone
 _BUTTONS_PX, _LEGEND_ROW_PX, _ROW_TITLE_PX = 27, 21, 18
+_LETTER_PX, _NARROW_NAME = 7.5, 10
 MAX_POINTS = 4000
 MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
@@ -183,6 +184,13 @@ def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:
             "traceorder": "normal", **entries,
         },
     )  # fmt: skip
+
+
+def add_legend(figure: go.Figure, names: Sequence[str]) -> None:
+    """Add a legend in as many columns as fit, with room for what narrow pages take."""
+    widest = max(map(len, names), default=0)
+    rows = len(names) if widest > _NARROW_NAME else -(-len(names) // 2)
+    put_legend_on_top(figure, rows, entrywidthmode="pixels", entrywidth=_LETTER_PX * widest)
 
 
 def decimate(x: Vector, y: Vector, max_points: int = MAX_POINTS) -> tuple[Vector, Vector]:

@@ -71,19 +71,14 @@ def status_cell(run: JudgedRun) -> Cell:
 def recorded_table(compared: RecordedRuns) -> Table:
     """What each recorded run was, and what became of it."""
     runs, summaries = compared.runs, [run.summary for run in compared.runs]
-    conditions = [
-        conditions_of_runs([run.data.setup], manifest)
-        for run, manifest in zip(runs, compared.manifests, strict=True)
-    ]
     rows: list[Row] = [
         [key.capitalize(), *(summary[key] for summary in summaries)]
         for key in ("scenario", "law", "link")
     ]
     rows += [["Clock", *(_CLOCKS.get(run.data.clock, run.data.clock) for run in runs)]]
-    rows += [[key.capitalize(), *(each[key] for each in conditions)] for key in ("version", "date")]
     rows += [["Duration (s)", *(summary["duration_s"] for summary in summaries)]]
     rows += [["Bounds", *map(status_cell, runs)]]
-    rows += number_rows(summaries)
+    rows += number_rows(run_numbers.BOUND_NUMBERS, summaries)
     digest, *others = (summary["digest"] for summary in summaries)
     same = (Cell("same", "good") if each == digest else "differs" for each in others)
     rows.append(["Digest, compared with the first run", ABSENT, *same])
@@ -100,6 +95,19 @@ def recorded_table(compared: RecordedRuns) -> Table:
         " cover every byte of states and commands with their stamps, so those of runs in real"
         " time differ.",
     )  # fmt: skip
+
+
+def recorded_counts(compared: RecordedRuns) -> Table:
+    """Version, date and counts of each recorded run."""
+    conditions = [
+        conditions_of_runs([run.data.setup], manifest)
+        for run, manifest in zip(compared.runs, compared.manifests, strict=True)
+    ]
+    rows: list[Row] = [
+        [key.capitalize(), *(each[key] for each in conditions)] for key in ("version", "date")
+    ]
+    rows += number_rows(run_numbers.RUN_COUNTS, [run.summary for run in compared.runs])
+    return Table("Counts", _columns(compared, "Run"), rows)
 
 
 def difference_table(compared: RecordedRuns) -> Table:

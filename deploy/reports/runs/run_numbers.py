@@ -95,13 +95,15 @@ def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
     return "".join(f", {margin_text(it)} {when}" for when, it in margins.items() if it is not None)
 
 
-RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
+BOUND_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
     "Smallest margin, where": lambda s: margin_place(s["bounds"]).strip(" ()") or None,
     "Margin at the start (%)": lambda s: margin_percent(s["bounds"]["margin_start"]),
     "Steady margin": lambda s: margin_text(s["bounds"]["margin_steady"]),
     "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),
     "First outside (s)": lambda s: s["bounds"]["first_violation_s"],
+}
+RUN_COUNTS: dict[str, Callable[[Summary], Value]] = {
     "Faults": lambda s: len(s["faults"]),
     DEADLINES_MET: lambda s: percent(s["timing"]["success_rate"]),
     "Deadlines missed": lambda s: s["timing"]["deadline_misses"],
@@ -115,6 +117,7 @@ RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Commands lost": lambda s: s["transport"]["downlink"]["lost"],
     "Digest": lambda s: s["digest"][:12],
 }
+RUN_NUMBERS = BOUND_NUMBERS | RUN_COUNTS
 """What a summary has of a run as a whole, by its heading in tables of one run and of several."""
 OF_LAWS: list[tuple[Column, Callable[[Summary], Value], bool]] = [
     (Column("Ticks outside", "%", "Outside"), RUN_NUMBERS["Ticks outside (%)"], False),

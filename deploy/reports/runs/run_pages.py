@@ -5,7 +5,7 @@ Each function lists the tables, facts, sentences and figures of its page.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -56,11 +56,11 @@ def run_page(
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
         heading=f"{summary['scenario']} · {summary['law']} · {summary['clock']}",
-        after=("Key numbers", [
+        results=[
             Cards([of_run.joint_table(summary, from_s)]),
             Cards(of_run.confirmation_tables([summary])),
-        ]),
-        folded=(_folded_title(summary), [
+        ],
+        folded=(_folded_title([summary]), [
             Cards([of_run.timing_table(summary), of_run.health_table(summary),
                    of_run.transport_table(summary)], "three"),
             Cards([of_run.event_table(run.data)]),
@@ -72,16 +72,15 @@ def run_page(
     )  # fmt: skip
 
 
-def _folded_title(summary: Mapping[str, Any]) -> str:
-    """Return the title of the tables that are only read where something is odd, and what is."""
-    timing, transport = summary["timing"], summary["transport"]
-    ways = [transport[way] for way in ("uplink", "downlink")]
+def _folded_title(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """Return the title of what is only read where something is odd in a run, and what is."""
+    ways = [each["transport"][way] for each in summaries for way in ("uplink", "downlink")]
     counts = {
-        "deadlines missed": timing["deadline_misses"] or 0,
+        "deadlines missed": sum(each["timing"]["deadline_misses"] or 0 for each in summaries),
         "messages lost": sum(way["lost"] or 0 for way in ways),
         "messages rejected": sum(sum(way["rejected"].values()) for way in ways),
-        "faults": len(summary["faults"]),
-        "messages lost by the recorder": summary["recorder"]["lost"] or 0,
+        "faults": sum(len(each["faults"]) for each in summaries),
+        "messages lost by the recorder": sum(each["recorder"]["lost"] or 0 for each in summaries),
     }
     odd = [f"{count:,} {what}" for what, count in counts.items() if count]
     mark = f" ⚠ {', '.join(odd)}" if odd else ""
@@ -147,10 +146,11 @@ def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[Compared
         partial(_panels, "LAW_PANELS"),
         comparison,
         conditions,
-        before=("Verdict", [Cards([of_runs.verdict_table(comparison)]), Cards(confirmed)]),
-        after=("Joint by joint", [
+        results=[
+            Cards([of_runs.verdict_table(comparison)]), Cards(confirmed),
             Cards([of_runs.law_table(comparison, each) for each in run_numbers.BY_LAW], "three"),
-        ]),
+        ],
+        folded=(_folded_title([run.summary for run in comparison.runs]), []),
         end_s=max(run.summary["duration_s"] for run in comparison.runs),
         footer=("Each law has its own folder beside this report, with its recording. This command"
                " writes the report of that run alone:"),
@@ -171,10 +171,13 @@ def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRu
         partial(_panels, "RECORDED_PANELS"),
         compared,
         conditions,
-        before=("Side by side", [
+        results=[
             Cards([of_runs.recorded_table(compared), *differences], "stacked"),
             Cards(of_runs.recorded_joint_tables(compared), "three"),
-            Cards([of_runs.recorded_timing_table(compared)], "stacked"),
+        ],
+        folded=(_folded_title([run.summary for run in compared.runs]), [
+            Cards([of_runs.recorded_timing_table(compared), of_runs.recorded_counts(compared)],
+                  "stacked"),
         ]),
         footer="Each run was evaluated again from its recording, with its own scenario's funnel.",
     )  # fmt: skip

@@ -53,7 +53,6 @@ _ONE_RUN: dict[str, Draw] = {
     "learned-viscous": _of_run(partial(learned.learned_over_time, key="viscous_nm_s")),
     "timing-percentiles": _of_run(timeline.times_of_run),
     "deadline-misses": _of_run(timeline.deadline_misses),
-    "playout": _of_run(link.playout),
     "trace-percentiles": _of_run(link.trace_percentiles),
     "trace-autocorrelation": _of_run(link.trace_autocorrelation),
 }
@@ -78,6 +77,7 @@ _SEVERAL_RUNS: dict[str, Draw] = {
     "network-output": learned.network_output,
     **_TIMES,
 }
+_FOLDED = {"Events over time", "Timing", "The link compared with its trace"}
 _OF_RECORDINGS = {"positions-apart", *_TIMES}
 _OF_LAWS = {"settling", "settling-from-afar", "tip-errors", "total-variation", "chatter-share",
             "network-output"}  # fmt: skip
@@ -92,6 +92,7 @@ def _panels(texts: Mapping[str, Any], draws: Mapping[str, Draw]) -> list[RunsPan
         Panel(
             id=name,
             draw=timeline.with_faults(draws[name]) if name in shaded else draws[name],
+            is_folded=text["section"] in _FOLDED,
             **text,
         )
         for name, text in texts.items()

@@ -93,7 +93,7 @@ def health_table(summary: dict[str, Any]) -> Table:
     rows: list[Row] = []
     if skipped:
         rows += [["Ticks", summary["ticks"]], ["Ticks skipped by a late plant", skipped]]
-    rows += number_rows([summary])
+    rows += number_rows(run_numbers.RUN_NUMBERS, [summary])
     lost = summary["recorder"]["lost_by_topic"] or {}
     rows += [[f"Lost of {topic}", count] for topic, count in lost.items()]
     return Table("Health", [Column("Run", is_text=True), Column("")], rows, most_printed=0)
@@ -175,9 +175,11 @@ def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
     ]  # fmt: skip
 
 
-def number_rows(summaries: Sequence[dict[str, Any]]) -> list[Row]:
-    """A row for each of `run_numbers.RUN_NUMBERS`, with a value for each run."""
-    return [[heading, *map(of, summaries)] for heading, of in run_numbers.RUN_NUMBERS.items()]
+def number_rows(
+    numbers: Mapping[str, Callable[[dict[str, Any]], Value]], summaries: Sequence[dict[str, Any]]
+) -> list[Row]:
+    """A row for each number, such as `run_numbers.RUN_NUMBERS`, with a value for each run."""
+    return [[heading, *map(of, summaries)] for heading, of in numbers.items()]
 
 
 def _value(values: dict[str, Any], dotted_key: str) -> float | None:

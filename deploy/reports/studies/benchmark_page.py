@@ -28,9 +28,10 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a benchmark."""
     summary = study.summary
     entries = _ranked(summary)
-    best_ms = _least(entries[0][1], "any_pattern_ms")
-    headline = f"{best_ms:g} ms on the worst arm, of {len(entries)} laws with predictors and gains"
-    headline = headline if summary["completed"] else "not complete"
+    first = _first_sentence(summary, entries)
+    headline, reasons = (first, []) if summary["completed"] else ("not complete", [first])
+    predictors = _names(summary, "predictor")
+    predictors.sort(key=lambda predictor: predictor != entries[0][0][1])  # that of the best leads
     limits = (
         "The delays are a grid, so that a margin is at least the value shown. RMS error and travel"
         f" are those at {summary['delays_ms'][0]:g} ms."
@@ -38,15 +39,19 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     return Page(
         "benchmark",
         summary["name"],
-        verdict=ReportHead("mixed", headline, [_first_sentence(summary, entries), limits]),
+        verdict=ReportHead("mixed", headline.rstrip("."), [*reasons, limits]),
         facts=[
             Fact("Arms", str(len(_names(summary, "scenario")))),
             Fact("Uncertain plants", str(summary["plants"] or "none")),
         ],
-        panels=lambda: [*map(_kept_panel, _names(summary, "predictor")), _SCATTER],
+        panels=lambda: [
+            *(_kept_panel(each, "Delay" if place else "First")
+              for place, each in enumerate(predictors)),
+            _SCATTER,
+        ],
         subject=study,
-        after=("Ranking", [Cards([_ranking(summary, entries), _by_arm(summary)], "stacked")]),
-    )
+        results=[Cards([_ranking(summary, entries), _by_arm(summary)], "stacked")],
+    )  # fmt: skip
 
 
 def _first_sentence(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> str:
@@ -174,9 +179,9 @@ def _network(cell: Summary, name: str) -> float | None:
     return None if share is None else 100.0 * share["fraction"]
 
 
-def _kept_panel(predictor: str) -> Panel[DrawnStudy]:
+def _kept_panel(predictor: str, section: str) -> Panel[DrawnStudy]:
     return Panel(
-        "Delay", f"benchmark-{predictor}", f"Cases that are kept, predictor {predictor}",
+        section, f"benchmark-{predictor}", f"Cases that are kept, predictor {predictor}",
         partial(_kept, predictor),
         "Share of arms and uncertain plants that keep their bounds up to a constant delay, with the"
         " better of given and tuned gains; plants of an arm that is lost itself count as lost.",
@@ -185,7 +190,7 @@ def _kept_panel(predictor: str) -> Panel[DrawnStudy]:
 
 def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
     summary = study.summary
-    figure = style.new_figure(_HEIGHT_PX, "round trip / ms", "kept / %")
+    figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "kept (%)")
     delays_ms, arms = summary["delays_ms"], len(_names(summary, "scenario"))
     for index, law in enumerate(_names(summary, "law")):
         curves = []
@@ -218,7 +223,7 @@ def _share_at(cells: list[Summary], delay_ms: float, plants_of_arm: int) -> floa
 
 def _margin_and_error(study: DrawnStudy) -> go.Figure:
     summary = study.summary
-    figure = style.new_figure(_HEIGHT_PX, "RMS error / mrad", "constant delay kept / ms")
+    figure = style.new_figure(_HEIGHT_PX, "RMS error (mrad)", "constant delay kept (ms)")
     figure.update_xaxes(type="log")
     predictors = _names(summary, "predictor")
     for index, law in enumerate(_names(summary, "law")):

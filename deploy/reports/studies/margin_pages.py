@@ -29,9 +29,9 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         summary["name"],
         verdict=ReportHead(
             "mixed",
-            f"{texts.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
-            " kept",
+            texts.margin_headline(summary),
             texts.margin_sentences(summary),
+            printed=texts.brief_margin_sentences(summary),
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
@@ -43,14 +43,21 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
                  "The brakes hold the arm until the first command acts: no law can start with a"
                  " longer delay."),
         ],
-        panels=lambda: [
-            panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)
-        ],
+        panels=lambda: sorted(
+            (panel for arm, cases in arms.items() for panel in _margin_panels(summary, arm, cases)),
+            key=lambda panel: panel.section != "Margins",
+        ),
         subject=study,
-        after=("Results", [
-            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary)], "stacked"),
-        ]),
+        results=[
+            Cards([tables.margin_table(summary), *tables.disturbance_tables(summary),
+                   *tables.help_tables(summary)], "stacked")
+        ],
         points=[
+            (f"{texts.case_title(case)}, worst pattern", worst["point"],
+             worst.get("trace_command") or worst["command"])
+            for case in summary["cases"]
+            if (worst := case.get("worst_pattern"))
+        ] + [
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
             for probe in case["probes"]
@@ -65,8 +72,8 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
     best, *others = texts.robustness_sentences(summary)
     explained = [
-        f"At this {summary['title']} and at every smaller one that was tried, at least {share} of"
-        " the plants kept their bounds."
+        f"“Up to” a {summary['title']}: at it and at every smaller one that was tried, at least"
+        f" {share} of the plants kept their bounds."
     ]
     if all(case["kept_up_to"] is None for case in cases):
         explained = []
@@ -83,17 +90,17 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
         panels=lambda: [
             *(_curves_panel(
                 summary, arm, own, "kept", study_figures.PLANTS_KEPT,
-                "Shares of the tried plants, with 95 % intervals as shades. Click on a point"
+                "Shares of the tried plants, with 95 % intervals as bars. Click on a point"
                 " for the command that repeats its worst plant.",
                 f"Plants of {arm} that kept their bounds")
               for arm, own in _cases_by_arm(summary).items()),
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
-        after=("Results", [
+        results=[
             Cards([tables.robustness_table(summary), tables.interval_table(summary),
-                   tables.losses_table(summary)], "stacked"),
-        ]),
+                   tables.losses_table(summary)], "stacked")
+        ],
         points=[
             (_value_name(case, value, summary), point, study.rerun(point))
             for case in cases
@@ -107,7 +114,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
 def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Panel[DrawnStudy]]:
     return [
         Panel(
-            arm, f"margins-{arm}", f"Margins on {arm}",
+            "Margins", f"margins-{arm}", f"Margins on {arm}",
             lambda study: study_figures.margin_bars(study, cases),
             "A taller bar is a larger margin. Click on it for the command that repeats the first"
             " failure, from the worst start. Dotted: the held-arm ceiling, beyond which no loop"
@@ -149,7 +156,7 @@ def _curves_panel(
         key = (case["law"], texts.setting_text(case)) if has_key else None
         lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"], key))
     return Panel(
-        arm, f"{name}-{arm}", title or quantity.title,
+        "Plants" if name == "kept" else arm, f"{name}-{arm}", title or quantity.title,
         lambda study: study_figures.curves(study, lines, texts.value_title(summary), quantity),
         caption, is_clickable=True,
     )  # fmt: skip

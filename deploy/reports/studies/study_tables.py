@@ -22,7 +22,7 @@ _OPTIONAL: list[TableColumn] = [
     (Column("Drive feedback", brief="Drive\nfeedback", is_text=True),
      lambda case: texts.COMPENSATION[case["drive_feedback"]]),
     (Column("Loop", is_text=True), lambda case: "running" if case["running"] else "starting"),
-    (Column("Held-arm ceiling", brief="Held-arm\nceiling"), texts.ceiling_text),
+    (Column("Held-arm ceiling", brief=None), texts.ceiling_text),
 ]  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def margin_table(summary: Summary) -> Table:
         lambda case: at(case, "first_failure", "violation_fraction", 100.0),
     )
     first_outside: TableColumn = (  # of runs that end there
-        Column("First tick outside at first failure", "s", "Lost\nafter"),
+        Column("First tick outside at first failure", "s", None),
         lambda case: at(case, "first_failure", "first_violation_s", 1.0),
     )
     elsewhere = dict.fromkeys(on for case in summary["cases"] for on in case.get("margin_on", ()))
@@ -100,6 +100,32 @@ def margin_table(summary: Summary) -> Table:
         " delay. Every pattern: the margin for delays that vary; guaranteed by the play-out, or"
         " where so many patterns were tried, the largest value at which all of them held.",
     )  # fmt: skip
+
+
+def help_tables(summary: Summary, folder: str = "") -> list[Table]:
+    """What was tried at the first failure of each case, with the command that repeats it.
+
+    Args:
+        summary: of margins.
+        folder: of the margins, seen from the page, with a slash.
+    """
+    repeat = "funnel-hil simulate {folder}scenarios/{point}.yaml --set seed={seed}"
+    columns: list[TableColumn] = [
+        (Column("Change", is_text=True), lambda each: each["change"]),
+        (Column("Kept", is_text=True), lambda each: "yes" if each["held"] else "no"),
+        (Column("Bound left", "%"), lambda each: scaled(each["margin_min"], 100.0)),
+        (Column("Command, in the folder of this page", brief=None, is_text=True),
+         lambda each: repeat.format(folder=folder, **each)),
+    ]  # fmt: skip
+    return [
+        table_of(
+            f"What helps at {texts.value_text(helps['value'], summary)}, {texts.case_title(case)}",
+            columns,
+            helps["tried"],
+        )
+        for case in summary["cases"]
+        if (helps := case.get("what_helps")) is not None
+    ]
 
 
 def disturbance_tables(summary: Summary) -> list[Table]:
@@ -259,7 +285,6 @@ def losses_table(summary: Summary) -> Table:
             Column("Plants lost / kept", brief="Lost /\nkept"),
         ],
         rows,
-        "Effect: +1 if every lost plant had more of the quantity than every kept one, −1 if less, 0"
-        " if it makes no difference (rank-biserial correlation). Effects below the chance level are"
-        " likely to be chance; above it, the quantity goes with losses but need not cause them.",
+        "Effect: +1 if every lost plant had more of the quantity than every kept one, −1 if less."
+        " Effects below the chance level may be chance.",
     )

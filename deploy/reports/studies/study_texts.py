@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any
 
@@ -100,7 +101,7 @@ def rotors_text(case: Summary, summary: Summary) -> str | None:
 
 
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
-    """What is known of a case under delays that vary, and the command that shows the worst."""
+    """What is known of a case under delays that vary."""
     if case.get("guaranteed"):
         return (
             f"{case_title(case)}: holds for every delay up to"
@@ -111,26 +112,9 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
         return None
     name = ", ".join(f"{key} {value}" for key, value in worst["pattern"].items())
     return (
-        f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst"
-        f" ({name}) at {value_text(worst['value'], summary)}:"
-        f" {worst.get('trace_command') or worst['command']}"
+        f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst, at"
+        f" {value_text(worst['value'], summary)}: {name}."
     )
-
-
-def _remedy_sentence(case: Summary, summary: Summary) -> str | None:
-    """What helps a case at its first failure, with the command that shows the best of it."""
-    if (helps := case.get("what_helps")) is None:
-        return None
-    where, best = f"{case_title(case)}, {value_text(helps['value'], summary)}", helps["best"]
-    if best is None:
-        return f"{where}: nothing helps of {_listed([each['change'] for each in helps['tried']])}."
-    tried = [
-        f"{each['change']} ({100.0 * each['margin_min']:.0f} % of the bound left)"
-        if each["held"]
-        else f"not {each['change']}"
-        for each in helps["tried"]
-    ]
-    return f"{where}: what helps: {_listed(tried)}. The best, {best['change']}: {best['command']}"
 
 
 def probe_at(case: Summary, value: float | None) -> Summary | None:
@@ -138,18 +122,49 @@ def probe_at(case: Summary, value: float | None) -> Summary | None:
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
 
 
+def margin_headline(summary: Summary) -> str:
+    """The margins of the best law in one sentence: of each arm without and with compensation.
+
+    Of more than two settings it has the best.
+    """
+    cases, texts = summary["cases"], []
+    laws, arms = (list(dict.fromkeys(case[key] for case in cases)) for key in ("law", "arm"))
+    for arm in arms:
+        settings: dict[str, list[Summary]] = {}
+        for case in cases:
+            if case["arm"] == arm:
+                settings.setdefault(setting_text(case), []).append(case)
+        best = list(map(_largest, settings.values()))
+        shown = best if len(best) <= 2 else [_largest(best)]
+        margins = (f"{margin_text(case, summary)} {setting_text(case)}".rstrip() for case in shown)
+        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(margins)}")
+    who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
+    known = ", if the arm is known exactly" if any(c["compensation"] for c in cases) else ""
+    kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{known}"
+    return f"{kept}: {'; '.join(texts)}"
+
+
+def _largest(cases: list[Summary]) -> Summary:
+    """The case with the furthest margin; one without a margin is behind all others."""
+    return max(cases, key=lambda c: -math.inf if c["margin"] is None else c["growth"] * c["margin"])
+
+
 def margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, the best first."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
     found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
-    helps = filter(None, (_remedy_sentence(case, summary) for case in summary["cases"]))
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
         f" {smaller} if the rotors are a tenth."
         for case in summary["cases"]
         if (smaller := rotors_text(case, summary))
     ]
-    return [*found, *rotors, *_theory(summary), *helps, *_saved(summary)]
+    return [*found, *rotors, *theory_sentences(summary), *_saved(summary)]
+
+
+def brief_margin_sentences(summary: Summary) -> list[str]:
+    """Return margins in words, without what a table beside them says."""
+    return [*_headlines(summary), *_held_again(summary), *_in_theory(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:
@@ -202,7 +217,7 @@ def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
     where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
     if not known:
         return f"{where}: no law keeps its bounds at all."
-    best = max(known, key=lambda case: case["growth"] * case["margin"])
+    best = _largest(known)
     laws: dict[str, list[str]] = {}
     for case in known:
         if case["margin"] == best["margin"]:
@@ -247,34 +262,40 @@ def _growing(summary: Summary) -> list[str]:
     ]
 
 
+def losses_text(runs: Summary) -> str:
+    """Why runs left their funnel, the most frequent reason first, and most often which joint."""
+    losses, joints = (Counter(runs.get(key) or {}) for key in ("losses", "loss_joints"))
+    if not losses and runs.get("runs_growing"):
+        losses["growing"] = runs["runs_growing"]
+    return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
+
+
 def loss_text(case: Summary) -> str:
-    """Why runs at the first failure left their funnel, the most frequent reason first."""
-    probe = probe_at(case, case["first_failure"])
-    losses: Counter[str] = Counter((probe or {}).get("losses") or {})
-    if probe and not losses and probe.get("runs_growing"):
-        losses["growing"] = probe["runs_growing"]
-    named = ", ".join(reason for reason, _ in losses.most_common())
+    """Why runs at the first failure left their funnel, and most often which joint."""
+    named = losses_text(probe_at(case, case["first_failure"]) or {})
     return f"{named}, already without it" if named and case["margin"] is None else named or ABSENT
 
 
-def _theory(summary: Summary) -> list[str]:
+def theory_sentences(summary: Summary) -> list[str]:
     """Theoretical margins, a sentence per case; and the reasons why other cases have none."""
-    sentences, reasons = [], dict[str, list[str]]()
+    reasons = dict[str, list[str]]()
     for case in summary["cases"]:
-        theory = case.get("theory") or {}
-        if "reason" in theory:
+        if "reason" in (theory := case.get("theory") or {}):
             reasons.setdefault(theory["reason"], []).append(case["law"])
-        elif theory:
-            sentences.append(
-                f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
-                f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
-                f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
-            )
-    for reason, names in reasons.items():
-        sentences.append(
-            f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}."
-        )
-    return sentences
+    return _in_theory(summary) + [
+        f"No theoretical margin, because {reason}: {_listed([*dict.fromkeys(names)])}."
+        for reason, names in reasons.items()
+    ]
+
+
+def _in_theory(summary: Summary) -> list[str]:
+    return [
+        f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
+        f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
+        f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
+        for case in summary["cases"]
+        if (theory := case.get("theory")) and "reason" not in theory
+    ]
 
 
 def furthest(summary: Summary) -> str:

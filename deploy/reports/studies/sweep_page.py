@@ -49,7 +49,7 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=lambda: [*_curve_panels(summary), *_heat_map_panels(summary)],
         subject=study,
-        after=("Results", [Cards([point_table(summary)], "stacked")]),
+        results=[Cards([point_table(summary)], "stacked")],
         points=[
             (_given(summary, point, every) or "all", point["worst_point"], study.rerun_worst(point))
             for point in points
@@ -62,30 +62,34 @@ def _curve_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
     order = _by_size(summary)
     if not order:
         return []
-    x = next((axis for axis in order if _is_numeric(summary["axes"][axis])), order[0])
+    x = next((axis for axis in order if _is_sequence(summary["axes"][axis])), order[0])
+    is_sequence = _is_sequence(summary["axes"][x])
     lines: dict[str, list[Summary]] = {}
     for point in summary["points"]:
         others = [axis for axis in order if axis != x]
         lines.setdefault(_given(summary, point, others) or "all runs", []).append(point)
-    caption = "Lines are means over all runs; shades reach from the best run to the worst."
+    caption = "Means over all runs; shades or bars reach from the best run to the worst."
     if summary["plants"]:
         caption = caption[:-1] + "; for plants kept, shares with Wilson's 95 % intervals."
     if len(lines) > _MOST_CURVES:
         caption += f" {_MOST_CURVES} of {len(lines)} lines are drawn; all points are in the table."
     shown = [
-        Curve(name, index % 7, index // 7, [(runs["values"][x], runs) for runs in points])
+        Curve(name, index % 7, index // 7, [(runs["values"][x], runs) for runs in points],
+              is_sequence=is_sequence)
         for index, (name, points) in enumerate(itertools.islice(lines.items(), _MOST_CURVES))
-    ]
+    ]  # fmt: skip
     x_title = _title(summary["axes"][x])
+    quantities = _quantities(summary)
 
     def panel(quantity: StudyQuantity) -> Panel[DrawnStudy]:
         return Panel(
-            "Curves", f"curve-{quantity.key}", quantity.title,
+            "First" if quantity is quantities[0] else "Curves", f"curve-{quantity.key}",
+            quantity.title,
             lambda study: study_figures.curves(study, shown, x_title, quantity),
             caption, is_clickable=True,
         )  # fmt: skip
 
-    return list(map(panel, _quantities(summary)))
+    return list(map(panel, quantities))
 
 
 def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
@@ -124,8 +128,9 @@ def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
 
 
 def _quantities(summary: Summary) -> list[StudyQuantity]:
-    """What is drawn, each as curves and as heat maps."""
-    return [*([study_figures.PLANTS_KEPT] if summary["plants"] else []), *QUANTITIES]
+    """What is drawn, each as curves and as heat maps; last what is zero at all points."""
+    found = [*([study_figures.PLANTS_KEPT] if summary["plants"] else []), *QUANTITIES]
+    return sorted(found, key=lambda each: not any(each.value(p, "mean") for p in summary["points"]))
 
 
 def _given(summary: Summary, point: Summary, axes: Iterable[int]) -> str:
@@ -149,5 +154,7 @@ def _by_size(summary: Summary) -> list[int]:
     return sorted((axis for axis in sizes if sizes[axis] > 1), key=lambda axis: -sizes[axis])
 
 
-def _is_numeric(axis: Summary) -> bool:
-    return all(isinstance(value, float) for value in axis["values"])
+def _is_sequence(axis: Summary) -> bool:
+    """Whether a line may join the values of an axis: numbers, but not windows or seeds."""
+    is_drawn = all(key.endswith(("start_s", "seed")) for key in axis["keys"])
+    return not is_drawn and all(isinstance(value, float) for value in axis["values"])

@@ -7,7 +7,13 @@ import plotly.graph_objects as go
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.studies.tune_tables import AS_SAID, BEYOND_ALL, tune_sentences, tune_tables
+from deploy.reports.studies.tune_tables import (
+    AS_SAID,
+    BEYOND_ALL,
+    tune_headline,
+    tune_sentences,
+    tune_tables,
+)
 from deploy.reports.verdict_texts import ReportHead
 
 _HEIGHT_PX = 430
@@ -16,15 +22,10 @@ _HEIGHT_PX = 430
 def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a tuning."""
     summary = study.summary
-    converged = sum(found["converged"] for found in summary["laws"].values())
     return Page(
         "tuning",
         summary["name"],
-        verdict=ReportHead(
-            "mixed",
-            f"{converged} of {len(summary['laws'])} searches have converged",
-            tune_sentences(summary),
-        ),
+        verdict=ReportHead("mixed", tune_headline(summary), tune_sentences(summary)),
         facts=[
             Fact("Scenario", summary["scenario"]),
             Fact("Tuned for", AS_SAID[summary["goal"]]),
@@ -42,7 +43,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
             )
         ],
         subject=study,
-        after=("Results", [Cards(tune_tables(summary), "stacked")]),
+        results=[Cards(tune_tables(summary), "stacked")],
     )
 
 

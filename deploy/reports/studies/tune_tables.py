@@ -83,6 +83,18 @@ def _judged_cell(result: Summary) -> Cell:
     return Cell(f"{number(worst)}, {result['kept']} of {result['runs']}", status)
 
 
+def tune_headline(summary: Summary) -> str:
+    """Return the lowest cost, and how many runs the search had not seen kept their bounds."""
+    law, found = min(summary["laws"].items(), key=lambda item: float(item[1]["cost_found"]))
+    costs = (number(found[key]) for key in ("cost_found", "cost_start"))
+    lowest = "Lowest cost: {} by {law} ({} with the gains of the start)".format(*costs, law=law)
+    judged = found["judged"].get("found", ())
+    kept, runs = (sum(each[key] for each in judged) for key in ("kept", "runs"))
+    return lowest + (
+        f"; bounds kept in {kept} of {runs} runs that were not searched" if runs else ""
+    )
+
+
 def tune_sentences(summary: Summary) -> list[str]:
     """Return which searches have not converged, and where to find the gains."""
     open_ = [law for law, found in summary["laws"].items() if not found["converged"]]

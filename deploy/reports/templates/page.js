@@ -1,6 +1,6 @@
 "use strict";
 const config = { displaylogo: false, showSendToCloud: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
-const resized = new ResizeObserver((entries) => entries.forEach((entry) => Plotly.Plots.resize(entry.target)));
+const resized = new ResizeObserver((entries) => entries.forEach(({ target }) => target.clientWidth && Plotly.Plots.resize(target))); // not while it is folded
 
 async function loadLibrary() {
   const packed = document.getElementById("library");
@@ -114,8 +114,21 @@ function stepBack({ scene }, place) {
   for (const axis of scene ? "xyz" : "") scene.camera.eye[axis] *= farther;
 }
 
+/* Colours of a figure on white, by what they are on a dark page; the others are read on both. */
+const onDark = {
+  "#1f2933": "#e3e8ee", "#7b8794": "#9aa6b2", "#e9edf1": "#2b333c", "#cbd2d9": "#4a545f", white: "#171c22", "#2a3f5f": "#e3e8ee", "#c3cad1": "#5b6672", "#9aa5b1": "#7d8995",
+  "#0072b2": "#4aa3df", "#d55e00": "#f08a3c", "#009e73": "#35c495", "#a3508b": "#d488bd", "#b07d00": "#d9a92b", "#3a9bd9": "#a5d8f8", "#5b5b5b": "#a9a9a9",
+  "rgba(0,114,178,0.11)": "rgba(74,163,223,0.2)",
+};
+const scheme = matchMedia("screen and (prefers-color-scheme: dark)");
+scheme.addEventListener("change", () => location.reload());
+
+function readFigure(text) {
+  return JSON.parse(text, (_, value) => (scheme.matches && Object.hasOwn(onDark, value) ? onDark[value] : value));
+}
+
 async function draw(source, clock) {
-  const figure = JSON.parse(source.textContent), id = source.dataset.plot;
+  const figure = readFigure(source.textContent), id = source.dataset.plot;
   stepBack(figure.layout, document.getElementById(id));
   const plot = await Plotly.newPlot(id, figure.data, figure.layout, config);
   resized.observe(plot);

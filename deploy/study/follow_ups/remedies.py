@@ -39,17 +39,19 @@ def changes(setup: Setup) -> Changes:
 
 
 def findings(setting: Setting, trials: Trials) -> dict[str, Any] | None:
-    """Return what was tried, and the best of what helped with its command; None if none was."""
+    """Return what was tried, and the best of what helped; None if nothing was.
+
+    What helped has the command that repeats it.
+    """
     if not (tried := trials.findings()):
         return None
-    helped = [each for each in tried if each["held"]]
+    for each in filter(lambda one: one["held"], tried):
+        overrides = setting.at(each["value"], overrides_of(trials, each))
+        each["command"] = command_of(setting, overrides, each)
     # The offset at the start often decides the smallest margin: of equal ones, errors count.
     best = min(
-        helped,
+        (each for each in tried if each["held"]),
         default=None,
         key=lambda each: (-round(each["margin_min"], 2), each["worst_rms_rad"] or 0.0),
     )
-    if best is not None:
-        overrides = setting.at(best["value"], overrides_of(trials, best))
-        best = {**best, "command": command_of(setting, overrides, best)}
     return {"value": tried[0]["value"], "tried": tried, "best": best}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deploy.reports.figures.study_figures import DrawnStudy
+from deploy.reports.html import write_page
 from deploy.reports.studies.benchmark_page import benchmark_page
 
 
@@ -33,7 +34,16 @@ def test_gains_tuned_on_one_arm_do_not_rank_before_those_of_every_arm():
     assert [row[-1].text for row in page.tables[0].cells] == ["2 of 2", "1 of 2"]
     (panel, _) = page.panels()
     assert list(panel.draw(page.subject).data[0].y) == [100.0, 50.0]
-    assert "1 ms, by smc with predictor none and given gains." in page.verdict.reasons[0]
+    assert page.verdict.headline.endswith("1 ms, by smc with predictor none and given gains")
+
+
+def test_a_benchmark_shows_the_predictor_of_the_best_before_it_tells(tmp_path):
+    best = {**cell("easy", "smc", 8.0), "predictor": "smith"}
+    write_page(tmp_path / "report.html", page_of(cell("easy", "smc", 1.0), best))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h1>Largest delay that every arm and pattern kept: 8 ms, by smc with predictor" in page
+    assert page.index("benchmark-smith") < page.index('id="reasons"') < page.index("<table")
+    assert page.index("<table") < page.index("benchmark-none")
 
 
 def test_an_unfinished_benchmark_names_no_winner():
@@ -44,9 +54,9 @@ def test_an_unfinished_benchmark_names_no_winner():
 
 def test_laws_that_are_alike_are_counted_and_none_wins_if_all_are_lost():
     page = page_of(cell("easy", "smc", 8.0), cell("easy", "pid", 8.0))
-    assert page.verdict.reasons[0].endswith("given gains; 1 more kept as much.")
+    assert page.verdict.headline.endswith("given gains; 1 more kept as much")
     page = page_of(cell("easy", "smc", 0.0))
-    assert page.verdict.reasons[0] == "No law with any predictor kept 1 ms on every arm."
+    assert page.verdict.headline == "No law with any predictor kept 1 ms on every arm"
 
 
 def test_plants_of_an_arm_that_is_lost_count_as_lost():

@@ -22,6 +22,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.comparison import ComparedRuns
 from deploy.study.comparison.settling import SettlingTest, Start
+from tests.deploy.reports.page_order import assert_shows_before_it_tells
 
 FIGURES = ("rms", "settling", "settling-from-afar", "errors", "errors-first-second",
            "error-envelopes", "tip-paths", "tip-errors", "torques", "total-variation",
@@ -94,6 +95,12 @@ def test_a_report_has_every_figure_with_a_caption(comparison, page_of):
     for name in FIGURES:
         assert f'<figure class="card" id="{name}">' in page
     assert page.count("<figcaption>") == len(FIGURES)
+
+
+def test_a_comparison_shows_before_it_tells(comparison, page_of):
+    page = page_of(comparison)
+    assert_shows_before_it_tells(page)
+    assert page.index('id="errors"') < page.index('id="reasons"') < page.index('id="rms"')
 
 
 def test_every_law_is_in_every_figure_in_its_own_colour(comparison):

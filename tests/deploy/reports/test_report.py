@@ -32,6 +32,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.comparison import ComparedRuns
 from plant_emulator.physics.engines import ENGINES
 from tests.arms import INSTALLED, needs_bullet
+from tests.deploy.reports.page_order import assert_shows_before_it_tells
 
 FIGURES = ("timeline", "error-in-funnel", "error-first-second", "error-envelopes",
            "transformed-error", "torques", "tip-path", "tip-error", "arm-motion",
@@ -102,6 +103,36 @@ def test_a_report_has_every_figure_with_a_caption(run, page_of):
     for name in FIGURES:
         assert f'<figure class="card" id="{name}">' in page
     assert page.count("<figcaption>") == len(FIGURES)
+
+
+def test_the_report_of_a_run_shows_before_it_tells(run, page_of):
+    page = page_of(run)
+    assert_shows_before_it_tells(page)
+    folded = page.index('<details class="card folded">')
+    assert page.index('id="error-in-funnel"') < page.index('id="tip-path"') < folded
+    assert folded < page.index('id="timing-percentiles"')
+
+
+def test_a_joint_has_one_colour_in_all_figures_and_nothing_else_has_it(run):
+    """Colours of traces by the joint in whose row they are; those of the tip's figures apart."""
+    joints = run.setup.robot.joint_names
+    own = {name: style.palette(place) for place, name in enumerate(joints)}
+    subject, seen = ComparedRuns([JudgedRun("", run)]), set()
+    for panel in run_panels.RUN_PANELS:
+        if panel.is_folded or panel.is_drawn_beside:
+            continue
+        figure = panel.draw(subject)
+        figure = getattr(figure, "figure", figure)
+        if not isinstance(figure, go.Figure):
+            continue
+        rows = [note.text for note in figure.layout.annotations]
+        for trace in figure.data:
+            row = int((getattr(trace, "yaxis", None) or "y1").removeprefix("y") or 1) - 1
+            allowed = own[rows[row]] if tuple(rows[: len(joints)]) == joints else None
+            colour = trace.line.color
+            assert colour == allowed or colour not in own.values(), (panel.id, colour)
+            seen |= {(panel.id, colour)} if colour == allowed else set()
+    assert len({colour for name, colour in seen if name == "error-envelopes"}) == len(joints)
 
 
 def test_what_a_law_does_not_have_is_left_out(late_run, page_of, only):
@@ -250,7 +281,7 @@ def test_arm_without_shapes_is_drawn_as_a_skeleton(run, tmp_path):
 
 
 def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monkeypatch):
-    only("tip-path", "tip-error")
+    only("error-in-funnel", "tip-path")
 
     def speed(runs):
         truth = runs.runs[0].data.tables["plant_truth"]

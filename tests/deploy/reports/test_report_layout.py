@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from deploy.judge.metrics import summarise
 from deploy.reports.html import write_page
+from deploy.reports.results import study_page
 from deploy.reports.runs.run_pages import run_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
@@ -88,6 +90,84 @@ def test_nothing_in_a_report_is_clipped(width_px, report, tmp_path):
             return await page.value(CLIPPED)
 
     assert asyncio.run(clipped()) == []
+
+
+OVERLAPS = """
+[...document.querySelectorAll('.plot')].flatMap((plot) => {
+  const boxes = [...plot.querySelectorAll('.legendtext, .bartext')].map((text) => {
+    const { left, right, top, bottom } = text.getBoundingClientRect();
+    return { text: text.textContent, left, right, top, bottom };
+  });
+  return boxes.flatMap((one, place) => boxes.slice(place + 1)
+    .filter((other) => one.left < other.right - 1 && other.left < one.right - 1
+      && one.top < other.bottom - 2 && other.top < one.bottom - 2)
+    .map((other) => `${plot.id}: ${one.text} and ${other.text}`));
+})
+"""
+
+
+@pytest.fixture(scope="module")
+def margins(tmp_path_factory):
+    """The report of the margins of five laws, each without and with compensation."""
+    runs = {"runs": 2, "runs_kept": 1, "runs_failed": 0, "worst_point": "a", "points": ["a"],
+            "worst_rms_rad": {"mean": 2e-3, "lowest": 1e-3, "highest": 3e-3}}  # fmt: skip
+    case = {
+        "arm": "my_arm", "drive_feedback": None, "running": False, "growth": 1,
+        "held_arm_ceiling_ms": 165.9, "margin": 112.5, "first_failure": None, "held_again": [],
+        "completed": True, "probes": [{**runs, "value": value} for value in (4.0, 112.5)],
+    }  # fmt: skip
+    summary = {
+        "kind": "margin", "name": "m", "quantity": "delay", "title": "round trip", "unit": "ms",
+        "resolution": 0.5, "limit": 128.0, "completed": True, "runs": 32, "runs_failed": 0,
+        "seeds": [1], "offsets": [1.0], "duration_s": {"my_arm": 8.0}, "conditions": {"law": "all"},
+        "cases": [{**case, "law": f"fixed_time_law_{law}", "compensation": has_it}
+                  for law in range(5) for has_it in (False, True)],
+    }  # fmt: skip
+    folder = SimpleNamespace(rows_file=Path("rows.parquet"), rerun_command=str)
+    path = tmp_path_factory.mktemp("margins") / "report.html"
+    write_page(path, study_page(summary, folder))
+    return path
+
+
+@pytest.mark.parametrize("width_px", [1600, 390])
+def test_labels_of_many_laws_do_not_overlap(width_px, margins, tmp_path):
+    async def found():
+        async with opened(margins.as_uri(), tmp_path / "profile") as page:
+            await page.call(
+                "Emulation.setDeviceMetricsOverride",
+                width=width_px, height=1200, deviceScaleFactor=1, mobile=width_px < 600,
+            )  # fmt: skip
+            await page.call("Page.reload")
+            await page.await_true("document.querySelectorAll('.bartext').length == 10")
+            await page.await_true("document.querySelectorAll('.legendtext').length > 10")
+            return await page.value(CLIPPED), await page.value(OVERLAPS)
+
+    assert asyncio.run(found()) == ([], [])
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_and_figures_follow_the_colour_scheme(scheme, margins, tmp_path):
+    """Lightness of the cards, of their text and of the text of the figures, from 0 to 1."""
+    lightness = (
+        "(() => { const of = (selector, key) => Math.max(...getComputedStyle("
+        "document.querySelector(selector))[key].match(/\\d+/g).slice(0, 3)) / 255;"
+        " return [of('.card', 'backgroundColor'), of('.card td', 'color'),"
+        " of('.plot .xtick text', 'fill'), of('.plot .bg', 'fill')]; })()"
+    )
+
+    async def found():
+        async with opened(margins.as_uri(), tmp_path / "profile") as page:
+            await page.call(
+                "Emulation.setEmulatedMedia",
+                features=[{"name": "prefers-color-scheme", "value": scheme}],
+            )
+            await page.call("Page.reload")
+            await page.await_true("document.querySelectorAll('.bartext').length == 10")
+            return await page.value(lightness)
+
+    card, text, tick, plot = asyncio.run(found())
+    is_dark = scheme == "dark"
+    assert (card < 0.2, plot < 0.2, text > 0.7, tick > 0.7) == (is_dark,) * 4
 
 
 def test_a_click_on_a_heading_sorts_its_table_and_a_second_one_turns_it_round(report, tmp_path):

@@ -13,7 +13,9 @@ from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.html import write_page
 from deploy.reports.results import study_page
 from deploy.reports.studies.margin_pages import margin_page
+from deploy.reports.studies.sweep_page import sweep_page
 from deploy.reports.terminal import print_page
+from tests.deploy.reports.page_order import assert_shows_before_it_tells
 
 HOSTILE = "</script><script>alert(1)</script>"
 FOLDER = SimpleNamespace(
@@ -85,6 +87,50 @@ def shown(summary):
     console = Console(file=io.StringIO(), width=80)
     print_page(console, study_page(summary, FOLDER))
     return console.file.getvalue()
+
+
+def test_reports_of_studies_show_one_figure_before_they_tell(sweep, margin, page_of):
+    for summary in (sweep, margin):
+        page = page_of(summary)
+        assert_shows_before_it_tells(page)
+        assert page[: page.index('id="reasons"')].count("<figure") == 1
+
+
+def test_the_figure_of_a_sweep_is_of_what_is_not_zero_everywhere(sweep):
+    assert next(iter(sweep_page(DrawnStudy(sweep, str)).panels())).id == "curve-violation_fraction"
+    sweep["points"] = [{**each, **runs(0.0)} for each in sweep["points"]]
+    assert next(iter(sweep_page(DrawnStudy(sweep, str)).panels())).id == "curve-worst_rms_rad"
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "mode"),
+    [
+        ("link.uplink.delay_ms", [0.0, 1.0, 2.0], "lines+markers"),
+        ("link.uplink.trace.start_s", [0.0, 1.0, 2.0], "markers"),
+        ("link.uplink.trace.file", ["5g", "vpn", "wifi_idle"], "markers"),
+    ],
+)
+def test_lines_join_sequences_but_no_windows_and_no_names(sweep, key, values, mode):
+    sweep["axes"] = [{"keys": [key], "values": values}]
+    for point, value in zip(sweep["points"], values, strict=True):
+        point["values"] = [value]
+    study = DrawnStudy(sweep, str)
+    figure = next(iter(sweep_page(study).panels())).draw(study)
+    assert figure.data[-1].mode == mode
+    assert (figure.data[-1].error_y.array is not None) == (mode == "markers")
+
+
+def test_the_headline_of_margins_has_those_of_the_table(margin):
+    first = margin["cases"][0]
+    margin["cases"] += [{**first, "law": "smc", "margin": 8.0, "first_failure": None},
+                        {**first, "compensation": False, "margin": None}]  # fmt: skip
+    page = margin_page(DrawnStudy(margin, str))
+    assert page.verdict.headline == (
+        "Largest round trip kept by the best of 2 laws, if the arm is known exactly:"
+        " ≥ 8 ms with compensation, none without compensation"
+    )
+    column = [each.heading for each in page.tables[0].columns].index("Margin")
+    assert {row[column].text for row in page.tables[0].cells} == {"4 ms", "≥ 8 ms", "none"}
 
 
 def test_texts_of_a_sweep_are_shown_and_never_executed(sweep, page_of):

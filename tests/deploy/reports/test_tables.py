@@ -40,7 +40,16 @@ def test_a_terminal_colours_what_is_judged():
     assert "\x1b[1;31m" not in printed(TABLE)
 
 
-@pytest.mark.parametrize("width", [60, 80, 200])
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_numbers_are_whole_in_a_terminal_that_is_too_narrow(is_terminal):
+    columns = [Column("Law", is_text=True), *(Column(f"{each} ms") for each in (32, 64, 96, 128))]
+    table = Table("Plants kept", columns, [["fixed_time_adaptive", *["14 of 14"] * 3, "111.5 ms"]])
+    text = printed(table, 30, force_terminal=is_terminal, no_color=True)
+    assert text.split().count("14") == 6
+    assert "111.5" in text.split()
+
+
+@pytest.mark.parametrize("width", [80, 200])
 def test_a_wide_table_stays_within_a_terminal(width):
     names = [f"a_rather_long_joint_name_{index}" for index in range(7)]
     table = Table(

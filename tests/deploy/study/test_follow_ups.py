@@ -12,7 +12,7 @@ from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.judge.metrics import summarise
 from deploy.reports.kinds import gauged
 from deploy.reports.results import judge_rows
-from deploy.reports.studies.study_tables import disturbance_tables, margin_table
+from deploy.reports.studies.study_tables import disturbance_tables, help_tables, margin_table
 from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -55,14 +55,11 @@ def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_pat
     best = helps["best"]
     assert (best["change"], best["margin_min"]) == ("drive loop", 0.42)
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
-    (text,) = [
-        each for each in margin_sentences(study.summary(folder.rows)) if "what helps" in each
-    ]
-    assert text.startswith(
-        "paper_arm, pid, 8 ms: what helps: compensation (31 % of the bound left), drive loop (42 %"
-        " of the bound left), not twice the rate and not half the gains. The best, drive loop:"
-        " funnel-hil simulate"
-    )
+    (table,) = help_tables(study.summary(folder.rows))
+    assert table.title == "What helps at 8 ms, paper_arm, pid"
+    shown = [(name.text, kept.text, left.text) for name, kept, left, _ in table.cells]
+    assert shown[:2] == [("compensation", "yes", "31"), ("drive loop", "yes", "42")]
+    assert [row[:2] for row in shown[2:]] == [("twice the rate", "no"), ("half the gains", "no")]
 
 
 def test_where_nothing_helps_the_result_says_so(tmp_path):
@@ -73,8 +70,8 @@ def test_where_nothing_helps_the_result_says_so(tmp_path):
     assert helps["best"] is None
     # What is in force already is not tried again.
     assert [each["change"] for each in helps["tried"]] == ["twice the rate", "half the gains"]
-    text = "paper_arm, pid with compensation, with drive feedback, 8 ms: nothing helps of"
-    assert text in " ".join(margin_sentences(study.summary(folder.rows)))
+    (table,) = help_tables(study.summary(folder.rows))
+    assert [kept.text for _, kept, *_ in table.cells] == ["no", "no"]
 
 
 @pytest.mark.parametrize(

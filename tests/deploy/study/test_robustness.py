@@ -21,6 +21,7 @@ from deploy.study.plants import measured
 from deploy.study.robustness import Robustness, margin_study
 from deploy.study.study import SHIPPED
 from deploy.study.sweep import Sweep, load_sweep
+from tests.deploy.reports.page_order import assert_shows_before_it_tells
 from tests.deploy.study.studies import NOISE, TIED, Here, conduct, made_up
 
 PAYLOAD, COULOMB = "plant.payload_kg", "plant.friction.coulomb_nm"
@@ -220,6 +221,7 @@ def test_a_study_of_plants_is_reported_again(funnel_hil, tmp_path):
     headline = "20 of 20 plants kept their bounds up to 8 ms; of all such plants 84–100 %"
     assert headline in output
     page = (path / "report.html").read_text()
+    assert_shows_before_it_tells(page)
     rerun = f"funnel-hil simulate {path}/scenarios/000-000002-"
     for text in (headline, 'id="kept-paper_arm"', 'id="losses-0"', rerun, "rank-biserial"):
         assert text in page

@@ -29,6 +29,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.study.comparison.recorded import recorded_runs
 from tests.damage import damage_at
 from tests.deploy.own_laws import own_law
+from tests.deploy.reports.page_order import assert_shows_before_it_tells
 
 SHORT = ("duration_s=0.3", "metrics.from_s=0")
 
@@ -196,6 +197,7 @@ def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil
     assert summary["completed"]
     assert list(summary["runs"]) == ["first", "pushed"]
     page = (out / "report.html").read_text()
+    assert_shows_before_it_tells(page)
     for panel in ("errors", "positions-apart", "torques", "control-step", "tip-paths"):
         assert f'id="{panel}"' in page
     assert 'id="round-trip"' not in page  # always 0: there is nothing to draw
