@@ -130,7 +130,7 @@ def expand(value: Vector, joints: int, key: str) -> Vector:
         raise ConfigurationError(
             key, value.tolist(), f"one number, or one for each of the {joints} joints"
         )
-    return np.ascontiguousarray(np.broadcast_to(value, (joints,)), dtype=np.float64)
+    return np.array(np.broadcast_to(value, (joints,)), dtype=np.float64)
 
 
 def expand_fields(gains: Gains, joints: int, key: str) -> Gains:

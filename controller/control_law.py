@@ -52,11 +52,11 @@ class Tracking:
         self.time_s = 0.0
         self.step_s = 0.0
         self.horizon_s = 0.0
-        self.motion: Matrix = np.zeros((2, joints)) if motion is None else motion
+        self.motion: Matrix = _as_in_a_message(2, joints) if motion is None else motion
         self.position: Vector
         self.velocity: Vector
         self.position, self.velocity = self.motion
-        rows = np.zeros((len(self.PUBLISHED), joints)) if published is None else published
+        rows = _as_in_a_message(len(self.PUBLISHED), joints) if published is None else published
         self._published: Matrix = rows
         self.reference_position: Vector = rows[_POSITION]
         self.reference_velocity: Vector = rows[_VELOCITY]
@@ -91,6 +91,11 @@ class Tracking:
 
 _POSITION, _VELOCITY, _ERROR, _ERROR_RATE, _UPPER, _LOWER = range(6)
 """Rows of a `Tracking`'s published values, in the order of its `PUBLISHED`."""
+
+
+def _as_in_a_message(rows: int, joints: int) -> Matrix:
+    """Return zeros whose rows are apart, as in a message: the same compiled code takes both."""
+    return np.zeros((rows, joints + 1))[:, :joints]
 
 
 @compiled

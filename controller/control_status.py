@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Records, Vector
 from bus_schema.messages.layout import Record
-from bus_schema.runtime.compiled import bind, compiled, copying
+from bus_schema.runtime.compiled import assign, bind, compiled, copying
 from controller.compensation.arm_belief import ArmBelief
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import INERTIA, LAG, PAYLOAD
@@ -101,11 +101,11 @@ def _write_learned(
 ) -> None:  # fmt: skip
     """Write the learned values into a message's fields, the last eight arguments."""
     horizon_ns[0] = commands[0].horizon_ns
-    foreseen_error[:] = error
-    disturbance[:] = belief.disturbance_nm
-    friction[:] = belief.coulomb_nm
+    assign(foreseen_error, error)
+    assign(disturbance, belief.disturbance_nm)
+    assign(friction, belief.coulomb_nm)
     if has_model:
-        viscous[:] = belief.viscous_nm_s
+        assign(viscous, belief.viscous_nm_s)
         inertia_factor[0] = 1.0 + estimate[INERTIA]
         payload_kg[0] = estimate[PAYLOAD]
         lag_s[0] = estimate[LAG]

@@ -124,6 +124,7 @@ def here(*words: object, **environment: str) -> tuple[int, str]:
             mock.patch("os.sched_setaffinity", create=True),
             redirect_stdout(out),
             redirect_stderr(err),
+            _one_worker_here(*words),
         ):
             cast("Callable[[], None]", import_module("deploy.cli").main)()
             code: int | str | None = 0
@@ -160,6 +161,18 @@ def cold_python(*words: object, **environment: str) -> subprocess.CompletedProce
 def _call(work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Stand in for `run_watched`: a child would write to other streams, and not know our mocks."""
     return work()
+
+
+@contextmanager
+def _one_worker_here(*words: object) -> Iterator[None]:
+    """A study with one worker does its runs in this process: another costs 3 s of CPU time."""
+    if "--workers" not in words or str(words[words.index("--workers") + 1]) != "1":
+        yield
+        return
+    from tests.deploy.study.studies import OneWorkerHere  # heavy
+
+    with mock.patch("deploy.study.execution.dask_workers.DaskWorkers", OneWorkerHere):
+        yield
 
 
 @contextmanager

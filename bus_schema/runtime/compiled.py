@@ -43,6 +43,7 @@ _is_kept = kernel_cache.choose_folder()
 os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
 import numba  # noqa: E402  (reads both at import)
+import numpy as np  # noqa: E402
 from llvmlite import binding  # noqa: E402
 
 _Cache: Any = object
@@ -100,7 +101,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
     config = cast("Any", numba.config)
     chosen, config.DISABLE_JIT = config.DISABLE_JIT, 0  # the user's, for kernels of their own
-    dispatcher = cast("Any", numba.njit(error_model="numpy")(function))
+    # A second wrapper, for C, costs as much as a kernel; nothing here passes kernels as values.
+    dispatcher = cast("Any", numba.njit)(error_model="numpy", no_cfunc_wrapper=True)(function)
     config.DISABLE_JIT = chosen
     if _is_kept and _Cache is not object and hasattr(dispatcher, "_cache"):
         dispatcher._cache = cast("Any", _CompiledBefore)(function)
@@ -140,12 +142,17 @@ def copying(source: Matrix, target: Matrix) -> Callable[[], None]:
     # For contiguous arrays, Python's own copy of bytes takes half of that again.
     if source.flags.c_contiguous and target.flags.c_contiguous:
         return partial(setitem, target.data.cast("B"), slice(None), source.data.cast("B"))
-    return bind(_copy, source, target)
+    return bind(assign, target, source)
 
 
 @compiled
-def _copy(source: Matrix, target: Matrix) -> None:
-    target[:] = source
+def assign(target: Vector | Matrix, source: Vector | Matrix) -> None:
+    """Copy an array over another of the same shape, which is not checked.
+
+    In a kernel, ``target[:] = source`` would compile numba's message about shapes for a second.
+    """
+    for index in np.ndindex(target.shape):
+        target[index] = source[index]
 
 
 @compiled

@@ -36,6 +36,8 @@ from bus_schema.zenoh.session import Delivery
 logger = logging.getLogger(__name__)
 
 _LARGEST_STATE_BACKLOG = 1000
+_COMPILES_S = 120.0
+"""How much longer to wait for a controller that has joined: a new installation may be compiling."""
 _GRACE_S = 1.0
 _GRACE_BESIDE_RECORDER_S = 3.0
 """A client beside a recorder may be a mere viewer while our own controller still starts."""
@@ -105,7 +107,7 @@ class ZenohPlantLink(ZenohNode, PlantLink, CommandSessions):
             elif now_s - stranger_since_s > self._grace_s():
                 logger.info("a client that has announced nothing is taken for the controller")
                 return
-            if now_s > give_up_s:
+            if now_s > give_up_s + (_COMPILES_S if self.sees(Role.CONTROLLER) else 0.0):
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
             time.sleep(LOOK_S)
         self.require_same_scenario(Role.CONTROLLER, SCENARIO_WAIT_S)

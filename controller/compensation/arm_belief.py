@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import assign, compiled
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies.dynamics import RigidBodies
 
@@ -92,7 +92,7 @@ def smooth_sign(velocity: float) -> tuple[float, float]:
 @compiled
 def forget(nominal: NominalArm, belief: ArmBelief) -> None:
     """Reset the belief to the nominal model."""
-    belief.inertia[:] = nominal.inertia
+    assign(belief.inertia, nominal.inertia)
     belief.disturbance_nm[:] = 0.0
     belief.coulomb_nm[:] = 0.0
     belief.viscous_nm_s[:] = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Records, Vector, records
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import assign, compiled
 
 CAPACITY = 8192
 """Commands remembered: all that can be in flight, even at 10 kHz."""
@@ -155,11 +155,11 @@ def note(commands: Commands, torque_nm: Vector, target: Matrix, number: int, sta
     """Note a command that was sent, with a number above all before; see `Commands`."""
     slot, state = number % CAPACITY, commands.state[0]
     commands.numbers[slot], commands.stamps_ns[slot] = number, stamp_ns
-    commands.torques_nm[slot] = torque_nm
-    commands.targets[slot] = target
+    assign(commands.torques_nm[slot], torque_nm)
+    assign(commands.targets[slot], target)
     commands.announced_ns[slot] = state.horizon_ns if state.is_announced else 0
     if state.bridge_rows > 0:
-        commands.plans[slot] = commands.next_plan
+        assign(commands.plans[slot], commands.next_plan)
     first = number if state.first == HELD else state.first
     state.first = max(first, number - CAPACITY + 1)
     state.newest = number

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import assign, compiled
 from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
 from controller.rigid_bodies.dynamics import ROTOR, inverse_dynamics
 
@@ -179,8 +179,8 @@ def take_in(
             window.impulse, window.sign, window.angle, window.position, window.saturated
         ):  # fmt: skip
             sums[:] = 0.0
-        window.first_velocity[:] = before[1]
-        window.first_actuator[:] = actuator_before
+        assign(window.first_velocity, before[1])
+        assign(window.first_actuator, actuator_before)
     window.elapsed_s[0] += step_s
     for i in range(impulse.size):
         position = 0.5 * (before[0, i] + after[0, i])
@@ -296,8 +296,8 @@ def _believe(nominal: NominalArm, filter_: Identification, belief: ArmBelief) ->
     """Update the belief from the estimate, within its limits."""
     theta, joints = filter_.estimate, belief.coulomb_nm.size
     _keep_within_limits(filter_)
-    belief.inertia[:] = (1.0 + theta[INERTIA]) * nominal.inertia
-    belief.inertia[:] += theta[PAYLOAD] * nominal.tip_inertia
+    payload_inertia = theta[PAYLOAD] * nominal.tip_inertia
+    assign(belief.inertia, (1.0 + theta[INERTIA]) * nominal.inertia + payload_inertia)
     if theta.size > PER_JOINT + 3 * joints:
         for i in range(joints):
             factor = 1.0 + theta[PER_JOINT + 3 * joints + i]

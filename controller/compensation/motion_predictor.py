@@ -13,7 +13,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains, drive_torque
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import assign, compiled
 from controller.compensation.arm_belief import ArmBelief, NominalArm, smooth_sign
 from controller.compensation.command_timeline import (
     CAPACITY,
@@ -90,7 +90,7 @@ def _stretch(
     joints, lag_s = position.size, belief.lag_s[0]
     asked, total, slope = np.empty(joints), np.empty(joints), np.empty(joints)
     row = np.empty((3, joints))
-    acceleration[:] = velocity  # start velocity, replaced at the end
+    assign(acceleration, velocity)  # start velocity, replaced at the end
     now_ns, last_step_ns, left, mean_left = from_ns, 0, 0.0, 0.0
     while now_ns < until_ns:
         end_ns = min(now_ns + _STEP_NS, until_ns)

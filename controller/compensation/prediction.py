@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.runtime.compiled import all_finite, compiled
+from bus_schema.runtime.compiled import all_finite, assign, compiled
 from controller.compensation.arm_belief import ArmBelief, NominalArm
 from controller.compensation.command_timeline import (
     CAPACITY,
@@ -105,7 +105,7 @@ def foresee(
     if knows:
         gain = 1.0 - math.exp(-bandwidth_rad_s * 1e-9 * (stamp_ns - last_ns))
         _learn(arm, measured, error, bounds, flight, last_ns, stamp_ns, gain)
-    arm.last[:] = measured
+    assign(arm.last, measured)
     acts_ns = move_ahead(arm, measured, stamp_ns, predicted)
     return aim(measured, predicted, target, acts_ns - stamp_ns)
 
@@ -142,13 +142,13 @@ def _learn(
     joints, step_s = error.size, (stamp_ns - last_ns) * 1e-9
     motion, impulse = np.empty((3, joints)), np.empty(joints)
     actuator, actuator_before = belief.actuator_nm.copy(), belief.actuator_nm.copy()
-    motion[:2] = last
+    assign(motion[:2], last)
     move(nominal, belief, drive, commands, flight, last_ns, stamp_ns, motion, actuator, impulse)
     mass = np.empty((joints, joints))
     mass_matrix(nominal.bodies, belief.inertia, measured[0], mass)
     if not all_finite(actuator):
         return
-    belief.actuator_nm[:] = actuator
+    assign(belief.actuator_nm, actuator)
     if not learn_disturbance(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
         return
     if identification.is_active and _is_inside(error, bounds):
@@ -180,11 +180,11 @@ def move_ahead(arm: Arm, state: Matrix, stamp_ns: int, moved: Matrix) -> int:
     joints = state.shape[1]
     motion, impulse = np.empty((3, joints)), np.empty(joints)
     actuator = belief.actuator_nm.copy()
-    motion[:2] = state
+    assign(motion[:2], state)
     flight = ahead(commands, last_answered[1], stamp_ns)
     acts_ns = stamp_ns + commands.state[0].horizon_ns + int(1e9 * belief.lag_s[0])
     move(nominal, belief, drive, commands, flight, stamp_ns, acts_ns, motion, actuator, impulse)
-    moved[:] = motion[:2]
+    assign(moved, motion[:2])
     return acts_ns  # type: ignore[no-any-return]
 
 
@@ -194,7 +194,7 @@ def aim(measured: Matrix, predicted: Matrix, target: Matrix, horizon_ns: int) ->
     horizon_s = horizon_ns * 1e-9
     if not (all_finite(predicted[0]) and all_finite(predicted[1])):
         # no real motion: at such speeds the model's numbers overflow
-        predicted[:] = measured
+        assign(predicted, measured)
     for i in range(measured.shape[1]):
         target[1, i] = predicted[1, i]
         target[0, i] = predicted[0, i] - horizon_s * predicted[1, i]

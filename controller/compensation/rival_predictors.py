@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import all_finite, compiled
+from bus_schema.runtime.compiled import all_finite, assign, compiled
 from controller.compensation.command_timeline import CAPACITY, HELD, LONGEST_HORIZON_NS
 from controller.compensation.motion_predictor import move
 from controller.compensation.prediction import Arm, acted_since_last, aim, move_ahead
@@ -45,7 +45,7 @@ def foresee_smith(
     knows, flight = acted_since_last(arm, stamp_ns, sequence, delay_ns, arrival_ns)
     joints, model = measured.shape[1], arm.last
     motion, impulse = np.empty((3, joints)), np.empty(joints)
-    motion[:2] = model
+    assign(motion[:2], model)
     if knows:
         actuator = arm.belief.actuator_nm
         move(
@@ -93,7 +93,7 @@ def foresee_network(
         memory[:] = 0.0
         for i in range(joints):
             memory[_FILTERED, i] = bandwidth_rad_s * measured[1, i]
-    arm.last[:] = measured
+    assign(arm.last, measured)
     for i in range(joints):
         predicted[0, i] = measured[0, i] + memory[_POSITION, i]
         predicted[1, i] = measured[1, i] + memory[_VELOCITY, i]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import assign, compiled
 from controller.rigid_bodies.vectors import (
     Vec,
     add,
@@ -95,7 +95,7 @@ def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
     for i in bodies.outwards:
         parent, origin = bodies.parents[i], get(bodies.origins, i)
         if parent < 0:
-            fixed[:] = bodies.rotations[i]
+            assign(fixed, bodies.rotations[i])
         else:
             for row in range(3):
                 for column in range(3):

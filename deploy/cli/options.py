@@ -113,8 +113,8 @@ class GateOptions:
         str | None,
         typer.Option(
             metavar="N",
-            help="Exit with 3 if a margin is smaller: a delay, e.g. 20ms, of margin; the distance"
-            " to the bound, e.g. 15%, of simulate, compare and sweep.",
+            help="Exit with 3 if a result is smaller: of margin, a value such as 20ms; of simulate,"
+            " compare and sweep, the distance to the bound, such as 15%.",
         ),
     ] = None
     baseline: Annotated[

@@ -98,19 +98,19 @@ def robot(
     setup = at_rest(arm)
     values = starter_scenario(arm)
     try:
-        check_plant(build_setup(values, arm.path))
+        check_plant(first := build_setup(values, arm.path))
     except RobotDescriptionError as error:  # as `simulate` would
         raise ScenarioError(str(error)) from error
     console = Console()
     console.print(f"{arm.path}: {arm.joints} driven joints, tip {arm.tip_link}", markup=False)
     print_table(console, _joints_table(setup))
-    print_table(console, _inertia_table(setup))
+    print_table(console, _inertia_table(first))
     if arm.followers or arm.held:
         print_table(console, _other_joints_table(arm))
     if len(chains := chains_of(ET.fromstring(arm.text), _of_chains(arm))) > 1:
         print_table(console, _chains_table(chains))
     if gains:
-        print_table(console, _gains_table(setup))
+        print_table(console, _gains_table(first))
     print_table(console, _drives_table(arm))
     console.print(_funnel_line(setup), markup=False, highlight=False)
     for each in robot_warnings(setup):
@@ -223,9 +223,11 @@ def _joints_table(setup: Setup) -> Table:
 def _inertia_table(setup: Setup) -> Table:
     """The inertia that sizes gains, about that with all other joints free; and with them held."""
     mass_matrix = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)
+    rotors = drives_of(setup.robot).rotors
     rows = [
         ["governing, for gains", _values(setup.governing_inertia_kg_m2)],
-        ["M_ii, others held", _values(np.diagonal(mass_matrix))],
+        ["M_ii, others held", _values(np.diagonal(mass_matrix) + rotors)],
+        ["of these, rotors", _values(rotors)],
     ]
     return _table("Inertia, kg m² (kg where joints slide)", ["Value", "Per joint"], rows)
 

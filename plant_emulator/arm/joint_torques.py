@@ -12,7 +12,7 @@ from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.limits import LimitsConfiguration, limit_torques
 from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import assign, compiled
 from plant_emulator.arm.disturbance import add_disturbance, disturbance_table
 from plant_emulator.arm.drive_loop import DriveLoop, add_drive_torques, drive_loop, idle
 from plant_emulator.arm.drive_train import (
@@ -135,7 +135,7 @@ def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[
     motors = trains.rotors if trains.is_elastic else motion
     actuator, friction, disturbance = torques[ACTUATOR], torques[FRICTION], torques[DISTURBANCE]
     total, limited, wanted = torques[TOTAL], torques[LIMITED], torques[WANTED]
-    wanted[:] = torques[ASKED]
+    assign(wanted, torques[ASKED])
     if tables.drive.gains.is_active:
         add_drive_torques(motors, time_s, tables.drive, wanted)
     hits = limit_torques(wanted, motion, joints, limited, 1.0)

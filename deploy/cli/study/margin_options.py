@@ -48,7 +48,13 @@ class CompareOptions(GateOptions, WorkerOptions):
 
     scenario: ScenarioArgument = "paper_arm"
     laws: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Laws to compare; all by default.")
+        str | None,
+        typer.Option(
+            metavar="A,B,…",
+            help="Laws to compare; by default "
+            + ", ".join(COMPARED_LAWS)
+            + ", and the scenario's.",
+        ),
     ] = None
     settling: Annotated[
         bool,
@@ -169,7 +175,11 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
         typer.Argument(help="Scenario files or shipped scenarios; default paper_arm."),
     ] = None
     laws: Annotated[
-        str | None, typer.Option(metavar="A,B,…", help="Laws to test; all by default.")
+        str | None,
+        typer.Option(
+            metavar="A,B,…",
+            help="Laws to test; by default " + ", ".join(COMPARED_LAWS) + ", and the scenario's.",
+        ),
     ] = None
     compensation: Annotated[
         str | None, typer.Option(metavar="off,on", help="Delay compensation: off, on, or both.")

@@ -158,6 +158,18 @@ def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it
         plant.await_controller(HANG_S, lambda: True)  # a stop request ends the wait
 
 
+def test_controller_that_has_joined_may_take_longer_to_be_ready() -> None:
+    """It compiles its kernels first, in a new installation."""
+    link = fresh_link()
+    with plant_on(link) as plant, controller_on(link) as controller:
+        await_true(lambda: plant.sees(Role.CONTROLLER))
+        ready = threading.Timer(0.5, controller.activate)
+        ready.start()
+        plant.await_controller(0.1)
+        ready.join()
+        assert not plant.controller_has_left()
+
+
 def test_error_of_the_handler_ends_the_service_and_reaches_the_caller() -> None:
     def fail(_payload: bytes, _status: bytes | None) -> None:
         raise ZeroDivisionError

@@ -1,9 +1,12 @@
 """`funnel-hil robot`, and what commands say of arms."""
 
+import re
+
 import numpy as np
 import pytest
 
 from deploy.scenario.effective import write_scenario
+from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from funnel_hil import Scenario
@@ -138,6 +141,22 @@ def test_arguments_follow_an_arm_wherever_one_is_given(folder, two_kinds, funnel
 
 def test_robot_shows_gains_only_when_asked(funnel_hil):
     assert "Gains of" not in funnel_hil.output("robot", "panda")
+
+
+def test_robot_shows_the_inertia_and_gains_of_a_run(funnel_hil, tmp_path):
+    arm = tmp_path / "arm.urdf"  # a file whose rotors are estimated
+    arm.write_text((ROBOTS / "ur10e.urdf").read_text())
+    shown = dict(
+        re.split(r" {2,}", line.strip(), maxsplit=1)
+        for line in funnel_hil.output("robot", arm, "--gains").splitlines()
+        if re.search(r"\S {2,}[\d.]+, ", line)
+    )
+    setup = load_setup(str(arm))
+    for name, used in {
+        "governing, for gains": setup.governing_inertia_kg_m2, "k_1": setup.gains.k_1
+    }.items():  # fmt: skip
+        printed = [float(number) for number in shown[name].split(", ")]
+        assert printed == pytest.approx(used.tolist(), rel=0.01)
 
 
 def test_robot_shows_joints_gains_funnel_and_what_is_held(funnel_hil, tmp_path):

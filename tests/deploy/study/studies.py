@@ -6,6 +6,7 @@ import random
 import threading
 from pathlib import Path
 
+from deploy.study.execution.dask_workers import packed, row_with
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
 from deploy.study.margin import Margin
@@ -33,6 +34,23 @@ class Here:
         if self._at_most is not None and len(self.submitted) - len(self._waiting) >= self._at_most:
             self.stop.set()
         return run, self._do(run)
+
+
+class OneWorkerHere(Here):
+    """In place of `DaskWorkers`: does the runs of a command in this process, one by one."""
+
+    count = 1
+
+    def __init__(self, workers=None, scheduler=None, laws=()):
+        sent = packed(laws)
+        super().__init__(lambda run: row_with(run, sent))
+        self._random.randrange = lambda _count: 0  # in order, as a worker does them
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
 
 
 def made_up(run, **values):
