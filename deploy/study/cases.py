@@ -193,7 +193,8 @@ class Case:
     def findings(self) -> dict[str, Any]:
         """Leading values of its summary."""
         ceiling = min(self.ceilings_ms, default=None)
-        return {**self.setting.tags, "held_arm_ceiling_ms": ceiling}
+        scale = self.setting.base.scenario.controller.model_scale
+        return {**self.setting.tags, "held_arm_ceiling_ms": ceiling, "model_scale": scale}
 
 
 class StudyOfCases(StudyOfRuns):

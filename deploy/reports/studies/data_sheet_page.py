@@ -86,7 +86,7 @@ def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summar
     or_more = " or more" if on["first_failure"] is None else ""
     return (
         f"{who} keeps its bounds for any delay up to {any_ms:g} ms{or_more} with"
-        " compensation, if the arm is known exactly (round trip; messages in order, none lost);"
+        f" compensation{texts.model_text([on])} (round trip; messages in order, none lost);"
         f" constant: {texts.margin_text(on, margin)} with it, {texts.margin_text(off, margin)}"
         " without."
     )

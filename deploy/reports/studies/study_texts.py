@@ -139,9 +139,17 @@ def margin_headline(summary: Summary) -> str:
         margins = (f"{margin_text(case, summary)} {setting_text(case)}".rstrip() for case in shown)
         texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(margins)}")
     who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
-    known = ", if the arm is known exactly" if any(c["compensation"] for c in cases) else ""
-    kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{known}"
+    kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
+
+
+def model_text(cases: list[Summary]) -> str:
+    """How far the model that compensation predicts with is that of the arm."""
+    compensated = (case for case in cases if case["compensation"])
+    scales = {case["model_scale"] for case in compensated if "model_scale" in case}
+    if scales <= {1.0}:
+        return ", if the arm is known exactly" * bool(scales)
+    return f", with a model of {' or '.join(f'{each:g}' for each in sorted(scales))} × its masses"
 
 
 def _largest(cases: list[Summary]) -> Summary:

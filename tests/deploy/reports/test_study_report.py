@@ -122,6 +122,7 @@ def test_lines_join_sequences_but_no_windows_and_no_names(sweep, key, values, mo
 
 def test_the_headline_of_margins_has_those_of_the_table(margin):
     first = margin["cases"][0]
+    first["model_scale"] = 1.0
     margin["cases"] += [{**first, "law": "smc", "margin": 8.0, "first_failure": None},
                         {**first, "compensation": False, "margin": None}]  # fmt: skip
     page = margin_page(DrawnStudy(margin, str))
@@ -164,6 +165,7 @@ def test_the_headline_tells_a_running_loop_from_one_that_starts(margin, page_of)
 
 def test_the_headline_names_all_laws_of_the_largest_margin(margin, page_of):
     first = margin["cases"][0]
+    first["model_scale"] = 1.0
     margin["cases"] += [{**first, "law": "smc"}, {**first, "law": "tsmc", "compensation": False}]
     text = "the largest margin is 4 ms, of pid and smc with compensation; of tsmc without"
     assert text in page_of(margin)
