@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deploy.judge.run_rows import Row
+from deploy.scenario.referenced_files import TRACES
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
@@ -15,9 +18,13 @@ from deploy.study.robustness import margin_study
 from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
 from deploy.study.sweep import Sweep
+from plant_emulator.channel.trace_file import read_trace
 
 _SOURCE = Path("datasheet")
 _TRACES = "link.uplink.trace.file, link.downlink.trace.file"
+_STARTS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
+_STRETCH_NS, _LEAD_NS = 500_000_000, 250_000_000
+"""Length of the worst stretch of a network, and how long before it a window begins."""
 _SHARES_OF_MARGIN = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -53,7 +60,6 @@ class DataSheet:
     def margin(self) -> StudyOfRuns:
         """Return the search for margins, without and with delay compensation, for any pattern."""
         quick: dict[str, Any] = {"seeds": [1], "offsets": [1.0], "disturbances": None}
-        quick["smaller_rotors"] = False
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.law], "running": [False],
             "compensation": [False, True], "pattern": "any", "what_helps": True,
@@ -66,17 +72,19 @@ class DataSheet:
         """Return runs on windows of the network; None without a network.
 
         With compensation first; also without, and each with feedback at the drives where that is
-        possible.
+        possible. Both directions begin at the same place of the network.
         """
         if self.network is None:
             return None
         file = Path(self.network)
         name = str(file.resolve()) if file.is_file() else self.network
-        grid = {_TRACES: [name], COMPENSATION: [True, False], DRIVE_FEEDBACK: [False, True]}
+        grid: dict[str, list[Any]] = {
+            _TRACES: [name], _STARTS: _window_starts_s(name, 5 if self.is_quick else 12),
+            COMPENSATION: [True, False], DRIVE_FEEDBACK: [False, True],
+        }  # fmt: skip
         given = {LAW: self.law, "duration_s": self.duration_s, **self._set()}
         values = {
-            "name": "network", "scenario": self.arm, "grid": grid,
-            "seeds": 5 if self.is_quick else 12,
+            "name": "network", "scenario": self.arm, "grid": grid, "seeds": 1,
             "set": {key: each for key, each in given.items() if key not in grid},
         }  # fmt: skip
         try:
@@ -107,6 +115,27 @@ def any_pattern_ms(case: Mapping[str, Any]) -> float | None:
 
 
 def worst_window(rows: list[Row]) -> Row:
-    """Return the worst run on a network with compensation alone, the first point of the grid."""
-    first = min(row["point"] for row in rows)
-    return max((row for row in rows if row["point"] == first), key=badness)
+    """Return the worst run on a network with compensation alone."""
+    own = [row for row in rows if row[COMPENSATION] and not row.get(DRIVE_FEEDBACK)]
+    return max(own, key=badness)
+
+
+def _window_starts_s(network: str, count: int) -> list[float]:
+    """Return where windows of a trace begin: spread over it, and just before its worst stretch.
+
+    Args:
+        network: its file, or the name of a shipped one; what cannot be read is refused later.
+        count: how many, at least 2.
+    """
+    file = Path(network)
+    try:
+        trace = read_trace(file if file.is_file() else TRACES / f"{network}.parquet")
+    except (OSError, ValueError):
+        return [0.0]
+    delays_ns = np.where(trace.delays_ns < 0, trace.delays_ns.max(), trace.delays_ns)
+    sums_ns = np.concatenate([[0.0], np.cumsum(delays_ns, dtype=np.float64)])
+    ends = np.searchsorted(trace.times_ns, trace.times_ns + _STRETCH_NS)
+    means_ns = (sums_ns[ends] - sums_ns[:-1]) / (ends - np.arange(len(ends)))
+    worst_ns = max(0, int(trace.times_ns[means_ns.argmax()]) - _LEAD_NS)
+    spread_ns = np.arange(count - 1) * trace.length_ns / (count - 1)
+    return list(dict.fromkeys(round(1e-9 * each, 3) for each in (*spread_ns.tolist(), worst_ns)))

@@ -245,7 +245,8 @@ def with_template(figure: dict[str, Any]) -> dict[str, Any]:
 
 def typed_array(values: NDArray[Any]) -> dict[str, str]:
     """Return numbers as plotly.js has them in one dimension, with the seven digits that show."""
-    data = np.ascontiguousarray(values, dtype="<f4").tobytes()
+    with np.errstate(over="ignore"):  # of a run that diverged: what is too large is not drawn
+        data = np.ascontiguousarray(values, dtype="<f4").tobytes()
     return {"dtype": "f4", "bdata": base64.b64encode(data).decode()}
 
 

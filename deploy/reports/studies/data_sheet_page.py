@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +20,7 @@ from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns
 from deploy.study.data_sheet import any_pattern_ms
 from deploy.study.losses import share_kept
+from deploy.study.study import rows_by
 
 Summary = dict[str, Any]
 _HEIGHT_PX = 430
@@ -64,6 +68,7 @@ def headline(summary: Summary) -> list[str]:
     margin, plants = parts["margin"], parts.get("plants")
     cases = {case["compensation"]: case for case in margin["cases"]}
     sentences = [_margin_sentence(summary, margin, cases[True], cases[False])]
+    sentences += _rotors_sentence(margin, cases[True], cases[False])
     doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
     sentences += [f"Not tested: {each}" for each in doubts]
     if (network := parts.get("network")) is not None:
@@ -71,68 +76,97 @@ def headline(summary: Summary) -> list[str]:
     if plants is not None:
         sentences += texts.robustness_sentences(plants)[:1]
     if summary["runs_failed"]:
+        causes = (part.get("commonest_error") for part in parts.values())
         sentences.append(
-            f"{summary['runs_failed']} of {summary['runs']} runs failed: see the parts."
+            f"{summary['runs_failed']} of {summary['runs']} runs failed, most often:"
+            f" {next(filter(None, causes), 'unknown')}."
         )
     return [*sentences, *texts.theory_sentences({**margin, "cases": [cases[False]]})]
 
 
 def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summary) -> str:
     who, any_ms = f"{summary['arm']} under {summary['law']}", any_pattern_ms(on)
+    without = f"{texts.margin_text(off, margin)} without"
     if any_ms is None:
-        without = "" if off["margin"] is None else f" (constant: {texts.margin_text(off, margin)})"
-        at_all = "only without compensation" + without if without else "at no delay"
-        return f"{who} keeps its bounds {at_all}."
+        return (
+            f"{who}: constant round trip kept: {without} compensation; with it, none"
+            f" ({texts.loss_text(on)})."
+        )
     or_more = " or more" if on["first_failure"] is None else ""
     return (
         f"{who} keeps its bounds for any delay up to {any_ms:g} ms{or_more} with"
         f" compensation{texts.model_text([on])} (round trip; messages in order, none lost);"
-        f" constant: {texts.margin_text(on, margin)} with it, {texts.margin_text(off, margin)}"
-        " without."
+        f" constant: {texts.margin_text(on, margin)} with it, {without}."
     )
+
+
+def _rotors_sentence(margin: Summary, on: Summary, off: Summary) -> list[str]:
+    """What becomes of the margins if estimated rotors are smaller; nothing if none is estimated."""
+    with_ms, without_ms = (texts.rotors_text(case, margin) for case in (on, off))
+    if with_ms is None:
+        return []
+    return [
+        f"The rotors are estimated. With a tenth of them, a constant round trip of {with_ms} is"
+        f" kept with compensation, {without_ms} without: until you know them, quote the smaller."
+    ]
 
 
 def _network_sentence(summary: Summary, points: list[Summary]) -> str:
     """How many windows of the network were kept, and whether drive feedback helps."""
 
-    def windows(point: Summary) -> str:
-        interval = texts.interval_text(share_kept(point["runs_kept"], point["runs"]))
-        return f"{point['runs_kept']} of {point['runs']} windows (95 % interval {interval})"
+    def windows(one: Summary) -> str:
+        interval = texts.interval_text(share_kept(one["runs_kept"], one["runs"]))
+        return f"{one['runs_kept']} of {one['runs']} windows (95 % interval {interval})"
 
-    own, best = points[0], max(points, key=lambda point: point["runs_kept"])
-    better = ""
+    own, *others = _by_equipment(points)
+    best, better = max(others, key=lambda one: float(one["runs_kept"])), ""
     if best["runs_kept"] > own["runs_kept"]:
-        better = f"; {texts.equipment_text(_equipment(best))}, in {windows(best)}"
+        better = f"; {texts.equipment_text(best)}, in {windows(best)}"
     return (
-        f"On {summary['network']}, with compensation, it kept them in {windows(own)} of"
+        f"On {Path(summary['network']).name}, with compensation, it kept them in {windows(own)} of"
         f" {summary['duration_s']:g} s{better}."
     )
 
 
-def _equipment(point: Summary) -> Summary:
-    """Whether runs of a network had delay compensation, and feedback at the drives."""
-    _, compensation, *feedback = point["values"]
-    return {"compensation": compensation, "drive_feedback": feedback[0] if feedback else None}
+def _by_equipment(points: list[Summary]) -> list[Summary]:
+    """Sum up the windows of a network that had the same equipment."""
+    found = []
+    for own in rows_by(points, lambda point: str(point["values"][2:])).values():
+        _, _, compensation, *feedback = own[0]["values"]
+        worst = min(own, key=lambda point: point["margin_min"]["lowest"] or -math.inf)
+        found.append({
+            "compensation": compensation,
+            "drive_feedback": feedback[0] if feedback else None,
+            "runs": sum(point["runs"] for point in own),
+            "runs_kept": sum(point["runs_kept"] for point in own),
+            "losses": sum((Counter(point["losses"]) for point in own), Counter()),
+            "loss_joints": sum((Counter(point["loss_joints"]) for point in own), Counter()),
+            "worst_point": worst["worst_point"],
+        })  # fmt: skip
+    return found
 
 
 def _network_table(summary: Summary) -> Table:
     """Windows of the network that were kept, with what may help."""
-    network = summary["parts"]["network"]
     columns: list[tables.TableColumn] = [
-        (Column("Compensation", is_text=True),
-         lambda at: texts.COMPENSATION[_equipment(at)["compensation"]]),
+        (Column("Compensation", is_text=True), lambda one: texts.COMPENSATION[one["compensation"]]),
         (Column("Drive feedback", is_text=True),
-         lambda at: texts.COMPENSATION[_equipment(at)["drive_feedback"]]),
-        (Column("Windows kept", brief="Kept"), lambda at: f"{at['runs_kept']} of {at['runs']}"),
+         lambda one: texts.COMPENSATION[one["drive_feedback"]]),
+        (Column("Windows kept", brief="Kept"), lambda one: f"{one['runs_kept']} of {one['runs']}"),
         (Column("95 % interval"),
-         lambda point: texts.interval_text(share_kept(point["runs_kept"], point["runs"]))),
-        (Column("Lost by", is_text=True), lambda point: texts.losses_text(point) or ABSENT),
-        (Column("Command, in the folder of this page", brief=None, is_text=True),
-         lambda at: f"funnel-hil simulate network/scenarios/{at['worst_point']}.yaml"),
+         lambda one: texts.interval_text(share_kept(one["runs_kept"], one["runs"]))),
+        (Column("Lost by", is_text=True), lambda one: texts.losses_text(one) or ABSENT),
+        (Column("The worst, in the folder of this page", brief=None, is_text=True),
+         lambda one: f"funnel-hil simulate network/scenarios/{one['worst_point']}.yaml"),
     ]  # fmt: skip
-    title = f"Windows of {summary['network']} in which bounds are kept"
-    note = f"Each window is {summary['duration_s']:g} s of the network, from another place in it."
-    return table_of(title, columns, network["points"], note)
+    note = (
+        f"Each window is {summary['duration_s']:g} s of the network, the same in both directions."
+        " Windows begin at places spread evenly over the network, and one just before its worst"
+        " half second."
+    )
+    title = f"Windows of {Path(summary['network']).name} in which bounds are kept"
+    rows = _by_equipment(summary["parts"]["network"]["points"])
+    return table_of(title, columns, rows, note)
 
 
 def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
@@ -161,13 +195,13 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
 
 def _share_kept(sheet: DrawnSheet) -> go.Figure:
     parts = sheet.summary["parts"]
-    figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "kept (%)")
+    figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "share (%)")
     if sheet.window is not None:
         trips_ms = np.sort(link.arrivals(sheet.window.data)[1])
         share = 100.0 * np.arange(1, len(trips_ms) + 1) / max(1, len(trips_ms))
         every = max(1, len(trips_ms) // _MOST_POINTS)
         figure.add_scatter(
-            x=trips_ms[::every], y=share[::every], name="network: round trips below",
+            x=trips_ms[::every], y=share[::every], name="share of the network's round trips below",
             line_color="#bbbbbb", fill="tozeroy", mode="lines",
         )  # fmt: skip
     for index, case in enumerate(parts["margin"]["cases"]):

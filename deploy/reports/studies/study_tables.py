@@ -114,6 +114,8 @@ def help_tables(summary: Summary, folder: str = "") -> list[Table]:
         (Column("Change", is_text=True), lambda each: each["change"]),
         (Column("Kept", is_text=True), lambda each: "yes" if each["held"] else "no"),
         (Column("Bound left", "%"), lambda each: scaled(each["margin_min"], 100.0)),
+        (Column("RMS error of the worst joint", "mrad", "RMS error"),
+         lambda each: scaled(each["worst_rms_rad"], 1e3)),
         (Column("Command, in the folder of this page", brief=None, is_text=True),
          lambda each: repeat.format(folder=folder, **each)),
     ]  # fmt: skip

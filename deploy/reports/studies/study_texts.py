@@ -172,7 +172,11 @@ def margin_sentences(summary: Summary) -> list[str]:
 
 def brief_margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, without what a table beside them says."""
-    return [*_headlines(summary), *_held_again(summary), *_in_theory(summary)]
+    patterns = (
+        _pattern_sentence(case, summary) for case in summary["cases"] if case.get("worst_pattern")
+    )
+    found = [*_doubts(summary), *filter(None, patterns)]
+    return [*found, *_held_again(summary), *_in_theory(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:

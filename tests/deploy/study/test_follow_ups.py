@@ -57,7 +57,7 @@ def test_each_remedy_is_tried_once_from_every_start_at_the_first_failure(tmp_pat
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
     (table,) = help_tables(study.summary(folder.rows))
     assert table.title == "What helps at 8 ms, paper_arm, pid"
-    shown = [(name.text, kept.text, left.text) for name, kept, left, _ in table.cells]
+    shown = [(name.text, kept.text, left.text) for name, kept, left, *_ in table.cells]
     assert shown[:2] == [("compensation", "yes", "31"), ("drive loop", "yes", "42")]
     assert [row[:2] for row in shown[2:]] == [("twice the rate", "no"), ("half the gains", "no")]
 
