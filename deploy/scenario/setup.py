@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -27,6 +28,13 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.plant_task import PlantTask
+
+_GIVEN_BY = {
+    "plant.actuator.rotor_inertia_kg_m2=": "rotor inertia",
+    "plant.friction.coulomb_": "dry friction",
+    "plant.friction.viscous_": "viscous friction",
+}
+"""Keys of the drives, and their names in the source of their numbers."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +72,14 @@ class Setup:
 
     @property
     def drive_data(self) -> str:
-        """Source of the numbers of the arm and its drives, where a scenario or the arm names it."""
+        """Source of the numbers of the arm and its drives, where a scenario or the arm names it.
+
+        What an override gives is estimated no longer.
+        """
         named, estimated = self.scenario.robot.drive_data or "", self.robot.estimated
+        for key, what in _GIVEN_BY.items():
+            if any(each.startswith(key) for each in self.overrides):
+                named = re.sub(rf"{what}[^,;]*", f"{what} as given", named)
         return named if estimated in named else ", ".join(filter(None, [estimated, named]))
 
     @property

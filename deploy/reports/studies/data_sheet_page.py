@@ -106,8 +106,9 @@ def _rotors_sentence(margin: Summary, on: Summary, off: Summary) -> list[str]:
     if with_ms is None:
         return []
     return [
-        f"The rotors are estimated. With a tenth of them, a constant round trip of {with_ms} is"
-        f" kept with compensation, {without_ms} without: until you know them, quote the smaller."
+        "The rotors are estimated. With a tenth of them, the constant round trip kept is:"
+        f" {with_ms} with compensation, {without_ms} without. Until you know them, quote the"
+        " smaller margins."
     ]
 
 

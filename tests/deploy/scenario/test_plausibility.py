@@ -103,6 +103,12 @@ def test_rotors_of_the_file_are_no_estimate(arm):
     assert tenth_of_rotors(load_setup("paper_arm", values)) is None  # which has no rotors
 
 
+def test_rotors_that_an_override_gives_are_estimated_no_longer(arm):
+    given = load_setup(str(arm(60, 20)), ["plant.actuator.rotor_inertia_kg_m2=[0.3, 0.1]"])
+    assert given.drive_data.startswith("rotor inertia as given, dry friction ESTIMATED")
+    assert tenth_of_rotors(given) is None
+
+
 def test_a_tenth_of_estimated_rotors_has_its_command(arm):
     (warned,) = [e for e in scenario_warnings(load_setup(str(arm(60, 20)))) if "rotors" in e]
     assert "--set 'plant.actuator.rotor_inertia_kg_m2=[0.048, 0.016]'" in warned
