@@ -36,6 +36,8 @@ from controller.rigid_bodies.dynamics import mass_matrix
 
 _LARGEST_NM = 1e6
 """Largest disturbance of a plausible state: nothing is learned from a larger one."""
+_NO_ARM = 1e4
+"""Position and velocity that no arm reaches, rad and rad/s, or m and m/s."""
 
 
 class Arm(NamedTuple):
@@ -189,11 +191,19 @@ def move_ahead(arm: Arm, state: Matrix, stamp_ns: int, moved: Matrix) -> int:
 
 
 @compiled
+def _is_possible(motion: Matrix) -> bool:
+    """Whether no joint is predicted at a place, or a speed, that no arm can have."""
+    for value in motion.flat:  # noqa: SIM110 (numba compiles no generators)
+        if not abs(value) < _NO_ARM:  # NaN is not below it either
+            return False
+    return True
+
+
+@compiled
 def aim(measured: Matrix, predicted: Matrix, target: Matrix, horizon_ns: int) -> float:
     """Write the drives' target for a prediction, and return its horizon in s."""
     horizon_s = horizon_ns * 1e-9
-    if not (all_finite(predicted[0]) and all_finite(predicted[1])):
-        # no real motion: at such speeds the model's numbers overflow
+    if not _is_possible(predicted):  # the model has diverged, and a law would compute with that
         assign(predicted, measured)
     for i in range(measured.shape[1]):
         target[1, i] = predicted[1, i]
