@@ -36,7 +36,7 @@ from controller.rigid_bodies.dynamics import mass_matrix
 
 _LARGEST_NM = 1e6
 """Largest disturbance of a plausible state: nothing is learned from a larger one."""
-_NO_ARM = 1e4
+_LARGEST_MOTION = 1e4
 """Position and velocity that no arm reaches, rad and rad/s, or m and m/s."""
 
 
@@ -194,7 +194,7 @@ def move_ahead(arm: Arm, state: Matrix, stamp_ns: int, moved: Matrix) -> int:
 def _is_possible(motion: Matrix) -> bool:
     """Whether no joint is predicted at a place, or a speed, that no arm can have."""
     for value in motion.flat:  # noqa: SIM110 (numba compiles no generators)
-        if not abs(value) < _NO_ARM:  # NaN is not below it either
+        if not abs(value) < _LARGEST_MOTION:  # NaN is not below it either
             return False
     return True
 

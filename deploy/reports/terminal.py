@@ -23,8 +23,6 @@ STYLES: dict[Status | Level, str] = {
     "good": "bold green", "bad": "bold red", "broken": "bold red",
 }  # fmt: skip
 """Styles of cells and verdicts."""
-_COMMAND = ": funnel-hil "
-"""Before a command at the end of a sentence, which stays on one line to be copied."""
 _WHOLE_LETTERS, _WHOLE_IN_HEADINGS = 24, 7
 _WIDEST = 10_000
 _LEAST = 8
@@ -61,7 +59,7 @@ def _print_head(console: Console, head: ReportHead) -> None:
     headline = f"{head.headline[:1].lower()}{head.headline[1:]}"
     console.print(headline, style=STYLES[head.level], markup=False, highlight=False)
     for reason in head.reasons if head.printed is None else head.printed:
-        console.print(reason, markup=False, highlight=False, soft_wrap=_COMMAND in reason)
+        console.print(reason, markup=False, highlight=False)
 
 
 def print_table(console: Console, table: Table) -> None:

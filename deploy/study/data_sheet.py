@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,7 +73,7 @@ class DataSheet:
         """Return runs on windows of the network; None without a network.
 
         With compensation first; also without, and each with feedback at the drives where that is
-        possible. Both directions begin at the same place of the network.
+        possible and not fixed. Both directions begin at the same place of the network.
         """
         if self.network is None:
             return None
@@ -84,14 +85,13 @@ class DataSheet:
         }  # fmt: skip
         given = {LAW: self.law, "duration_s": self.duration_s, **self._set()}
         values = {
-            "name": "network", "scenario": self.arm, "grid": grid, "seeds": 1,
-            "set": {key: each for key, each in given.items() if key not in grid},
+            "name": "network", "scenario": self.arm, "grid": grid, "seeds": 1, "set": given,
         }  # fmt: skip
-        try:
-            return Sweep(values, _SOURCE)
-        except ScenarioError:
-            del grid[DRIVE_FEEDBACK]
-            return Sweep(values, _SOURCE)
+        if DRIVE_FEEDBACK not in given:
+            with contextlib.suppress(ScenarioError):
+                return Sweep(values, _SOURCE)
+        del grid[DRIVE_FEEDBACK]
+        return Sweep(values, _SOURCE)
 
     def of_plants(self, margin_ms: float) -> StudyOfRuns | None:
         """Return runs of uncertain plants at parts of a margin; None without plants or margin."""

@@ -22,6 +22,8 @@ from deploy.cli.options import (
 from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override, read_yaml
 from deploy.study.comparison.settling import OFFSETS_RAD
 
+_DEFAULT_LAWS = f"by default {', '.join(COMPARED_LAWS)}, and the scenario's"
+
 
 @dataclass(kw_only=True)
 class WorkerOptions:
@@ -48,13 +50,7 @@ class CompareOptions(GateOptions, WorkerOptions):
 
     scenario: ScenarioArgument = "paper_arm"
     laws: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,…",
-            help="Laws to compare; by default "
-            + ", ".join(COMPARED_LAWS)
-            + ", and the scenario's.",
-        ),
+        str | None, typer.Option(metavar="A,B,…", help=f"Laws to compare; {_DEFAULT_LAWS}.")
     ] = None
     settling: Annotated[
         bool,
@@ -175,11 +171,7 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
         typer.Argument(help="Scenario files or shipped scenarios; default paper_arm."),
     ] = None
     laws: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,…",
-            help="Laws to test; by default " + ", ".join(COMPARED_LAWS) + ", and the scenario's.",
-        ),
+        str | None, typer.Option(metavar="A,B,…", help=f"Laws to test; {_DEFAULT_LAWS}.")
     ] = None
     compensation: Annotated[
         str | None, typer.Option(metavar="off,on", help="Delay compensation: off, on, or both.")

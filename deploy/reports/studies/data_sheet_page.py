@@ -134,7 +134,7 @@ def _by_equipment(points: list[Summary]) -> list[Summary]:
     found = []
     for own in rows_by(points, lambda point: str(point["values"][2:])).values():
         _, _, compensation, *feedback = own[0]["values"]
-        worst = min(own, key=lambda point: point["margin_min"]["lowest"] or -math.inf)
+        worst = min(own, key=_smallest_margin)
         found.append({
             "compensation": compensation,
             "drive_feedback": feedback[0] if feedback else None,
@@ -145,6 +145,12 @@ def _by_equipment(points: list[Summary]) -> list[Summary]:
             "worst_point": worst["worst_point"],
         })  # fmt: skip
     return found
+
+
+def _smallest_margin(point: Summary) -> float:
+    """The smallest margin of the runs of a point; of runs that failed there is none."""
+    lowest: float | None = point["margin_min"]["lowest"]
+    return -math.inf if lowest is None else lowest
 
 
 def _network_table(summary: Summary) -> Table:
@@ -163,7 +169,7 @@ def _network_table(summary: Summary) -> Table:
     note = (
         f"Each window is {summary['duration_s']:g} s of the network, the same in both directions."
         " Windows begin at places spread evenly over the network, and one just before its worst"
-        " half second."
+        " half second: this one is no random place, so the share and its interval are rather low."
     )
     title = f"Windows of {Path(summary['network']).name} in which bounds are kept"
     rows = _by_equipment(summary["parts"]["network"]["points"])

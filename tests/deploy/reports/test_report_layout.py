@@ -77,19 +77,27 @@ def report(tmp_path_factory):
     return folder / "report.html"
 
 
-@pytest.mark.parametrize("width_px", [1600, 390])
-def test_nothing_in_a_report_is_clipped(width_px, report, tmp_path):
-    async def clipped():
-        async with opened(report.as_uri(), tmp_path / "profile") as page:
+def seen(path, width_px, profile, drawn, *scripts):
+    """What scripts find in a report of this width, once all of these conditions hold."""
+
+    async def found():
+        async with opened(path.as_uri(), profile) as page:
             await page.call(
                 "Emulation.setDeviceMetricsOverride",
                 width=width_px, height=1200, deviceScaleFactor=1, mobile=width_px < 600,
             )  # fmt: skip
             await page.call("Page.reload")
-            await page.await_true("document.querySelectorAll('.plot .main-svg text').length > 20")
-            return await page.value(CLIPPED)
+            for condition in drawn:
+                await page.await_true(condition)
+            return [await page.value(script) for script in scripts]
 
-    assert asyncio.run(clipped()) == []
+    return asyncio.run(found())
+
+
+@pytest.mark.parametrize("width_px", [1600, 390])
+def test_nothing_in_a_report_is_clipped(width_px, report, tmp_path):
+    drawn = ["document.querySelectorAll('.plot .main-svg text').length > 20"]
+    assert seen(report, width_px, tmp_path / "profile", drawn, CLIPPED) == [[]]
 
 
 OVERLAPS = """
@@ -131,18 +139,10 @@ def margins(tmp_path_factory):
 
 @pytest.mark.parametrize("width_px", [1600, 390])
 def test_labels_of_many_laws_do_not_overlap(width_px, margins, tmp_path):
-    async def found():
-        async with opened(margins.as_uri(), tmp_path / "profile") as page:
-            await page.call(
-                "Emulation.setDeviceMetricsOverride",
-                width=width_px, height=1200, deviceScaleFactor=1, mobile=width_px < 600,
-            )  # fmt: skip
-            await page.call("Page.reload")
-            await page.await_true("document.querySelectorAll('.bartext').length == 10")
-            await page.await_true("document.querySelectorAll('.legendtext').length > 10")
-            return await page.value(CLIPPED), await page.value(OVERLAPS)
-
-    assert asyncio.run(found()) == ([], [])
+    drawn = ["document.querySelectorAll('.bartext').length == 10",
+             "document.querySelectorAll('.legendtext').length > 10"]  # fmt: skip
+    found = seen(margins, width_px, tmp_path / "profile", drawn, CLIPPED, OVERLAPS)
+    assert found == [[], []]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

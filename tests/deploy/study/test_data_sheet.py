@@ -8,6 +8,8 @@ import re
 import pytest
 
 from deploy.reports.kinds import gauged
+from deploy.reports.studies.data_sheet_page import headline
+from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
 from deploy.study.data_sheet import DataSheet
 from tests.deploy.own_laws import own_law
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
@@ -81,6 +83,28 @@ def test_a_window_begins_just_before_the_worst_burst_in_both_directions(tmp_path
         assert (
             run.columns["link.uplink.trace.start_s"] == run.columns["link.downlink.trace.start_s"]
         )
+
+
+def test_feedback_at_the_drives_that_is_set_is_not_varied(made):
+    _, words, _ = made
+    network = words[words.index("--network") + 1]
+    sheet = DataSheet("paper_arm", "smc", str(network), fixed={DRIVE_FEEDBACK: True}, is_quick=True)
+    runs = list(sheet.windows().first())
+    assert [run.columns[COMPENSATION] for run in runs] == 4 * [True, False]
+    assert all(f"{DRIVE_FEEDBACK}=true" in run.overrides for run in runs)
+
+
+def test_the_headline_names_estimated_rotors_that_decide(made):
+    out, _, _ = made
+    summary = summary_of(out)
+    assert "rotors" not in " ".join(headline(summary))  # paper_arm has none
+    for case in summary["parts"]["margin"]["cases"]:
+        kept_ms = None if case["compensation"] else 2.5
+        case["smaller_rotors"] = {**case, "margin": kept_ms, "first_failure": 3.0}
+    assert (
+        "With a tenth of them, the constant round trip kept is: none with compensation, 2.5 ms"
+        " without."
+    ) in " ".join(headline(summary))
 
 
 def test_each_change_that_helped_has_its_command(made):
