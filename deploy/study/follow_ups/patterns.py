@@ -16,8 +16,9 @@ from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import override
 from deploy.study.cases import Case
 from deploy.study.follow_ups.trials import command_of, overrides_of, worst_of
+from deploy.study.margin_search import MarginSearch
 from deploy.study.plants import Variant
-from deploy.study.quantities import MarginSearch, Quantity
+from deploy.study.quantities import Quantity
 from deploy.study.study import rows_by
 from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
 

@@ -14,7 +14,7 @@ from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.execution.folder import create_folder
 from deploy.study.margin import MarginDefinition
-from deploy.study.quantities import MarginSearch, Steps
+from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import Here, conduct, limits, made_up, margin_of
