@@ -128,6 +128,7 @@ class _Case(_Part):
     running: bool
     growth: Finite = 1
     margin: Finite | None = None
+    quoted: Finite | None = None
     kept_up_to: Finite | None = None
     guaranteed: Finite | None = None
     worst_pattern: _Worst | None = None
@@ -140,7 +141,9 @@ class _Case(_Part):
 
     @property
     def least_margin(self) -> float | None:
-        """The margin; with patterns the one for all of them: guaranteed, or where all held."""
+        """The margin to quote; of older results that for all patterns, or the one held."""
+        if "quoted" in self.model_fields_set:
+            return self.quoted
         found = self.margin if self.worst_pattern is None else self.worst_pattern.margin
         return found if self.guaranteed is None else self.guaranteed
 

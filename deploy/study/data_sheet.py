@@ -26,6 +26,8 @@ _TRACES = "link.uplink.trace.file, link.downlink.trace.file"
 _STARTS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
 _STRETCH_NS, _LEAD_NS = 500_000_000, 250_000_000
 """Length of the worst stretch of a network, and how long before it a window begins."""
+_MODEL_ERRORS = (0.8, 1.25)
+"""Factors on the model's masses and inertias, as far as those of an unidentified arm err."""
 _SHARES_OF_MARGIN = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -64,7 +66,7 @@ class DataSheet:
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.law], "running": [False],
             "compensation": [False, True], "pattern": "any", "what_helps": True,
-            "smaller_rotors": True,
+            "smaller_rotors": True, "model_errors": list(_MODEL_ERRORS),
             "duration_s": self.duration_s, "set": self._set(),
         }  # fmt: skip
         return margin_study(values | (quick if self.is_quick else {}), _SOURCE)

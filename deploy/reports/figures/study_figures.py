@@ -13,8 +13,9 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.studies.study_texts import (
-    margin_figure,
     probe_at,
+    quoted_or_none,
+    quoted_text,
     setting_text,
     value_title,
 )
@@ -155,8 +156,8 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
         own = [style.palette(place) for place in range(len(members))]
         figure.add_bar(
             x=[style.plain(case["law"]) for case in members],
-            y=[case["margin"] or 0.0 for case in members],
-            text=[margin_figure(case).replace("none", "–") for case in members],
+            y=[quoted_or_none(case) or 0.0 for case in members],
+            text=[_without_unit(study, case) for case in members],
             name=group or "as the scenario has it",
             textposition="outside", cliponaxis=False,
             constraintext="none", textangle=0 if len(cases) <= _MOST_UPRIGHT else -90,
@@ -171,9 +172,15 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
     if ceilings:
         figure.add_hline(y=min(ceilings), line=style.DOTTED)
-        highest = max(min(ceilings), *(case["margin"] or 0.0 for case in cases))
+        highest = max(min(ceilings), *(quoted_or_none(case) or 0.0 for case in cases))
         figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
     return figure
+
+
+def _without_unit(study: DrawnStudy, case: dict[str, Any]) -> str:
+    """The number to quote of a case, for a bar on an axis that has the unit."""
+    unit = f" {study.summary['unit']}"
+    return quoted_text(case, study.summary).removesuffix(unit).replace("none", "–")
 
 
 def heat_map(

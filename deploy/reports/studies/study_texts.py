@@ -7,6 +7,7 @@ from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
+from deploy.study.quoted import Because
 
 Summary = dict[str, Any]
 
@@ -85,6 +86,58 @@ def margin_text(case: Summary, summary: Summary) -> str:
     return f"{margin_figure(case)} {summary['unit'] if has_unit else ''}".rstrip()
 
 
+def quoted_text(case: Summary, summary: Summary) -> str:
+    """The number to quote of a case, with its unit."""
+    if not case["completed"] or case.get("quoted_because", Because.HELD) == Because.HELD:
+        return margin_text(case, summary)
+    number = case["quoted"]
+    return "none" if number is None else value_text(number, summary)
+
+
+def quoted_or_none(case: Summary) -> float | None:
+    """The number to quote of a case; older results have only their margin."""
+    found: float | None = case.get("quoted", case["margin"])
+    return found
+
+
+def because_text(case: Summary) -> str:
+    """Why a smaller number than the held one is quoted; empty if the held one is."""
+    because = case.get("quoted_because")
+    if because == Because.THEORY and case["quoted"] is None:
+        return "unstable without a delay, in theory"
+    return {
+        Because.THEORY: "unstable beyond it, in theory",
+        Because.PATTERN: "a pattern of delays is lost beyond it",
+        Because.ROTORS: "with a tenth of the estimated rotors",
+        Because.MODEL: f"with {_worst_model(case)}",
+    }.get(because or "", "")
+
+
+def _worst_model(case: Summary) -> str:
+    """The model error with the smallest margin."""
+    errors = case.get("model_errors") or [{"change": "model", "margin": None}]
+    none = -math.inf
+    least = min(errors, key=lambda each: none if each["margin"] is None else each["margin"])
+    return str(least["change"])
+
+
+def theory_text(case: Summary) -> str | None:
+    """The largest constant delay that is stable in theory; None where theory knows none."""
+    theory = case.get("theory") or {}
+    if theory.get("unstable_without_delay") is not None:
+        return "unstable"
+    return f"{theory['constant_ms']:g} ms" if "constant_ms" in theory else None
+
+
+def unknowns_text(summary: Summary) -> str:
+    """What is not known of an arm and was tried at its worst; empty for nothing."""
+    (case, *_) = summary["cases"]
+    errors = [each["change"] for each in case.get("model_errors") or ()]
+    rotors = ["a tenth of the estimated rotors"] if case.get("smaller_rotors") else []
+    tried = [*rotors, *errors]
+    return f", the worst of the exact arm, {', '.join(tried)}" if tried else ""
+
+
 def pattern_text(case: Summary, summary: Summary) -> str | None:
     """Up to where every pattern of delays holds: guaranteed, or with the number that was tried."""
     if case.get("guaranteed") is not None:
@@ -134,13 +187,19 @@ def margin_headline(summary: Summary) -> str:
         for case in cases:
             if case["arm"] == arm:
                 settings.setdefault(setting_text(case), []).append(case)
-        best = list(map(_largest, settings.values()))
-        shown = best if len(best) <= 2 else [_largest(best)]
-        margins = (f"{margin_text(case, summary)} {setting_text(case)}".rstrip() for case in shown)
-        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(margins)}")
+        best = list(map(furthest_case, settings.values()))
+        shown = best if len(best) <= 2 else [furthest_case(best)]
+        margins = (f"{quoted_text(case, summary)} {setting_and_reason(case)}" for case in shown)
+        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(map(str.rstrip, margins))}")
     who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
     kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
+
+
+def setting_and_reason(case: Summary) -> str:
+    """With what a law has the number to quote, and why that is smaller than what held."""
+    reason = because_text(case)
+    return f"{setting_text(case)} ({reason})".lstrip() if reason else setting_text(case)
 
 
 def model_text(cases: list[Summary]) -> str:
@@ -152,9 +211,14 @@ def model_text(cases: list[Summary]) -> str:
     return f", with a model of {' or '.join(f'{each:g}' for each in sorted(scales))} × its masses"
 
 
-def _largest(cases: list[Summary]) -> Summary:
+def furthest_case(cases: list[Summary]) -> Summary:
     """The case with the furthest margin; one without a margin is behind all others."""
-    return max(cases, key=lambda c: -math.inf if c["margin"] is None else c["growth"] * c["margin"])
+
+    def reached(case: Summary) -> float:
+        number = quoted_or_none(case)
+        return -math.inf if number is None else case["growth"] * number
+
+    return max(cases, key=reached)
 
 
 def margin_sentences(summary: Summary) -> list[str]:
@@ -225,17 +289,19 @@ def _headlines(summary: Summary) -> list[str]:
 
 def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
     """Who takes the most of the cases of an arm."""
-    known = [case for case in cases if case["margin"] is not None]
+    known = [case for case in cases if quoted_or_none(case) is not None]
     where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
     if not known:
         return f"{where}: no law keeps its bounds at all."
-    best = _largest(known)
+    best = furthest_case(known)
     laws: dict[str, list[str]] = {}
     for case in known:
-        if case["margin"] == best["margin"]:
+        if quoted_or_none(case) == quoted_or_none(best):
             laws.setdefault(equipment_text(case), []).append(case["law"])
     whose = [f"{_listed(names)} {equipment}".rstrip() for equipment, names in laws.items()]
-    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
+    reason = because_text(best)
+    margin = f"{furthest(summary)} margin is {quoted_text(best, summary)}"
+    margin += f" ({reason})" if reason else ""
     return f"{where}: the {margin}, of {'; of '.join(whose)}." + "".join(
         f" {text}" for text in _doubts({"cases": cases})
     )

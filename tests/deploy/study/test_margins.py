@@ -153,10 +153,31 @@ def test_the_largest_value_that_holds_is_found_to_one_step(margin):
     assert len(set(probed)) == len(probed)
 
 
-def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
+def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_between_and_beyond():
     _, probed = found(lambda value: value <= 9)
-    # 16 fails; 12 and 10 fail, 9 holds on the way down; beyond the first failure, 10: 15 and 20.
-    assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 15, 20]
+    # 16 fails; 12 and 10 fail, 9 holds on the way down; from 4 to 8 is more than an eighth of 9;
+    # beyond the first failure, 10: 15 and 20.
+    assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 6, 15, 20]
+
+
+def test_a_window_of_instability_wider_than_an_eighth_of_the_margin_is_found():
+    for start in range(12, 80):  # 100 holds, so the doubling steps over it
+        search, probed = found(lambda value: not start <= value < start + 14, limit=100)  # noqa: B023
+        assert search.first_failure == start
+        assert search.margin == start - 1
+    # Up to the margin, no gap is wider than an eighth of it.
+    search, _ = found(lambda _: True, limit=100)
+    low, high = search.widest_gap
+    assert high - low <= 13
+
+
+def test_the_search_goes_first_where_theory_expects_the_loss():
+    search, probed = MarginSearch(Steps(0.0, 0.5, 2, 256), hints=[4, 5], parts=1), []
+    while (value := search.next()) is not None:
+        probed.append(value)
+        search.outcomes[value] = value not in (5, 17, 18)
+    assert probed == [0, 4, 5, 8, 10]
+    assert (search.margin, search.first_failure) == (4, 5)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +185,7 @@ def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
 )
 def test_search_ends_at_a_failing_zero_or_at_the_limit(holds, last, margin, first_failure):
     search, probed = found(lambda _: holds, limit=50)
-    assert (probed[-1], search.margin, search.first_failure) == (last, margin, first_failure)
+    assert (max(probed), search.margin, search.first_failure) == (last, margin, first_failure)
 
 
 def test_larger_values_that_hold_again_are_reported_and_do_not_count():
