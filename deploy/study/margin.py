@@ -197,7 +197,10 @@ class Margin(StudyOfCases):
         if wanted.pattern is not None:
             link = load_setup(setting.scenario, setting.at(steps.value(margin))).link
             # Without delay all patterns hold.
-            yield "patterns", PatternSearch(limited, {0: True}, case=case, is_levelled=levels(link))
+            yield (
+                "patterns",
+                PatternSearch(limited, {0: True}, parts=1, case=case, is_levelled=levels(link)),
+            )
             if wanted.disturbances is not None:
                 values = sorted({margin, margin // 2, margin // 4}, reverse=True)
                 changes = disturbances.changes(wanted.disturbances, setting)

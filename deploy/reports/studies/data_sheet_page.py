@@ -134,7 +134,7 @@ def _network_sentence(summary: Summary, points: list[Summary]) -> str:
             f"; kept in {kept(best)} {texts.equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true"
         )
     return (
-        f"On {name}: {verdict} windows of {summary['duration_s']:g} s"
+        f"{name}: {verdict} windows of {summary['duration_s']:g} s"
         f" {texts.equipment_text(own)} (kept: 95 % interval {interval}){better}."
     )
 

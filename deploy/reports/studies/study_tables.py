@@ -82,7 +82,7 @@ def margin_table(summary: Summary) -> Table:
         _margin_title(summary),
         [
             *_case_columns(summary),
-            (Column("Margin to quote", brief="Margin"),
+            (Column("Margin"),
              lambda case: texts.quoted_text(case, summary)),
             *([held] if any(map(texts.because_text, summary["cases"])) else []),
             *([in_theory] if any(map(texts.theory_text, summary["cases"])) else []),
@@ -98,7 +98,7 @@ def margin_table(summary: Summary) -> Table:
              lambda case: ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT),
         ],
         summary["cases"],
-        "The margin to quote is the smallest of all that is known. A value holds if the bounds are"
+        "The margin is the smallest of all that is known. A value holds if the bounds are"
         f" kept from every start with every seed; held is the {texts.furthest(summary)} value up to"
         " which all tested values held, theory is for the linear loop. Held-arm"
         " ceiling: until the first command acts the brakes hold the arm, and from the worst"

@@ -71,7 +71,7 @@ def test_a_run_that_fails_by_accident_leaves_the_margin_open(
     funnel_hil.output(*words)  # tries it again, and nothing else
     (case,) = json.loads((out / "summary.json").read_text())["cases"]
     assert (case["completed"], case["margin"]) == (True, 2.0)
-    assert len(runs.read_text()) == 3 + 1 + 1  # theory asks the law once more
+    assert len(runs.read_text()) == 3 + 1 + (1 if fails == 1 else 2)  # theory asks it too
 
 
 def test_margins_as_a_table_for_documents(tmp_path):
@@ -162,7 +162,7 @@ def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_between_a
 
 def test_a_window_of_instability_wider_than_an_eighth_of_the_margin_is_found():
     for start in range(12, 80):  # 100 holds, so the doubling steps over it
-        search, probed = found(lambda value: not start <= value < start + 14, limit=100)  # noqa: B023
+        search, _ = found(lambda value: not start <= value < start + 14, limit=100)  # noqa: B023
         assert search.first_failure == start
         assert search.margin == start - 1
     # Up to the margin, no gap is wider than an eighth of it.

@@ -66,7 +66,7 @@ def test_without_playout_the_worst_pattern_is_found(tmp_path):
         margin_sentences(summary)
     )
     assert "4 ms, " in str(margin_table(summary).rows)
-    assert "8 ms; every pattern: 4 ms, " in as_markdown(margins_by_law(summary))
+    assert "4 ms; every pattern: 4 ms, " in as_markdown(margins_by_law(summary))
 
 
 def test_a_neighbour_that_loses_lowers_the_margin(tmp_path):
