@@ -231,7 +231,7 @@ def margin_sentences(summary: Summary) -> list[str]:
         for case in summary["cases"]
         if (smaller := rotors_text(case, summary))
     ]
-    return [*found, *rotors, *theory_sentences(summary), *_saved(summary)]
+    return [*found, *rotors, *theory_sentences(summary), *_gaps(summary), *_saved(summary)]
 
 
 def brief_margin_sentences(summary: Summary) -> list[str]:
@@ -240,7 +240,7 @@ def brief_margin_sentences(summary: Summary) -> list[str]:
         _pattern_sentence(case, summary) for case in summary["cases"] if case.get("worst_pattern")
     )
     found = [*_doubts(summary), *filter(None, patterns)]
-    return [*found, *_held_again(summary), *_in_theory(summary)]
+    return [*found, *_held_again(summary), *_in_theory(summary), *_gaps(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:
@@ -373,6 +373,22 @@ def _in_theory(summary: Summary) -> list[str]:
         f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
         for case in summary["cases"]
         if (theory := case.get("theory")) and "reason" not in theory
+    ]
+
+
+def _gaps(summary: Summary) -> list[str]:
+    """How far apart the tried values are, where theory knows no window of instability."""
+    gaps = [
+        case.get("widest_gap", 0.0)
+        for case in summary["cases"]
+        if "constant_ms" not in (case.get("theory") or {})
+    ]
+    if max(gaps, default=0.0) <= summary["resolution"]:
+        return []
+    width = value_text(max(gaps), summary)
+    return [
+        f"Up to the margins, values at most {width} apart were tried: a narrower window in which a"
+        " loop is unstable may lie between them."
     ]
 
 
