@@ -169,6 +169,10 @@ class PlantLoop:
         first = self.tick * self._grid.substeps
         self._advance(first, first + self._grid.substeps)
         self._instruments.read(tick_ns)
+        if self._playout is not None and self.tick + 1 < self._supervisor.end_tick:
+            # A command may act at this very tick, and the state measured at it says so, however
+            # the time until then is split between the two directions.
+            self._uplink.deliver_due(tick_ns)
         return lateness_ns
 
     def _keep_pace(self) -> int:
