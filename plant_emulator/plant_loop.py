@@ -66,7 +66,7 @@ class PlantLoop:
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
         mean_ns = states.mean_delay_ns + downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
-        self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
+        self._watchdog = Watchdog(timeout_ns, timeout_ns + max(round_trip_ns, task.expected_ns))
         answered_ns = task.answer_every * self._grid.period_ns
         self._telemetry = PlantTelemetry(
             names, arm, task.link.deadline_ns(answered_ns, round_trip_ns),

@@ -9,7 +9,8 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.link.configuration import AUTO, LinkConfiguration
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, MOST_ROWS
-from controller.compensation.command_timeline import HorizonSettings
+from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
+from controller.configuration import LONGEST_HORIZON_MS
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
 
@@ -26,7 +27,8 @@ def resolved_link(setup: Setup) -> LinkConfiguration:
     """Return the section ``link`` with the play-out time that applies.
 
     Raises:
-        ConfigurationError: it is ``auto``, but no command can say when it acts.
+        ConfigurationError: it is ``auto``, but no command can say when it acts; or it is longer
+            than what delay compensation predicts.
     """
     scenario = setup.scenario
     link = scenario.link
@@ -44,6 +46,9 @@ def resolved_link(setup: Setup) -> LinkConfiguration:
         elif controller.process is not None:
             allowed = "a time in ms with controller.process: its commands do not say when they act"
         raise ConfigurationError("link.playout_ms", AUTO, allowed)
+    if controller.delay_compensation.enabled and link.playout_ns > LONGEST_HORIZON_NS:
+        allowed = f"must be at most {LONGEST_HORIZON_MS:g} with delay compensation"
+        raise ConfigurationError("link.playout_ms", link.playout_ms, allowed)
     return link
 
 
@@ -64,10 +69,10 @@ def horizon_settings(setup: Setup) -> HorizonSettings:
         first_ns=first_ns,
         wanted_ns=wanted_ns,
         is_announced=True,
-        grain_ns=setup.grid.period_ns // setup.grid.substeps,
         reserve_ns=setup.grid.period_ns,
         bridge_rows=rows,
         row_ns=setup.grid.period_ns,
+        substeps=setup.grid.substeps,
     )
 
 
