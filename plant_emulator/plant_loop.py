@@ -169,10 +169,6 @@ class PlantLoop:
         first = self.tick * self._grid.substeps
         self._advance(first, first + self._grid.substeps)
         self._instruments.read(tick_ns)
-        if self._playout is not None and self.tick + 1 < self._supervisor.end_tick:
-            # A command may act at this very tick, and the state measured at it says so, however
-            # the time until then is split between the two directions.
-            self._uplink.deliver_due(tick_ns)
         return lateness_ns
 
     def _keep_pace(self) -> int:
@@ -243,6 +239,10 @@ class PlantLoop:
     def _reach_next_tick(self) -> None:
         self.tick = self._supervisor.tick = self.tick + 1
         self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
+        if self._task.lockstep and self.tick < self._supervisor.end_tick:
+            # A command that acts at this very tick is in force when the joints are measured,
+            # however its round trip is split between the two directions.
+            self._uplink.deliver_due(now_ns)
         if self._downlink.next_due_ns <= now_ns:
             self._commands.put_into_force(now_ns)
         self._commands.play_row(now_ns)

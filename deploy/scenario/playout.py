@@ -12,11 +12,17 @@ from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, MOST_ROWS
 from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
 from controller.configuration import LONGEST_HORIZON_MS
 from deploy.scenario.held_arm import held_arm_ceiling_ms
-from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
+from plant_emulator.channel.delay_range import (
+    configured_delays_ns,
+    largest_delay_ns,
+    round_trip_ns,
+)
 
 if TYPE_CHECKING:
     from deploy.scenario.setup import Setup
 
+EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
+"""Key that sets an automatic play-out time, from the start of a run."""
 _IN_TIME, _IN_TIME_AT_START = 0.995, 0.95
 """Shares of the commands that arrive before they have to act."""
 _SHARE_OF_CEILING = 0.6
@@ -74,6 +80,27 @@ def horizon_settings(setup: Setup) -> HorizonSettings:
         row_ns=setup.grid.period_ns,
         substeps=setup.grid.substeps,
     )
+
+
+def playout_range_ns(setup: Setup) -> tuple[int, int]:
+    """Return the time from a state until its torque acts, at the start of a run and later, ns.
+
+    It has both values only where it is chosen automatically, for delays that vary. A command that
+    comes late acts later.
+    """
+    if not setup.link.plays_automatically:
+        return setup.link.playout_ns, setup.link.playout_ns
+    chosen_ns = (setup.horizon.first_ns, setup.horizon.wanted_ns)
+    first_ns, later_ns = map(setup.grid.next_substep_ns, chosen_ns)
+    return min(first_ns, LONGEST_HORIZON_NS), min(later_ns, LONGEST_HORIZON_NS)
+
+
+def levels(setup: Setup) -> bool:
+    """Whether the play-out of a run makes all delays of its link as long as the longest one."""
+    up_ns, down_ns = map(largest_delay_ns, (setup.link.uplink, setup.link.downlink))
+    if up_ns is None or down_ns is None:
+        return False
+    return playout_range_ns(setup)[0] >= up_ns + down_ns
 
 
 def _bridge_rows(setup: Setup) -> int:

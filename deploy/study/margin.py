@@ -21,7 +21,7 @@ from deploy.study.doubts import doubts
 from deploy.study.follow_ups import disturbances, remedies
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
-from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, levels, shaped
+from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
 from deploy.study.follow_ups.theory import theory_of
 from deploy.study.follow_ups.trials import COLUMN, Trials, changed, trials
 from deploy.study.plants import Variant
@@ -30,7 +30,10 @@ from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
 from deploy.study.study import Different, PlannedRun, Seeds
 from deploy.study.trials.sequential_test import SequentialTest
 
-_OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")
+_OF_PATTERNS = (
+    "guaranteed", "guaranteed_d_ms", "scenario_d_ms", "guaranteed_command",
+    "worst_pattern", "patterns", "disturbances",
+)  # fmt: skip
 """Keys of the findings about patterns of delays."""
 SMALLER_ROTORS = "smaller_rotors"
 """Key of the findings about estimated rotors, and of what asks for them."""
@@ -91,7 +94,7 @@ class Margin(StudyOfCases):
         if self.definition.pattern is not None:
             self.columns["pattern"] = "string"
             for setting, start in ((case.setting, case.variants[0]) for case in self.cases):
-                self._checked(setting, shaped(start, HANDFUL[0], 0, setting.quantity))
+                self._checked(setting, shaped(start, HANDFUL[0], setting.quantity))
 
     @property
     def own_keys(self) -> dict[str, str]:
@@ -123,7 +126,7 @@ class Margin(StudyOfCases):
         if self.definition.quantity != "delay":
             allowed = f"must be left out for {self.definition.quantity}: only a delay has patterns"
             raise ConfigurationError("pattern", self.definition.pattern, allowed)
-        return [shaped(start, None, start.number, setting.quantity) for start in starts]
+        return [shaped(start, None, setting.quantity) for start in starts]
 
     @property
     def expected(self) -> int:
@@ -173,10 +176,10 @@ class Margin(StudyOfCases):
         case, wanted, steps = self.cases[index], self.definition, search.steps
         setting, block = case.setting, _MOST_VARIANTS * len(case.variants)
         if wanted.pattern is not None and (margin := search.margin) is not None:
-            link = load_setup(setting.scenario, setting.at(steps.value(margin))).link
+            at_margin = load_setup(setting.scenario, setting.at(steps.value(margin)))
             limited = replace(steps, first=margin, limit=margin)
             # Without delay all patterns hold.
-            yield "patterns", PatternSearch(limited, {0: True}, case=case, is_levelled=levels(link))
+            yield "patterns", PatternSearch(limited, {0: True}, case=case, at_margin=at_margin)
             if wanted.disturbances is not None:
                 values = sorted({margin, margin // 2, margin // 4}, reverse=True)
                 changes = disturbances.changes(wanted.disturbances, setting)

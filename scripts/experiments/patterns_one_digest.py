@@ -174,8 +174,10 @@ def _ticks(numbers: random.Random, limit_ns: int, tick_ns: int) -> Iterator[tupl
 
 
 def digest(run: RunData, playout_ms: float) -> str:
-    """Return SHA-256 over the motion and the commands that answer states up to d before the end."""
-    commands, truth = (run.tables[each.name] for each in (topics.JOINT_COMMANDS, topics.PLANT_TRUTH))
+    """Return SHA-256 over the motion and the commands that answer states until d before the end."""
+    commands, truth = (
+        run.tables[each.name] for each in (topics.JOINT_COMMANDS, topics.PLANT_TRUTH)
+    )
     period_s = 1e-9 * run.setup.grid.period_ns
     until_s = stamps_s(truth)[-1] - 1e-3 * playout_ms - 0.5 * period_s
     acted = commands[stamps_s(commands) < until_s]

@@ -7,6 +7,7 @@ from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
+from deploy.scenario.playout import EXPECTED
 
 Summary = dict[str, Any]
 
@@ -105,8 +106,9 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     if case.get("guaranteed"):
         return (
             f"{case_title(case)}: holds for every delay up to"
-            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost;"
-            f" the motion is the same to the bit in {case['patterns']['tried']} patterns."
+            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost,"
+            f"{_playout_text(case)} The motion is the same to the bit in"
+            f" {case['patterns']['tried']} patterns."
         )
     if (worst := case.get("worst_pattern")) is None:
         return None
@@ -114,6 +116,19 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     return (
         f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst, at"
         f" {value_text(worst['value'], summary)}: {name}."
+    )
+
+
+def _playout_text(case: Summary) -> str:
+    """For which play-out a guarantee holds, and how to set it where the scenario does not."""
+    if (d_ms := case.get("guaranteed_d_ms")) is None:  # of an older version
+        return " under the play-out time of a constant delay of that length."
+    text = f" if torques act d = {d_ms:.9g} ms after their state from the start on."
+    if case["guaranteed_command"] is None:
+        return text
+    return (
+        f"{text} For its own link the scenario chooses {case['scenario_d_ms']:.9g} ms at the start:"
+        f" set d with --set {EXPECTED}={d_ms:.9g}."
     )
 
 
@@ -172,10 +187,8 @@ def margin_sentences(summary: Summary) -> list[str]:
 
 def brief_margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, without what a table beside them says."""
-    patterns = (
-        _pattern_sentence(case, summary) for case in summary["cases"] if case.get("worst_pattern")
-    )
-    found = [*_doubts(summary), *filter(None, patterns)]
+    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
+    found = [*_doubts(summary), *patterns]
     return [*found, *_held_again(summary), *_in_theory(summary)]
 
 

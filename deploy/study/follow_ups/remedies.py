@@ -11,7 +11,7 @@ from controller.laws import LAWS
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, plain
 from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK, Setting
-from deploy.study.follow_ups.trials import Changes, Trials, command_of, overrides_of
+from deploy.study.follow_ups.trials import Changes, Trials, command_of, variant_of
 
 _SHAPES = ("slope", "alpha", "beta", "inertia_kg_m2", "rate")
 """Gains per joint that shape a surface, an observer or a funnel; all others scale the torque."""
@@ -46,7 +46,7 @@ def findings(setting: Setting, trials: Trials) -> dict[str, Any] | None:
     if not (tried := trials.findings()):
         return None
     for each in filter(lambda one: one["held"], tried):
-        overrides = setting.at(each["value"], overrides_of(trials, each))
+        overrides = setting.of(each["value"], variant_of(trials, each))
         each["command"] = command_of(setting, overrides, each)
     # The offset at the start often decides the smallest margin: of equal ones, errors count.
     best = min(
