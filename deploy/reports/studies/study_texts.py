@@ -104,11 +104,12 @@ def rotors_text(case: Summary, summary: Summary) -> str | None:
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     """What is known of a case under delays that vary."""
     if case.get("guaranteed"):
+        playout, remedy = _playout_texts(case)
         return (
             f"{case_title(case)}: holds for every delay up to"
             f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost,"
-            f"{_playout_text(case)} The motion is the same to the bit in"
-            f" {case['patterns']['tried']} patterns."
+            f" with {playout}; the motion is the same to the bit in"
+            f" {case['patterns']['tried']} patterns.{remedy}"
         )
     if (worst := case.get("worst_pattern")) is None:
         return None
@@ -119,17 +120,15 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     )
 
 
-def _playout_text(case: Summary) -> str:
-    """For which play-out a guarantee holds, and how to set it where the scenario does not."""
+def _playout_texts(case: Summary) -> tuple[str, str]:
+    """For which play-out time d a guarantee holds; how to set it where the scenario does not."""
     if (d_ms := case.get("guaranteed_d_ms")) is None:  # of an older version
-        return " under the play-out time of a constant delay of that length."
-    text = f" if torques act d = {d_ms:.9g} ms after their state from the start on."
+        return "the play-out of the constant delay", ""
+    playout = f"a play-out of d = {d_ms:.9g} ms"
     if case["guaranteed_command"] is None:
-        return text
-    return (
-        f"{text} For its own link the scenario chooses {case['scenario_d_ms']:.9g} ms at the start:"
-        f" set d with --set {EXPECTED}={d_ms:.9g}."
-    )
+        return playout, ""
+    own = f" The scenario's own link gives d = {case['scenario_d_ms']:.9g} ms at the start"
+    return playout, f"{own}: add --set {EXPECTED}={d_ms:.9g}."
 
 
 def probe_at(case: Summary, value: float | None) -> Summary | None:
