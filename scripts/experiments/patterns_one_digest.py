@@ -25,10 +25,11 @@ from bus_schema.messages import topics
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.run.simulate import simulate
+from deploy.scenario.playout import EXPECTED
 from deploy.scenario.scenario import load_setup
 
 COMPENSATED = "controller.delay_compensation.enabled=true"
-EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
+BRIDGE = "controller.delay_compensation.bridge_ms=50"
 DRIVES = ("controller.drive_feedback.enabled=true", "plant.drive_feedback.enabled=true")
 _MOVING_S = 0.15
 """Time that the arm moves at least: it is held until the first command acts."""
@@ -43,6 +44,7 @@ class Setting(NamedTuple):
         rate_hz: rate of the loop.
         substeps: physics steps per tick.
         playout_ms: d, the time from a state until the torque that answers it acts.
+        what: law and equipment, in words.
         overrides: other values of the scenario, with those that set d.
     """
 
@@ -50,12 +52,8 @@ class Setting(NamedTuple):
     rate_hz: float
     substeps: int
     playout_ms: float
+    what: str
     overrides: tuple[str, ...]
-
-    @property
-    def title(self) -> str:
-        others = (text.rpartition(".")[2] for text in self.overrides)
-        return f"{self.arm}, {self.rate_hz:g} Hz × {self.substeps}, {', '.join(others)}"
 
     @property
     def tick_ns(self) -> int:
@@ -64,32 +62,44 @@ class Setting(NamedTuple):
     @property
     def common(self) -> tuple[str, ...]:
         """All overrides but those of the link's delays."""
-        ticks = 1e-3 * self.playout_ms + max(_MOVING_S, 6e-9 * self.tick_ns)
+        duration_s = 1e-3 * self.playout_ms + max(_MOVING_S, 6e-9 * self.tick_ns)
         return (
             f"rate_hz={self.rate_hz:g}", f"plant.substeps={self.substeps}",
-            f"duration_s={ticks:.3f}", *self.overrides,
+            f"duration_s={duration_s:.3f}", *self.overrides,
         )  # fmt: skip
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The cells of its row of the table, as `COLUMNS`."""
+        rate, steps, playout = f"{self.rate_hz:g}", f"{self.substeps}", f"{self.playout_ms:g}"
+        return self.arm, self.what, rate, steps, playout
+
+
+COLUMNS = ("arm", "what", "rate, Hz", "steps", "d, ms", "patterns", "digests")
 
 
 def compensated(
-    arm: str, rate_hz: float, substeps: int, expected_ms: float, *more: str, law: str = "adaptive"
+    arm: str, rate_hz: float, substeps: int, expected_ms: float, what: str, *more: str
 ) -> Setting:
-    """Return a setting with delay compensation, whose commands say when they act."""
-    given = (COMPENSATED, f"{EXPECTED}={expected_ms:g}", f"controller.law=fixed_time_{law}", *more)
-    return Setting(arm, rate_hz, substeps, expected_ms, given)
+    """Return a setting of the adaptive law with compensation, whose commands say when they act."""
+    law = "controller.law=fixed_time_adaptive"
+    given = (COMPENSATED, f"{EXPECTED}={expected_ms:g}", law, *more)
+    return Setting(arm, rate_hz, substeps, expected_ms, what, given)
 
 
 SETTINGS = (
-    compensated("paper_arm", 1000, 4, 111),
-    compensated("paper_arm", 50, 4, 115),
-    compensated("paper_arm", 2000, 1, 16, law="neural"),
-    compensated("panda_motors", 250, 3, 48),
-    compensated("panda_motors", 500, 2, 37.3, *DRIVES),
-    compensated("iiwa", 1000, 2, 0.5),
-    compensated("ur5e_motors", 300, 7, 60, "controller.delay_compensation.bridge_ms=50"),
-    Setting("paper_arm", 1000, 4, 16, ("controller.law=smc", "link.playout_ms=16")),
-    Setting("iiwa", 1000, 1, 24, (COMPENSATED, "link.playout_ms=24")),
-)
+    compensated("paper_arm", 1000, 4, 111, "adaptive"),
+    compensated("paper_arm", 50, 4, 111, "adaptive"),
+    compensated("paper_arm", 2000, 1, 16, "neural", "controller.law=fixed_time_neural"),
+    compensated("panda_motors", 250, 3, 48, "adaptive"),
+    compensated("panda_motors", 500, 2, 37.3, "adaptive, drive loops", *DRIVES),
+    compensated("iiwa", 1000, 2, 0.5, "adaptive"),
+    compensated("ur5e_motors", 300, 7, 60, "adaptive, bridge", BRIDGE),
+    Setting("paper_arm", 1000, 4, 16, "smc, fixed play-out, no compensation",
+            ("controller.law=smc", "link.playout_ms=16")),
+    Setting("iiwa", 1000, 1, 24, "neural, fixed play-out",
+            (COMPENSATED, "controller.law=fixed_time_neural", "link.playout_ms=24")),
+)  # fmt: skip
 
 
 class Outcome(NamedTuple):
@@ -208,13 +218,14 @@ def main(patterns: int, workers: int, first: int) -> int:
                 others.setdefault(outcome.setting, outcome)
             known[outcome.digest] += 1
             late += outcome.late
-    print("| setting | patterns | digests |\n|---|---|---|")
+    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for setting, found in zip(SETTINGS, counts, strict=True):
-        print(f"| {setting.title} | {found.total()} | {len(found)} |")
+        cells = (*setting.cells, str(found.total()), str(len(found)))
+        print(f"| {' | '.join(cells)} |")
     print(f"{patterns} patterns, {late} late commands")
     for at, outcome in others.items():
-        print(f"another digest: {SETTINGS[at].title}: {' '.join(outcome.link)}")
-    return int(bool(late or any(len(found) > 1 for found in counts)))
+        print(f"another digest: {', '.join(SETTINGS[at].cells)}: {' '.join(outcome.link)}")
+    return int(bool(late or others))
 
 
 if __name__ == "__main__":

@@ -97,8 +97,8 @@ def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summar
     playout = "" if d_ms is None else f", with a play-out of {d_ms:.9g} ms"
     return (
         f"{who} keeps its bounds for any delay up to {any_ms:g} ms{or_more} with"
-        f" compensation{texts.model_text([on])} (round trip; messages in order, none lost{playout});"
-        f" constant: {texts.margin_text(on, margin)} with it, {without}."
+        f" compensation{texts.model_text([on])} (round trip; messages in order, none lost{playout})"
+        f"; constant: {texts.margin_text(on, margin)} with it, {without}."
     )
 
 
