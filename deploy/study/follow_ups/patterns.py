@@ -224,7 +224,7 @@ class PatternSearch(MarginSearch):
 
     def _add(self, variants: Iterable[Variant]) -> None:
         """Add variants; their numbers follow those of the starts."""
-        playout = ()
+        playout: tuple[str, ...] = ()
         if self.is_levelled and self.at_margin.link.plays_automatically:
             playout = (override(EXPECTED, self._playout_ms),)
         first = len(self.case.variants) + len(self.variants)
