@@ -39,20 +39,21 @@ class HorizonSettings(NamedTuple):
         first_ns: the horizon at first.
         wanted_ns: of an announced horizon, the one to reach slowly and to keep.
         is_announced: each command says when it acts, and the plant holds it until then.
-        grain_ns: an announced horizon is a whole number of these, as the plant acts in such steps.
         reserve_ns: what is added to the largest delay that was reported.
         bridge_rows: rows of a command after its first.
-        row_ns: time from one row to the next.
+        row_ns: time from one row to the next, which is that from one state to the next.
+        substeps: physics steps in that time; an announced horizon ends where one begins, as the
+            plant acts in such steps.
     """
 
     least_ns: int = 0
     first_ns: int = 0
     wanted_ns: int = 0
     is_announced: bool = False
-    grain_ns: int = 1
     reserve_ns: int = 0
     bridge_rows: int = 0
     row_ns: int = 1
+    substeps: int = 1
 
 
 _AS_REPORTED = HorizonSettings()
@@ -286,8 +287,8 @@ def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
     else:
         exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
     state.exact_ns = exact_ns
-    grains = math.ceil(exact_ns / state.grain_ns)
-    _expect(state, int(grains * state.grain_ns))
+    steps = math.ceil(exact_ns * state.substeps / state.row_ns)
+    _expect(state, int(steps) * state.row_ns // state.substeps)
 
 
 @compiled

@@ -97,6 +97,10 @@ class Setting:
         own = self.quantity.overrides(value, running=self.tags["running"])
         return (*self.overrides, *more, *own)
 
+    def of(self, value: float, variant: Variant) -> tuple[str, ...]:
+        """Return the overrides for a value of the quantity in a variant."""
+        return (*self.at(value, variant.overrides), *variant.last)
+
 
 COMPENSATION = "controller.delay_compensation.enabled"
 DRIVE_FEEDBACK = "controller.drive_feedback.enabled"
@@ -267,7 +271,7 @@ class StudyOfCases(StudyOfRuns):
             yield Case(setting, variants, known[arm])
 
     def _checked(self, setting: Setting, variant: Variant) -> Setup:
-        overrides = setting.at(self.last_value(setting), variant.overrides)
+        overrides = setting.of(self.last_value(setting), variant)
         try:
             return load_setup(setting.scenario, overrides)
         except ScenarioError as error:
@@ -373,7 +377,7 @@ class StudyOfCases(StudyOfRuns):
         for variant in variants:
             yield PlannedRun(
                 point_name(index, at, variant), case.setting.scenario,
-                case.setting.at(value, variant.overrides), wanted.seeds[0],
+                case.setting.of(value, variant), wanted.seeds[0],
                 {**tags, **variant.columns}, bool(wanted.confirm),
             )  # fmt: skip
 

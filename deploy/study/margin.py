@@ -20,7 +20,7 @@ from deploy.study.doubts import doubts
 from deploy.study.follow_ups import disturbances, remedies, unknowns
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
-from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, levels, shaped
+from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
 from deploy.study.follow_ups.theory import theory_of
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
 from deploy.study.margin_search import MarginSearch, Steps, first_loss
@@ -30,7 +30,10 @@ from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
 from deploy.study.study import Different, PlannedRun, Seeds
 from deploy.study.trials.sequential_test import SequentialTest
 
-_OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")
+_OF_PATTERNS = (
+    "guaranteed", "guaranteed_d_ms", "scenario_d_ms", "guaranteed_command",
+    "worst_pattern", "patterns", "disturbances",
+)  # fmt: skip
 """Keys of the findings about patterns of delays."""
 _MOST_VARIANTS = 200
 """Of a follow-up, for each start; their numbers do not depend on what is tried before them."""
@@ -94,7 +97,7 @@ class Margin(StudyOfCases):
         if self.definition.pattern is not None:
             self.columns["pattern"] = "string"
             for setting, start in ((case.setting, case.variants[0]) for case in self.cases):
-                self._checked(setting, shaped(start, HANDFUL[0], 0, setting.quantity))
+                self._checked(setting, shaped(start, HANDFUL[0], setting.quantity))
 
     @property
     def own_keys(self) -> dict[str, str]:
@@ -126,7 +129,7 @@ class Margin(StudyOfCases):
         if self.definition.quantity != "delay":
             allowed = f"must be left out for {self.definition.quantity}: only a delay has patterns"
             raise ConfigurationError("pattern", self.definition.pattern, allowed)
-        return [shaped(start, None, start.number, setting.quantity) for start in starts]
+        return [shaped(start, None, setting.quantity) for start in starts]
 
     @property
     def expected(self) -> int:
@@ -195,11 +198,11 @@ class Margin(StudyOfCases):
             variants = changed(case, name, change, number * block)
             yield name, MarginSearch(limited, variants=variants, hints=[margin])
         if wanted.pattern is not None:
-            link = load_setup(setting.scenario, setting.at(steps.value(margin))).link
+            at_margin = load_setup(setting.scenario, setting.at(steps.value(margin)))
             # Without delay all patterns hold.
             yield (
                 "patterns",
-                PatternSearch(limited, {0: True}, parts=1, case=case, is_levelled=levels(link)),
+                PatternSearch(limited, {0: True}, parts=1, case=case, at_margin=at_margin),
             )
             if wanted.disturbances is not None:
                 values = sorted({margin, margin // 2, margin // 4}, reverse=True)

@@ -53,12 +53,14 @@ class Variant:
     Attributes:
         number: its number; drawn ones count from 1.
         overrides: the overrides that define it.
+        last: overrides of values that a growing quantity sets.
         columns: values that identify it, by column of the table.
     """
 
     number: int = 0
     overrides: tuple[str, ...] = ()
     columns: Mapping[str, Any] = field(default_factory=dict)
+    last: tuple[str, ...] = ()
 
     def refused(self, error: ScenarioError) -> ScenarioError:
         """Explain that the scenario refuses it."""

@@ -110,9 +110,12 @@ def _best_case_sentence(margin: Summary, on: Summary) -> str:
     if any_ms is None:
         return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
     or_more = " or more" if on["first_failure"] is None else ""
+    d_ms = on.get("guaranteed_d_ms")
+    playout = "" if d_ms is None else f", with a play-out of {d_ms:.9g} ms"
     return (
         f"Best case{texts.model_text([on])}: with compensation any delay up to {any_ms:g}"
-        f" ms{or_more} (messages in order, none lost), constant {texts.margin_text(on, margin)}."
+        f" ms{or_more} (messages in order, none lost{playout}), constant"
+        f" {texts.margin_text(on, margin)}."
     )
 
 

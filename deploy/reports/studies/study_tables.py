@@ -103,7 +103,7 @@ def margin_table(summary: Summary) -> Table:
         " which all tested values held, theory is for the linear loop. Held-arm"
         " ceiling: until the first command acts the brakes hold the arm, and from the worst"
         " start its error leaves the funnel after this time; no law can start under a longer"
-        " delay. Every pattern: the margin for delays that vary; guaranteed by the play-out, or"
+        " delay. Every pattern: the margin for delays that vary; guaranteed for a play-out time, or"
         " where so many patterns were tried, the largest value at which all of them held.",
     )  # fmt: skip
 

@@ -7,6 +7,7 @@ from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
+from deploy.scenario.playout import EXPECTED
 from deploy.study.quoted import Because
 
 Summary = dict[str, Any]
@@ -156,10 +157,12 @@ def rotors_text(case: Summary, summary: Summary) -> str | None:
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     """What is known of a case under delays that vary."""
     if case.get("guaranteed"):
+        playout, remedy = _playout_texts(case)
         return (
             f"{case_title(case)}: holds for every delay up to"
-            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost;"
-            f" the motion is the same to the bit in {case['patterns']['tried']} patterns."
+            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost,"
+            f" with {playout}; the motion is the same to the bit in"
+            f" {case['patterns']['tried']} patterns.{remedy}"
         )
     if (worst := case.get("worst_pattern")) is None:
         return None
@@ -168,6 +171,17 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
         f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst, at"
         f" {value_text(worst['value'], summary)}: {name}."
     )
+
+
+def _playout_texts(case: Summary) -> tuple[str, str]:
+    """For which play-out time d a guarantee holds; how to set it where the scenario does not."""
+    if (d_ms := case.get("guaranteed_d_ms")) is None:  # of an older version
+        return "the play-out of the constant delay", ""
+    playout = f"a play-out of d = {d_ms:.9g} ms"
+    if case["guaranteed_command"] is None:
+        return playout, ""
+    own = f" The scenario's own link gives d = {case['scenario_d_ms']:.9g} ms at the start"
+    return playout, f"{own}: add --set {EXPECTED}={d_ms:.9g}."
 
 
 def probe_at(case: Summary, value: float | None) -> Summary | None:
@@ -236,10 +250,8 @@ def margin_sentences(summary: Summary) -> list[str]:
 
 def brief_margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, without what a table beside them says."""
-    patterns = (
-        _pattern_sentence(case, summary) for case in summary["cases"] if case.get("worst_pattern")
-    )
-    found = [*_doubts(summary), *filter(None, patterns)]
+    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
+    found = [*_doubts(summary), *patterns]
     return [*found, *_held_again(summary), *_in_theory(summary), *_gaps(summary)]
 
 

@@ -17,8 +17,8 @@ from deploy.study.follow_ups.trials import (
     Changes,
     Trials,
     command_of,
-    overrides_of,
     trials,
+    variant_of,
     worst_of,
 )
 from deploy.study.margin_search import MarginSearch
@@ -83,7 +83,7 @@ def trials_of(case: Case, search: MarginSearch, at: int, most: int) -> RemedyTri
     """
     (steps,) = values = [search.first_failure or 0]
     found = trials(case, search.steps, values, changes(case.setting.base), at)
-    lost = overrides_of(search, worst_of(search.rows[steps]))
+    lost = variant_of(search, worst_of(search.rows[steps])).overrides
     from_lost = [each for each in found.variants if each.overrides[: len(lost)] == lost]
     others = [each for each in found.variants if each not in from_lost]
     return RemedyTrials(
@@ -100,7 +100,7 @@ def findings(setting: Setting, trials: Trials) -> dict[str, Any] | None:
     if not (tried := trials.findings()):
         return None
     for each in filter(lambda one: one["held"], tried):
-        overrides = setting.at(each["value"], overrides_of(trials, each))
+        overrides = setting.of(each["value"], variant_of(trials, each))
         each["command"] = command_of(setting, overrides, each)
     # The offset at the start often decides the smallest margin: of equal ones, errors count.
     best = min(

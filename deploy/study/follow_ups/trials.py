@@ -90,10 +90,10 @@ def worst_of(rows: list[Row]) -> Row:
     return min(in_order(rows), key=merit)
 
 
-def overrides_of(search: MarginSearch, row: Row) -> tuple[str, ...]:
-    """Return the overrides of the variant of a row of this search."""
+def variant_of(search: MarginSearch, row: Row) -> Variant:
+    """Return the variant of a row of this search."""
     number = int(row["point"].rpartition("-")[2])
-    return next(each.overrides for each in search.variants if each.number == number)
+    return next(each for each in search.variants if each.number == number)
 
 
 def command_of(setting: Setting, overrides: Iterable[str], row: Row) -> str:
