@@ -22,12 +22,12 @@ from deploy.study.follow_ups import disturbances, remedies
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, levels, shaped
-from deploy.study.follow_ups.theory import theory_of
 from deploy.study.follow_ups.trials import COLUMN, Trials, changed, trials
 from deploy.study.plants import Variant
 from deploy.study.quantities import MarginSearch, Steps
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
 from deploy.study.study import Different, PlannedRun, Seeds
+from deploy.study.theory.theory import theory_of
 from deploy.study.trials.sequential_test import SequentialTest
 
 _OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")

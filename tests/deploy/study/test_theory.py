@@ -14,8 +14,8 @@ from deploy.judge.metrics import summarise
 from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.follow_ups.theory import SampledLoop, theory_of
 from deploy.study.margin import Margin
+from deploy.study.theory.theory import SampledLoop, theory_of
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.linear_loops import LinearLoop, geared, rigid
 from tests.deploy.study.studies import Here, conduct, made_up
