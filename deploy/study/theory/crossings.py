@@ -28,26 +28,33 @@ _TURN = 2.0 * np.pi
 _FIRST_FRACTIONS = 4
 _NARROWEST = 1e-3
 """Distance of fractions f that is not halved any more."""
-_ALIKE = 0.1
+_ALIKE = 0.05
 """How far phase (rad) and angle of a crossing may be from a pure delay's, from one f to the next."""
 _ROUNDS = 8
+_NEWTON_STEPS, _SMALL = 6, 1e-7
+_NEAR = 0.25
+"""Of a period: further away it is another crossing."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Angles in (0, 2π) at which a modulus is 1, at one fraction of a period.
+    """Angles between −π and π at which a modulus is 1, at one fraction of a period.
 
     Attributes:
         fraction: f.
         angles: θ, shape (crossings,).
         phases: φ, same shape.
         signs: σ, same shape.
+        angle_rates: dθ/df, same shape.
+        phase_rates: dφ/df, same shape.
     """
 
     fraction: float
     angles: Vector
     phases: Vector
     signs: Vector
+    angle_rates: Vector
+    phase_rates: Vector
 
 
 class Crossings:
@@ -69,14 +76,21 @@ class Crossings:
 
     def all(self) -> tuple[Vector, Vector, Vector]:
         """Return delays in periods, in order, with the roots that leave there and their angles."""
-        parts = np.linspace(0.0, 1.0, _FIRST_FRACTIONS + 1)
-        lines = [self._line(fraction) for fraction in parts[:-1].tolist()]
-        first = lines[0]
-        lines.append(Line(1.0, first.angles, first.phases - first.angles, first.signs))
+        lines = [self._line(fraction) for fraction in self._fractions()]
         found = [each for two in zip(lines, lines[1:], strict=False) for each in self._between(*two)]
         delays, leaving, angles = (np.concatenate(column) for column in zip(*found, strict=True))
         order = np.argsort(delays, kind="stable")
         return delays[order], leaving[order], angles[order]
+
+    def _fractions(self) -> list[float]:
+        """Return the first fractions: one between any two at which a modulus at θ = π is 1."""
+        tried = np.linspace(0.0, 1.0, 16 * _FIRST_FRACTIONS + 1)
+        half_turn = np.array([np.pi])
+        answers = self._loop.answers(np.exp(1j * half_turn))
+        beyond = np.array([(self._sizes(half_turn, answers, f)[0] > 0.0).sum() for f in tried])
+        changes = tried[np.flatnonzero(np.diff(beyond))]
+        found = {*tried[:: 16].tolist(), *(0.5 * (changes[1:] + changes[:-1])).tolist()}
+        return sorted(found)
 
     def _between(self, a: Line, b: Line) -> Iterator[tuple[Vector, Vector, Vector]]:
         pairs = _alike(a, b)
@@ -93,26 +107,28 @@ class Crossings:
                 yield self._alone(line, known, sign, a.fraction + 0.5 * width)
 
     def _passed(self, a: Line, b: Line, first: Any, second: Any) -> tuple[Vector, Vector, Vector]:
-        """Return the crossings between two lines, on curves that connect them."""
-        begin, end = a.angles[first], b.angles[second]
-        from_phase = a.phases[first]
-        turned = from_phase - begin * (b.fraction - a.fraction) - b.phases[second]
-        to_phase = b.phases[second] + _TURN * np.round(turned / _TURN)
-        before = (from_phase - self._whole[:, None] * begin) / _TURN
-        after = (to_phase - self._whole[:, None] * end) / _TURN
-        change = np.floor(after) - np.floor(before)
-        whole, curve = np.nonzero(change)
-        count = abs(change[whole, curve]).astype(int)
-        whole, curve = np.repeat(whole, count), np.repeat(curve, count)
+        """Return the crossings between two lines, on cubic curves that connect them."""
+        width, whole = b.fraction - a.fraction, self._whole[:, None]
+        angles = a.angles[first], b.angles[second]
+        angle_rates = width * a.angle_rates[first], width * b.angle_rates[second]
+        phase_rates = width * a.phase_rates[first], width * b.phase_rates[second]
+        wanted = a.phases[first] + 0.5 * (phase_rates[0] + phase_rates[1])
+        turned = _TURN * np.round((wanted - b.phases[second]) / _TURN)
+        phases = a.phases[first], b.phases[second] + turned
+        x, y = ((phases[i] - whole * angles[i]) / _TURN for i in range(2))
+        slopes = [(phase_rates[i] - whole * angle_rates[i]) / _TURN for i in range(2)]
+        change = np.floor(y) - np.floor(x)
+        at, curve = np.nonzero(change)
+        count = abs(change[at, curve]).astype(int)
+        at, curve = np.repeat(at, count), np.repeat(curve, count)
         each = np.concatenate([np.arange(one) for one in count] or [np.zeros(0)])
-        x, y = before[whole, curve], after[whole, curve]
-        rises = y > x
+        x, y, *slopes = (values[at, curve] for values in (x, y, *slopes))
         # The whole numbers of turns that are passed, one after the other.
-        turns = np.where(rises, np.floor(x) + 1.0 + each, np.floor(x) - each)
-        share = (turns - x) / (y - x)
-        delays = whole + a.fraction + share * (b.fraction - a.fraction)
-        leaving = -a.signs[first][curve] * np.where(rises, 1.0, -1.0)
-        return delays, leaving, begin[curve] + share * (end - begin)[curve]
+        turns = np.where(y > x, np.floor(x) + 1.0 + each, np.floor(x) - each)
+        share = _share(turns - x, y - x, *slopes)
+        between = angles[0][curve] + share * (angles[1] - angles[0])[curve]
+        leaving = -a.signs[first][curve] * np.sign(y - x)
+        return at + a.fraction + share * width, leaving, between
 
     def _alone(
         self, line: Line, known: Any, sign: float, fraction: float
@@ -120,12 +136,15 @@ class Crossings:
         """Return what pairs of curves change that end, or begin, near a line."""
         alone = np.setdiff1d(np.arange(len(line.angles)), known)
         falling, rising = (alone[line.signs[alone] == one] for one in (1.0, -1.0))
-        pairs = _pairs(abs(line.angles[falling][:, None] - line.angles[rising]), np.inf)
+        around = np.exp(1j * line.angles)  # a pair may be on both sides of π
+        pairs = _pairs(abs(around[falling][:, None] - around[rising]), np.inf)
         down, up = falling[pairs[0]], rising[pairs[1]]
-        turned = np.round((line.phases[up] - line.phases[down]) / _TURN)
-        phases = line.phases[down] + _TURN * turned
+        angles, phases = (
+            each[down] + _TURN * np.round((each[up] - each[down]) / _TURN)
+            for each in (line.angles, line.phases)
+        )
         whole = self._whole[:, None]
-        counted = np.floor((phases - whole * line.angles[down]) / _TURN)
+        counted = np.floor((phases - whole * angles) / _TURN)
         counted -= np.floor((line.phases[up] - whole * line.angles[up]) / _TURN)
         at, curve = np.nonzero(counted)
         return at + fraction, sign * counted[at, curve], line.angles[down][curve]
@@ -136,12 +155,27 @@ class Crossings:
         which, rank = np.nonzero((sizes[1:] > 0.0) != (sizes[:-1] > 0.0))
         found, phases = self._level(which, rank, sizes, fraction)
         signs = np.where(sizes[which, rank] > 0.0, 1.0, -1.0)
-        return Line(
-            fraction,
-            np.concatenate([found, _TURN - found]),
-            np.concatenate([phases, -phases]),
-            np.concatenate([signs, -signs]),
+        values = found, phases, signs, *self._rates(found, phases, fraction)
+        return Line(fraction, *(np.concatenate([each, -each]) for each in values))
+
+    def _rates(self, angles: Vector, phases: Vector, fraction: float) -> tuple[Vector, Vector]:
+        """Return how fast angles and phases of crossings change with f."""
+        step = -_SMALL if fraction > 0.5 else _SMALL
+        here, beside, later = (
+            self._nearest(angles + turn, fraction + change, np.exp(1j * phases))
+            for turn, change in ((0.0, 0.0), (_SMALL, 0.0), (0.0, step))
         )
+        over_angle, over_fraction = np.log(beside / here) / _SMALL, np.log(later / here) / step
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rates = -over_fraction.real / over_angle.real
+            return rates, (over_fraction + rates * over_angle).imag
+
+    def _nearest(self, angles: Vector, fraction: float, wanted: Any) -> Any:
+        """Return the eigenvalue at each angle that is nearest to a wanted one."""
+        z = np.exp(1j * angles)
+        values = _eigenvalues(self._loop.ratios(z, self._loop.answers(z), fraction))
+        nearest = np.argmin(abs(values - wanted[:, None]), axis=1)
+        return np.take_along_axis(values, nearest[:, None], 1)[:, 0]
 
     def _level(self, which: Any, rank: Any, sizes: Any, fraction: float) -> tuple[Vector, Vector]:
         """Return angles between two given ones where the modulus of a rank is 1, and the phases."""
@@ -163,18 +197,57 @@ class Crossings:
     def _sizes(self, angles: Vector, answers: Any, fraction: float) -> tuple[Any, Any]:
         """Return logarithms of all moduli, the largest first, and phases: (angles, joints)."""
         ratios = self._loop.ratios(np.exp(1j * angles), answers, fraction)
-        values = np.linalg.eigvals(ratios) if len(ratios) else ratios[:, 0]
+        values = _eigenvalues(ratios)
         order = np.argsort(-abs(values), axis=1)
         values = np.take_along_axis(values, order, 1)
         return np.log(abs(values) + 1e-300), np.angle(values)
 
 
+def refined(loop: SampledLoop, delay: float, angle: float) -> tuple[float, float]:
+    """Return delay, in periods, and angle of a crossing by Newton's method from near ones."""
+    at = np.array([angle, delay])
+    for _ in range(_NEWTON_STEPS):
+        near = [_off(loop, *(at + change)) for change in (np.zeros(2), *_SMALL * np.eye(2))]
+        slopes = (np.array(near[1:]) - near[0]).T / _SMALL
+        at = at - np.linalg.solve([slopes.real, slopes.imag], [near[0].real, near[0].imag])
+    is_near = abs(at[1] - delay) < _NEAR and abs(_off(loop, *at)) < 1e-6
+    return (float(at[1]), float(at[0])) if is_near else (delay, angle)
+
+
+def _off(loop: SampledLoop, angle: float, delay: float) -> complex:
+    """Return how far the nearest eigenvalue of z^(−n) R_f(z) is from 1."""
+    z, (whole, fraction) = np.exp(1j * np.array([angle])), divmod(delay, 1.0)
+    values = np.linalg.eigvals(loop.ratios(z, loop.answers(z), fraction)[0]) * z**-whole
+    return complex(values[np.argmin(abs(values - 1.0))] - 1.0)
+
+
+def _eigenvalues(matrices: Any) -> Any:
+    return np.linalg.eigvals(matrices) if len(matrices) else matrices[:, 0]
+
+
+def _share(passed: Vector, whole: Vector, first: Vector, last: Vector) -> Vector:
+    """Return where a cubic from 0 to a whole, with these slopes at its ends, passes a value."""
+    square, cube = 3.0 * whole - 2.0 * first - last, first + last - 2.0 * whole
+    share = passed / whole
+    for _ in range(_NEWTON_STEPS):
+        slope = first + share * (2.0 * square + 3.0 * share * cube)
+        off = share * (first + share * (square + share * cube)) - passed
+        share = np.clip(share - off / np.where(slope == 0.0, 1.0, slope), 0.0, 1.0)
+    return share
+
+
 def _alike(a: Line, b: Line) -> tuple[Any, Any]:
     """Return numbers of crossings on two lines that belong to one curve, as two arrays."""
-    expected = a.phases - a.angles * (b.fraction - a.fraction)
-    turned = abs(np.exp(1j * expected)[:, None] - np.exp(1j * b.phases))
-    distance = np.maximum(turned, abs(a.angles[:, None] - b.angles))
-    distance[a.signs[:, None] != b.signs] = np.inf
+    half = 0.5 * (b.fraction - a.fraction)
+    turned, moved = (
+        (from_a + half * a_rate)[:, None] - (to_b - half * b_rate)
+        for from_a, a_rate, to_b, b_rate in (
+            (a.phases, a.phase_rates, b.phases, b.phase_rates),
+            (a.angles, a.angle_rates, b.angles, b.angle_rates),
+        )
+    )
+    distance = np.maximum(abs(np.exp(1j * turned) - 1.0), abs(moved))
+    distance[~np.isfinite(distance) | (a.signs[:, None] != b.signs)] = np.inf
     return _pairs(distance, _ALIKE)
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
-from deploy.study.theory.crossings import Crossings
+from deploy.study.theory.crossings import Crossings, refined
 from deploy.study.theory.sampled_loop import SampledLoop
 
 _RESOLUTION_S = 1e-5
@@ -43,22 +43,22 @@ def unstable_windows(
         angles: `telling_angles`.
         longest_s: the longest delay.
     """
-    h = loop.period_s
-    delays, leaving, where = Crossings(loop, angles, int(np.ceil(longest_s / h))).all()
-    is_near = h * delays < longest_s
-    delays, leaving, where = h * delays[is_near], leaving[is_near], where[is_near]
+    periods = longest_s / loop.period_s
+    delays, leaving, where = Crossings(loop, angles, int(np.ceil(periods))).all()
     outside = np.count_nonzero(abs(roots) > 1.0 + _SLOWEST) + np.cumsum([0, *leaving])
     if (outside < 0).any():
         raise ArithmeticError("its roots cannot be counted")
+    is_edge = np.diff(outside > 0)
+    edges = [refined(loop, *each) for each in zip(delays[is_edge], where[is_edge], strict=True)]
+    edges = ([(0.0, 0.0)] if outside[0] else []) + edges + [(periods, 0.0)]
     found = list[Window]()
-    for begin, end, angle in np.transpose(
-        [[0.0, *delays], [*delays, longest_s], [0.0, *where]]
-    )[outside > 0].tolist():
-        if found and begin - found[-1].end_s < _RESOLUTION_S:
-            found[-1] = found[-1]._replace(end_s=end)
-        else:
-            found.append(Window(begin, end, angle))
-    return [each for each in found if each.end_s - each.begin_s > 0.1 * _RESOLUTION_S]
+    for (begin, angle), (end, _) in zip(edges[::2], edges[1::2], strict=False):
+        begin_s, end_s = loop.period_s * begin, min(loop.period_s * end, longest_s)
+        if found and begin_s - found[-1].end_s < _RESOLUTION_S:
+            found[-1] = found[-1]._replace(end_s=end_s)
+        elif end_s - begin_s > _RESOLUTION_S:
+            found.append(Window(begin_s, end_s, angle))
+    return found
 
 
 def telling_angles(loop: SampledLoop, roots: Any) -> Vector:
