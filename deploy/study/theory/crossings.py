@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ _FIRST_FRACTIONS = 4
 _NARROWEST = 1e-3
 """Distance of fractions f that is not halved any more."""
 _ALIKE = 0.05
-"""How far phase (rad) and angle of a crossing may be from a pure delay's, from one f to the next."""
+"""How far phase and angle of a crossing, rad, may be from what is expected at the next f."""
 _ROUNDS = 8
 _NEWTON_STEPS, _SMALL = 6, 1e-7
 _NEAR = 0.25
@@ -62,12 +63,11 @@ class Crossings:
 
     Args:
         loop: the loop.
-        angles: from 0 to π, so close that every modulus is monotonous between them near 1.
         periods: number of periods.
     """
 
-    def __init__(self, loop: SampledLoop, angles: Vector, periods: int) -> None:
-        self._loop, self._angles = loop, angles
+    def __init__(self, loop: SampledLoop, periods: int) -> None:
+        self._loop, self._angles = loop, loop.angles
         self._whole = np.arange(periods)
 
     @cached_property
@@ -77,7 +77,7 @@ class Crossings:
     def all(self) -> tuple[Vector, Vector, Vector]:
         """Return delays in periods, in order, with the roots that leave there and their angles."""
         lines = [self._line(fraction) for fraction in self._fractions()]
-        found = [each for two in zip(lines, lines[1:], strict=False) for each in self._between(*two)]
+        found = [each for two in pairwise(lines) for each in self._between(*two)]
         delays, leaving, angles = (np.concatenate(column) for column in zip(*found, strict=True))
         order = np.argsort(delays, kind="stable")
         return delays[order], leaving[order], angles[order]
@@ -89,7 +89,7 @@ class Crossings:
         answers = self._loop.answers(np.exp(1j * half_turn))
         beyond = np.array([(self._sizes(half_turn, answers, f)[0] > 0.0).sum() for f in tried])
         changes = tried[np.flatnonzero(np.diff(beyond))]
-        found = {*tried[:: 16].tolist(), *(0.5 * (changes[1:] + changes[:-1])).tolist()}
+        found = {*tried[::16].tolist(), *(0.5 * (changes[1:] + changes[:-1])).tolist()}
         return sorted(found)
 
     def _between(self, a: Line, b: Line) -> Iterator[tuple[Vector, Vector, Vector]]:
@@ -209,7 +209,7 @@ def refined(loop: SampledLoop, delay: float, angle: float) -> tuple[float, float
     for _ in range(_NEWTON_STEPS):
         near = [_off(loop, *(at + change)) for change in (np.zeros(2), *_SMALL * np.eye(2))]
         slopes = (np.array(near[1:]) - near[0]).T / _SMALL
-        at = at - np.linalg.solve([slopes.real, slopes.imag], [near[0].real, near[0].imag])
+        at = at - np.linalg.lstsq([slopes.real, slopes.imag], [near[0].real, near[0].imag])[0]
     is_near = abs(at[1] - delay) < _NEAR and abs(_off(loop, *at)) < 1e-6
     return (float(at[1]), float(at[0])) if is_near else (delay, angle)
 

@@ -27,6 +27,11 @@ class LinearLaw:
     taps: Any
     recursion: Vector
 
+    @property
+    def states(self) -> int:
+        """Number of states of `realisation`."""
+        return self.taps.shape[1] * max(len(self.taps) - 1, len(self.recursion))
+
     def transfer(self, z: Any) -> Any:
         """Return the transfer matrix at these points, shape (points, joints, 2 joints)."""
         past = z[:, None] ** -np.arange(max(len(self.taps), len(self.recursion) + 1))
@@ -46,7 +51,8 @@ class LinearLaw:
 
     def realisation(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
         """Return A, B, C, D of s_(k+1) = A s_k + B y_k, u_k = C s_k + D y_k."""
-        joints, order = self.taps.shape[1], max(len(self.taps) - 1, len(self.recursion))
+        joints = self.taps.shape[1]
+        order = self.states // joints
         taps = np.zeros((order + 1, *self.taps.shape[1:]))
         taps[: len(self.taps)] = self.taps
         factors = np.zeros(order)
@@ -54,8 +60,8 @@ class LinearLaw:
         shift = np.eye(order, k=1)
         shift[:, :1] -= factors[:, None]
         later = taps[1:] - factors[:, None, None] * taps[0]
-        first = np.eye(joints, order * joints)
-        return np.kron(shift, np.eye(joints)), later.reshape(order * joints, 2 * joints), first, taps[0]
+        into = later.reshape(order * joints, 2 * joints)
+        return np.kron(shift, np.eye(joints)), into, np.eye(joints, order * joints), taps[0]
 
 
 def fitted(responses: Any) -> tuple[int, Vector] | None:

@@ -1,7 +1,7 @@
 """A bound below which a sampled loop is stable however its delay varies.
 
-As long as messages stay in order and none is lost; after Kao and Lincoln, "Simple stability criteria
-for systems with time-varying delays", Automatica 40 (2004), theorem 3.
+As long as messages stay in order and none is lost; after Kao and Lincoln, "Simple stability
+criteria for systems with time-varying delays", Automatica 40 (2004), theorem 3.
 """
 
 from __future__ import annotations
@@ -18,13 +18,8 @@ _NEAR_PEAK = 0.5
 _ROUNDS, _POINTS = 8, 9
 
 
-def pattern_bound_s(loop: SampledLoop, angles: Vector) -> float:
-    """Return the delay below which a loop that is stable without is so for every pattern, s.
-
-    Args:
-        loop: the loop.
-        angles: from 0 to π, close where responses change fast.
-    """
+def pattern_bound_s(loop: SampledLoop) -> float:
+    """Return the delay below which a loop that is stable without is so for every pattern, s."""
     squares, axes = np.linalg.eigh(loop.plant.inertia)
     scale = (axes / np.sqrt(squares)) @ axes.T  # to joints with unit inertia
     kick = _kick(loop, np.linalg.inv(scale))
@@ -36,7 +31,7 @@ def pattern_bound_s(loop: SampledLoop, angles: Vector) -> float:
         closed = scale @ np.linalg.solve(differences, answers @ kick)
         return np.linalg.norm(closed, 2, axis=(1, 2)) * abs(z - 1.0)
 
-    squared = 1.0 / (loop.period_s * _peak(gains, angles) ** 2)
+    squared = 1.0 / (loop.period_s * _peak(gains, loop.angles) ** 2)
     whole = np.floor(np.sqrt(squared))
     return float(loop.period_s * (whole + (squared - whole**2) / (2.0 * whole + 1.0)))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from controller.control_law import ControlLaw, Tracking
 from deploy.scenario.setup import Setup
 from deploy.study.theory.linear_law import LinearLaw, filtered, fitted
@@ -20,32 +20,29 @@ _VARIES = "its answers to several errors do not add up, or they depend on when i
 _IDLE = "its torque does not depend on errors"
 _WORKING_RANGE = 0.01
 """Of the funnel's final size, in which a law has to be linear."""
-_AGREE = 0.01
+_AGREE, _NOISE = 0.01, 1e-6
+_FEW_TICKS = 64
 _LISTENED_S, _LISTENED_TICKS = 1.0, (256, 2048)
-_MIXED_TICKS = 64
 
 
 def linear_law(law: ControlLaw, setup: Setup) -> LinearLaw | str:
     """Return a law as a linear one, N m per rad and rad/s; or why it is none."""
     probe = _Probe(law, setup)
-    impulses = probe.impulses()
-    heard = np.array([probe.answer(motion) for motion in impulses])
+    impulses = probe.impulses(_FEW_TICKS)
+    heard = probe.answers(impulses)
     if not heard.any():
         return _IDLE
-    for share in (-1.0, 0.1):
-        again = [probe.answer(share * motion) / share for motion in impulses]
-        if not _agree(np.array(again), heard):
-            return _SWITCHES
-    found = fitted(np.concatenate(heard, axis=1))
-    if found is None:
-        heard_s = probe.period_s * heard.shape[1]
-        return f"its answer to an error has not ended after {heard_s:g} s: it filters or learns"
-    model = LinearLaw(probe.taps(*found), found[1])
-    mixed = probe.mixed(found[0] + _MIXED_TICKS)
-    answer, expected = (
-        np.array([find(motion) for motion in mixed]) for find in (probe.answer, model.torques)
-    )
-    return model if _agree(answer, expected) else _VARIES
+    if not all(_agree(probe.answers(share * impulses) / share, heard) for share in (-1.0, 0.1)):
+        return _SWITCHES
+    ticks = min(max(round(_LISTENED_S / probe.period_s), _LISTENED_TICKS[0]), _LISTENED_TICKS[1])
+    end = fitted(np.concatenate(probe.answers(probe.impulses(ticks)), axis=1))
+    if end is None:
+        heard_s = f"{probe.period_s * ticks:g} s"
+        return f"its answer to an error has not ended after {heard_s}: it filters or learns"
+    found = LinearLaw(probe.taps(*end), end[1])
+    mixed = probe.mixed(end[0] + _FEW_TICKS)
+    expected = np.array([found.torques(motion) for motion in mixed])
+    return found if _agree(probe.answers(mixed), expected) else _VARIES
 
 
 class _Probe:
@@ -54,39 +51,39 @@ class _Probe:
     def __init__(self, law: ControlLaw, setup: Setup) -> None:
         self._law, self._setup = law, setup
         self.period_s = 1e-9 * setup.grid.period_ns
-        self._random = np.random.default_rng(0)
         self._sizes = _WORKING_RANGE * np.tile(setup.funnel.final_rad, 2)  # a rate: of 1/s
-        fewest, most = _LISTENED_TICKS
-        self._ticks = min(max(round(_LISTENED_S / self.period_s), fewest), most)
-        self._rest = self._torques(np.zeros((self._ticks, self._sizes.size)))
+        self._at_rest = np.zeros((0, setup.robot.joints))
 
-    def answer(self, motion: Matrix) -> Matrix:
-        """Return what a motion changes of the torques, shape (ticks, joints)."""
-        return self._torques(motion) - self._rest[: len(motion)]
+    def answers(self, motions: Any) -> Any:
+        """Return what motions change of the torques, shape (motions, ticks, joints)."""
+        ticks = motions.shape[1]
+        if len(self._at_rest) < ticks:
+            self._at_rest = self._torques(np.zeros(motions.shape[1:]))
+        return np.array([self._torques(motion) for motion in motions]) - self._at_rest[:ticks]
 
-    def impulses(self) -> Any:
-        """Return impulses of all positions, and of all velocities, by unequal shares."""
-        return self._apart(self._one_tick(self._shares(1)[0], self._ticks))
+    def impulses(self, ticks: int) -> Any:
+        """Return an impulse of all positions and one of all velocities, by unequal shares."""
+        return self._apart(self._impulse(self._shares(1)[0], ticks))
 
     def mixed(self, ticks: int) -> Any:
-        """Return motions of all positions, and of all velocities, at random."""
+        """Return a motion of all positions and one of all velocities, which differ in each tick."""
         return self._apart(self._shares(ticks) * self._sizes)
 
-    def taps(self, ticks: int, recursion: Any) -> Any:
+    def taps(self, ticks: int, recursion: Vector) -> Any:
         """Return the taps of a law with this recursion, by an impulse of each input."""
-        answers = [
-            self.answer(self._one_tick(share, ticks)) for share in np.eye(self._sizes.size)
-        ]
-        return filtered(np.stack(answers, 2) / self._sizes, recursion)
+        impulses = np.array([self._impulse(share, ticks) for share in np.eye(self._sizes.size)])
+        responses = np.moveaxis(self.answers(impulses), 0, 2) / self._sizes
+        return filtered(responses, recursion)
 
-    def _one_tick(self, shares: Any, ticks: int) -> Matrix:
+    def _impulse(self, shares: Vector, ticks: int) -> Matrix:
         motion = np.zeros((ticks, self._sizes.size))
         motion[0] = shares * self._sizes
         return motion
 
     def _shares(self, ticks: int) -> Matrix:
-        size = ticks, self._sizes.size
-        return self._random.uniform(0.5, 1.0, size) * self._random.choice([-1.0, 1.0], size)
+        """Return numbers of modulus ½ to 1, the same in every call."""
+        random, size = np.random.default_rng(0), (ticks, self._sizes.size)
+        return random.uniform(0.5, 1.0, size) * random.choice([-1.0, 1.0], size)
 
     def _apart(self, motion: Matrix) -> Any:
         is_rate = np.arange(self._sizes.size) >= self._sizes.size // 2
@@ -111,5 +108,5 @@ class _Probe:
 
 def _agree(found: Any, expected: Any) -> bool:
     """Whether answers agree, by motion and joint, up to 1 % of the joint's largest one."""
-    largest = abs(expected).max(axis=1)
-    return bool((abs(found - expected).max(axis=1) <= _AGREE * largest + 1e-6 * largest.max()).all())
+    largest, apart = abs(expected).max(axis=1), abs(found - expected).max(axis=1)
+    return bool((apart <= _AGREE * largest + _NOISE * largest.max()).all())

@@ -11,14 +11,21 @@ Controlled Systems", section 2.3.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from deploy.study.theory.linear_law import LinearLaw
 from deploy.study.theory.linear_plant import LinearPlant
 
+SLOWEST = 1e-6
+"""Smallest angle of a response, and growth per period that counts as stable."""
+_SHARPEST = 64
+_AROUND = np.geomspace(0.05, 50.0, 24)
+_AROUND = np.array([*-_AROUND[::-1], *_AROUND])
+"""Distances from a pole's angle, in those of the pole from the circle."""
 _TERMS = 16
 """Of the exponential's series, for matrices with a norm of at most ½."""
 
@@ -51,27 +58,46 @@ class SampledLoop:
         new, old = self._parts(fraction)
         return answers @ (new + old / z[:, None, None])
 
-    def closed(self) -> Matrix:
-        """Return the transition of (plant, law) over a period without delay."""
+    @cached_property
+    def roots(self) -> tuple[Any, Any]:
+        """Roots without a delay, shape (roots,), and what the states do there, as columns."""
         a, b, c, d = self.law.realisation()
-        outputs, held = self.plant.outputs, self._held
-        return np.block([
-            [self.transition + held @ d @ outputs, held @ c],
-            [b @ outputs, a],
-        ])  # fmt: skip
+        outputs, held, states = self.plant.outputs, self._held, len(self.transition)
+        whole = np.block([[self.transition + held @ d @ outputs, held @ c], [b @ outputs, a]])
+        values, shapes = np.linalg.eig(whole)
+        return values, shapes[:states]
 
-    def oscillation(self, angle: float, delay_s: float) -> Any:
-        """Return the states of the oscillation at an angle that begins at a delay."""
+    @cached_property
+    def angles(self) -> Vector:
+        """Angles of z from 0 to π, close where responses change fast: at poles and roots."""
+        poles = [
+            *np.linalg.eigvals(self.transition), *np.roots([1.0, *self.law.recursion]),
+            *self.roots[0],
+        ]  # fmt: skip
+        upper = (z for z in poles if z.imag >= 0.0)
+        sharp = sorted(upper, key=lambda z: abs(1.0 - abs(z)))[:_SHARPEST]
+        near = [np.angle(z) + (abs(1.0 - abs(z)) + 1e-9) * _AROUND for z in sharp]
+        even = np.linspace(0.0, np.pi, 64 + 8 * len(self.law.taps))
+        found = np.concatenate([np.geomspace(SLOWEST, np.pi, 400), even, *near])
+        return np.unique(found[(found >= SLOWEST) & (found <= np.pi)])
+
+    def fastest_growth(self) -> tuple[complex, int]:
+        """Return growth and frequency without a delay, 1/s and rad/s, and the joint."""
+        values, shapes = self.roots
+        fastest = np.argmax(abs(values))
+        return complex(np.log(values[fastest]) / self.period_s), self._joint(shapes[:, fastest])
+
+    def moving_most(self, angle: float, delay_s: float) -> int:
+        """Return the joint that moves most in the oscillation at an angle that a delay begins."""
         z, (whole, rest) = np.exp(1j * np.array([angle])), divmod(delay_s, self.period_s)
-        ratio = self.ratios(z, self.answers(z), rest / self.period_s)[0]
-        values, shapes = np.linalg.eig(ratio)
+        fraction = rest / self.period_s
+        values, shapes = np.linalg.eig(self.ratios(z, self.answers(z), fraction)[0])
         torques = shapes[:, np.argmin(abs(values - z**whole))]
-        new, old = self._parts(rest / self.period_s)
+        new, old = self._parts(fraction)
         left = z * np.eye(len(self.transition)) - self.transition
-        return np.linalg.solve(left, (new + old / z) @ torques)
+        return self._joint(np.linalg.solve(left, (new + old / z) @ torques))
 
-    def moving_most(self, states: Any) -> int:
-        """Return the joint with the largest measured position."""
+    def _joint(self, states: Any) -> int:
         joints = self.plant.inputs.shape[1]
         return int(np.argmax(abs(self.plant.outputs[:joints] @ states)))
 

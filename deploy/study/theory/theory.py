@@ -9,20 +9,25 @@ it answers small errors there. States are sampled, torques are held. Two things 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from controller.laws.custom import EXTERNAL
+from controller.slow_law import SlowLaw
 from deploy.scenario.setup import Setup
+from deploy.study.theory.linear_law import LinearLaw
 from deploy.study.theory.linear_plant import linear_plant
 from deploy.study.theory.pattern_bound import pattern_bound_s
 from deploy.study.theory.probe import linear_law
 from deploy.study.theory.sampled_loop import SampledLoop
-from deploy.study.theory.windows import telling_angles, unstable_windows
+from deploy.study.theory.windows import unstable_windows
 
 LONGEST_S = 1.0
 """The largest delay that theory looks at."""
+_MOST_STATES = 1000
+"""Of a law; more take minutes."""
 
 
 def theory_of(setup: Setup) -> dict[str, Any]:
@@ -38,59 +43,62 @@ def theory_of(setup: Setup) -> dict[str, Any]:
         instability; ``unstable_without_delay``: None, or ``rate_per_s``, ``frequency_hz`` and
         ``joint`` of the fastest growth without a delay. Or only ``reason``, why there is no theory.
     """
-    if (reason := _hindrance(setup)) is not None:
-        return {"reason": reason}
     try:
-        law = linear_law(setup.control_task().law, setup)
+        law = _law(setup)
     except Exception as error:  # noqa: BLE001 (a user's law may raise any exception)
         law = f"it raised {type(error).__name__}: {error}"
     if isinstance(law, str):
         return {"reason": law}
-    return _findings(SampledLoop(linear_plant(setup), law, 1e-9 * setup.grid.period_ns), setup)
+    loop = SampledLoop(linear_plant(setup), law, 1e-9 * setup.grid.period_ns)
+    try:
+        return _findings(loop, setup.robot.joint_names)
+    except ArithmeticError as error:
+        return {"reason": f"of its linear loop, {error}"}
 
 
-def _hindrance(setup: Setup) -> str | None:
-    """Return what a scenario has that the linear loop has not."""
+def _law(setup: Setup) -> LinearLaw | str:
+    """Return the law as a linear one, or why a scenario has no linear loop."""
     controller = setup.scenario.controller
-    found = {
-        "it is a program of its own": controller.process or controller.law == EXTERNAL,
-        "delay compensation predicts and learns": controller.delay_compensation.enabled,
-        "it is slower than the control loop": controller.every > 1 or controller.inference_ms,
-    }
-    return next((reason for reason, is_so in found.items() if is_so), None)
+    if controller.process or controller.law == EXTERNAL:
+        return "it is a program of its own"
+    if controller.delay_compensation.enabled:
+        return "delay compensation predicts and learns"
+    law = setup.control_task().law
+    if isinstance(law, SlowLaw):
+        return "it is slower than the control loop"
+    if controller.drive_feedback.enabled and hasattr(law, "target"):
+        return "its own targets close the loops of the drives"
+    found = linear_law(law, setup)
+    if isinstance(found, LinearLaw) and found.states > _MOST_STATES:
+        return f"its torque depends on errors of {len(found.taps) - 1} ticks before: it filters"
+    return found
 
 
-def _findings(loop: SampledLoop, setup: Setup) -> dict[str, Any]:
-    names, h = setup.robot.joint_names, loop.period_s
-    roots, shapes = np.linalg.eig(loop.closed())
-    angles = telling_angles(loop, roots)
-    windows = unstable_windows(loop, roots, angles, LONGEST_S)
-    begin_s = windows[0].begin_s if windows else LONGEST_S
+def _findings(loop: SampledLoop, names: Sequence[str]) -> dict[str, Any]:
+    windows = unstable_windows(loop, LONGEST_S)
     found: dict[str, Any] = {
-        "constant_ms": _ms(begin_s),
+        "constant_ms": _below_ms(windows[0].begin_s if windows else LONGEST_S),
         "any_pattern_ms": None,
-        "joint": None,
+        "joint": names[loop.moving_most(windows[0].angle, windows[0].begin_s)] if windows else None,
         "unstable_ms": [
-            [_ms(each.begin_s), _ms(each.end_s) if each.end_s < LONGEST_S else None]
+            [_below_ms(each.begin_s), -_below_ms(-each.end_s) if each.end_s < LONGEST_S else None]
             for each in windows
         ],
         "unstable_without_delay": None,
     }
-    if begin_s > 0.0:
-        found["any_pattern_ms"] = _ms(min(pattern_bound_s(loop, angles), LONGEST_S))
-        if windows:
-            found["joint"] = names[loop.moving_most(loop.oscillation(windows[0].angle, begin_s))]
-        return found
-    fastest = np.argmax(abs(roots))
-    growth = np.log(roots[fastest]) / h
-    joint = names[loop.moving_most(shapes[: len(loop.transition), fastest])]
-    without = {
-        "rate_per_s": float(f"{growth.real:.3g}"),
-        "frequency_hz": float(f"{abs(growth.imag) / (2.0 * np.pi):.3g}"),
-        "joint": joint,
-    }
-    return found | {"constant_ms": None, "joint": joint, "unstable_without_delay": without}
+    if windows and windows[0].begin_s == 0.0:
+        growth, joint = loop.fastest_growth()
+        without = {
+            "rate_per_s": float(f"{growth.real:.3g}"),
+            "frequency_hz": float(f"{abs(growth.imag) / (2.0 * np.pi):.3g}"),
+            "joint": names[joint],
+        }
+        return found | {
+            "constant_ms": None, "joint": names[joint], "unstable_without_delay": without,
+        }  # fmt: skip
+    return found | {"any_pattern_ms": _below_ms(min(pattern_bound_s(loop), LONGEST_S))}
 
 
-def _ms(time_s: float) -> float:
-    return round(1e3 * time_s, 2)
+def _below_ms(time_s: float) -> float:
+    """Return a time in whole 0.01 ms, rounded down but for rounding errors."""
+    return float(np.floor(1e5 * time_s + 1e-4) / 1e2)
