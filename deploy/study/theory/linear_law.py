@@ -9,7 +9,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 
-_ENDED = 1e-7
+ENDED = 1e-7
 """Of the largest response: what is below is no response."""
 _MOST_POLES = 8
 _IS_INTEGRAL = 1e-6
@@ -71,13 +71,13 @@ def fitted(responses: Any) -> tuple[int, Vector] | None:
         responses: from the tick of the impulse on, shape (ticks, channels).
 
     Returns:
-        Ticks until the response has ended (a power of two), and the recursion; None if it does not
-        end, as that of no filter does.
+        A number of ticks after which the response has ended, and the recursion; None if it does not
+        end.
     """
     largest = abs(responses).max(axis=0)
     heard = responses[:, largest > 0.0] / largest[largest > 0.0]
     begin = 1
-    while begin <= len(heard) // 2:
+    while len(heard) - begin >= begin // 2:  # it has to be over for half as long as it lasted
         for poles in range(_MOST_POLES + 1):
             if (recursion := _recursion(heard[begin:], poles)) is not None:
                 return begin + poles, recursion
@@ -104,4 +104,4 @@ def _recursion(tail: Matrix, poles: int) -> Vector | None:
     else:
         solution = np.zeros(0)
     left = filtered(tail, solution)[poles:]
-    return solution if abs(left).max() <= _ENDED else None
+    return solution if abs(left).max() <= ENDED else None

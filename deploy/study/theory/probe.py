@@ -13,7 +13,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from controller.control_law import ControlLaw, Tracking
 from deploy.scenario.setup import Setup
-from deploy.study.theory.linear_law import LinearLaw, filtered, fitted
+from deploy.study.theory.linear_law import ENDED, LinearLaw, filtered, fitted
 
 _SWITCHES = "it has no slope at zero error: it switches, or its gain depends on the error"
 _VARIES = "its answers to several errors do not add up, or they depend on when it is asked"
@@ -73,7 +73,9 @@ class _Probe:
         """Return the taps of a law with this recursion, by an impulse of each input."""
         impulses = np.array([self._impulse(share, ticks) for share in np.eye(self._sizes.size)])
         responses = np.moveaxis(self.answers(impulses), 0, 2) / self._sizes
-        return filtered(responses, recursion)
+        taps = filtered(responses, recursion)
+        counts = (abs(taps) > ENDED * abs(taps).max(axis=0)).any(axis=(1, 2))
+        return taps[: np.flatnonzero(counts)[-1] + 1]
 
     def _impulse(self, shares: Vector, ticks: int) -> Matrix:
         motion = np.zeros((ticks, self._sizes.size))

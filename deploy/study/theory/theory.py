@@ -76,27 +76,34 @@ def _law(setup: Setup) -> LinearLaw | str:
 
 def _findings(loop: SampledLoop, names: Sequence[str]) -> dict[str, Any]:
     windows = unstable_windows(loop, LONGEST_S)
-    found: dict[str, Any] = {
-        "constant_ms": _below_ms(windows[0].begin_s if windows else LONGEST_S),
-        "any_pattern_ms": None,
-        "joint": names[loop.moving_most(windows[0].angle, windows[0].begin_s)] if windows else None,
-        "unstable_ms": [
-            [_below_ms(each.begin_s), -_below_ms(-each.end_s) if each.end_s < LONGEST_S else None]
-            for each in windows
-        ],
-        "unstable_without_delay": None,
-    }
-    if windows and windows[0].begin_s == 0.0:
-        growth, joint = loop.fastest_growth()
+    unstable_ms = [
+        [_below_ms(each.begin_s), -_below_ms(-each.end_s) if each.end_s < LONGEST_S else None]
+        for each in windows
+    ]
+    constant_ms = any_pattern_ms = joint = without = None
+    if not windows or windows[0].begin_s > 0.0:
+        constant_ms = _below_ms(windows[0].begin_s if windows else LONGEST_S)
+        any_pattern_ms = _below_ms(min(pattern_bound_s(loop), LONGEST_S))
+        joint = names[loop.moving_most(windows[0].angle, windows[0].begin_s)] if windows else None
+    else:
+        growth, number = loop.fastest_growth()
+        joint = names[number]
         without = {
-            "rate_per_s": float(f"{growth.real:.3g}"),
-            "frequency_hz": float(f"{abs(growth.imag) / (2.0 * np.pi):.3g}"),
-            "joint": names[joint],
+            "rate_per_s": _three_digits(growth.real),
+            "frequency_hz": _three_digits(abs(growth.imag) / (2.0 * np.pi)),
+            "joint": joint,
         }
-        return found | {
-            "constant_ms": None, "joint": names[joint], "unstable_without_delay": without,
-        }  # fmt: skip
-    return found | {"any_pattern_ms": _below_ms(min(pattern_bound_s(loop), LONGEST_S))}
+    return {
+        "constant_ms": constant_ms,
+        "any_pattern_ms": any_pattern_ms,
+        "joint": joint,
+        "unstable_ms": unstable_ms,
+        "unstable_without_delay": without,
+    }
+
+
+def _three_digits(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 def _below_ms(time_s: float) -> float:
