@@ -18,8 +18,8 @@ from deploy.study.theory.linear_law import ENDED, LinearLaw, filtered, fitted
 _SWITCHES = "it has no slope at zero error: it switches, or its gain depends on the error"
 _VARIES = "its answers to several errors do not add up, or they depend on when it is asked"
 _IDLE = "its torque does not depend on errors"
-_WORKING_RANGE = 0.01
-"""Of the funnel's final size, in which a law has to be linear."""
+_SMALL, _LARGER = 1e-3, 10.0
+"""Size of a motion, in that of the funnel at the end; and by how much a law is linear beyond it."""
 _AGREE, _NOISE = 0.01, 1e-6
 _FEW_TICKS = 64
 _LISTENED_S, _LISTENED_TICKS = 1.0, (256, 2048)
@@ -29,10 +29,15 @@ def linear_law(law: ControlLaw, setup: Setup) -> LinearLaw | str:
     """Return a law as a linear one, N m per rad and rad/s; or why it is none."""
     probe = _Probe(law, setup)
     impulses = probe.impulses(_FEW_TICKS)
-    heard = probe.answers(impulses)
-    if not heard.any():
+    (odd, even), (larger_odd, larger_even) = (
+        [part / size for part in probe.parts(size * impulses)] for size in (1.0, _LARGER)
+    )
+    if not (odd.any() or even.any()):
         return _IDLE
-    if not all(_agree(probe.answers(share * impulses) / share, heard) for share in (-1.0, 0.1)):
+    # Beside its slope, a smooth law may answer with squares: less, the smaller the motion.
+    allowed = np.maximum(_AGREE * _largest(odd), 0.5 * _largest(larger_even))
+    is_smooth = (_largest(even) <= allowed + _NOISE * _largest(odd).max()).all()
+    if not (is_smooth and _agree(larger_odd, odd)):
         return _SWITCHES
     ticks = min(max(round(_LISTENED_S / probe.period_s), _LISTENED_TICKS[0]), _LISTENED_TICKS[1])
     end = fitted(np.concatenate(probe.answers(probe.impulses(ticks)), axis=1))
@@ -51,15 +56,17 @@ class _Probe:
     def __init__(self, law: ControlLaw, setup: Setup) -> None:
         self._law, self._setup = law, setup
         self.period_s = 1e-9 * setup.grid.period_ns
-        self._sizes = _WORKING_RANGE * np.tile(setup.funnel.final_rad, 2)  # a rate: of 1/s
-        self._at_rest = np.zeros((0, setup.robot.joints))
+        self._sizes = _SMALL * np.tile(setup.funnel.final_rad, 2)  # a rate: of 1/s
 
     def answers(self, motions: Any) -> Any:
-        """Return what motions change of the torques, shape (motions, ticks, joints)."""
-        ticks = motions.shape[1]
-        if len(self._at_rest) < ticks:
-            self._at_rest = self._torques(np.zeros(motions.shape[1:]))
-        return np.array([self._torques(motion) for motion in motions]) - self._at_rest[:ticks]
+        """Return the linear part of the answers to motions, shape (motions, ticks, joints)."""
+        return np.array([0.5 * (self._torques(each) - self._torques(-each)) for each in motions])
+
+    def parts(self, motions: Any) -> tuple[Any, Any]:
+        """Return the linear part of the answers to motions, and what remains of it."""
+        at_rest = self._torques(0.0 * motions[0])
+        odd = self.answers(motions)
+        return odd, np.array([self._torques(each) for each in motions]) - at_rest - odd
 
     def impulses(self, ticks: int) -> Any:
         """Return an impulse of all positions and one of all velocities, by unequal shares."""
@@ -108,7 +115,12 @@ class _Probe:
         return np.array(answers[1:])
 
 
+def _largest(answers: Any) -> Any:
+    """Return the largest torques, by motion and joint."""
+    return abs(answers).max(axis=1)
+
+
 def _agree(found: Any, expected: Any) -> bool:
     """Whether answers agree, by motion and joint, up to 1 % of the joint's largest one."""
-    largest, apart = abs(expected).max(axis=1), abs(found - expected).max(axis=1)
-    return bool((apart <= _AGREE * largest + _NOISE * largest.max()).all())
+    largest = _largest(expected)
+    return bool((_largest(found - expected) <= _AGREE * largest + _NOISE * largest.max()).all())
