@@ -333,8 +333,9 @@ def _windows(unstable_ms: list[list[float | None]]) -> str:
         f"{begin:g} ms on" if end is None else f"{begin:g} to {end:g} ms"
         for begin, end in unstable_ms[:_SHOWN_WINDOWS]
     )
-    left = len(unstable_ms) - _SHOWN_WINDOWS
-    return f"; unstable from {shown}" + (f" and in {left} more windows" if left > 0 else "")
+    count = len(unstable_ms)
+    more = f", and so on ({count} windows)" if count > _SHOWN_WINDOWS else ""
+    return f"; unstable from {shown}{more}"
 
 
 def furthest(summary: Summary) -> str:

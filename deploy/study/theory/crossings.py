@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from bus_schema.arrays import Vector
 from deploy.study.theory.sampled_loop import SampledLoop
 
 _TURN = 2.0 * np.pi
-_FIRST_FRACTIONS = 4
+_FIRST_FRACTIONS, _TRIED_FRACTIONS = 4, 64
 _NARROWEST = 1e-3
 """Distance of fractions f that is not halved any more."""
 _ALIKE = 0.05
@@ -35,6 +35,10 @@ _ROUNDS = 8
 _NEWTON_STEPS, _SMALL = 6, 1e-7
 _NEAR = 0.25
 """Of a period: further away it is another crossing."""
+
+
+_Found: TypeAlias = tuple[Any, Any, Any]
+"""Delays in periods, how many roots leave the circle there, and the angles where they do."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ class Crossings:
     def _answers(self) -> Any:
         return self._loop.answers(np.exp(1j * self._angles))
 
-    def all(self) -> tuple[Vector, Vector, Vector]:
+    def all(self) -> _Found:
         """Return delays in periods, in order, with the roots that leave there and their angles."""
         lines = [self._line(fraction) for fraction in self._fractions()]
         found = [each for two in pairwise(lines) for each in self._between(*two)]
@@ -84,15 +88,15 @@ class Crossings:
 
     def _fractions(self) -> list[float]:
         """Return the first fractions: one between any two at which a modulus at θ = π is 1."""
-        tried = np.linspace(0.0, 1.0, 16 * _FIRST_FRACTIONS + 1)
+        tried = np.linspace(0.0, 1.0, _TRIED_FRACTIONS + 1)
         half_turn = np.array([np.pi])
         answers = self._loop.answers(np.exp(1j * half_turn))
         beyond = np.array([(self._sizes(half_turn, answers, f)[0] > 0.0).sum() for f in tried])
         changes = tried[np.flatnonzero(np.diff(beyond))]
-        found = {*tried[::16].tolist(), *(0.5 * (changes[1:] + changes[:-1])).tolist()}
-        return sorted(found)
+        between = 0.5 * (changes[1:] + changes[:-1])
+        return sorted({*tried[:: _TRIED_FRACTIONS // _FIRST_FRACTIONS].tolist(), *between.tolist()})
 
-    def _between(self, a: Line, b: Line) -> Iterator[tuple[Vector, Vector, Vector]]:
+    def _between(self, a: Line, b: Line) -> Iterator[_Found]:
         pairs = _alike(a, b)
         width = b.fraction - a.fraction
         if len(pairs[0]) == max(len(a.angles), len(b.angles)):
@@ -106,7 +110,7 @@ class Crossings:
             for line, (known, sign) in ((a, (pairs[0], 1.0)), (b, (pairs[1], -1.0))):
                 yield self._alone(line, known, sign, a.fraction + 0.5 * width)
 
-    def _passed(self, a: Line, b: Line, first: Any, second: Any) -> tuple[Vector, Vector, Vector]:
+    def _passed(self, a: Line, b: Line, first: Any, second: Any) -> _Found:
         """Return the crossings between two lines, on cubic curves that connect them."""
         width, whole = b.fraction - a.fraction, self._whole[:, None]
         angles = a.angles[first], b.angles[second]
@@ -130,9 +134,7 @@ class Crossings:
         leaving = -a.signs[first][curve] * np.sign(y - x)
         return at + a.fraction + share * width, leaving, between
 
-    def _alone(
-        self, line: Line, known: Any, sign: float, fraction: float
-    ) -> tuple[Vector, Vector, Vector]:
+    def _alone(self, line: Line, known: Any, sign: float, fraction: float) -> _Found:
         """Return what pairs of curves change that end, or begin, near a line."""
         alone = np.setdiff1d(np.arange(len(line.angles)), known)
         falling, rising = (alone[line.signs[alone] == one] for one in (1.0, -1.0))

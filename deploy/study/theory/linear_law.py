@@ -30,7 +30,7 @@ class LinearLaw:
     @property
     def states(self) -> int:
         """Number of states of `realisation`."""
-        return self.taps.shape[1] * max(len(self.taps) - 1, len(self.recursion))
+        return int(self.taps.shape[1]) * max(len(self.taps) - 1, len(self.recursion))
 
     def transfer(self, z: Any) -> Any:
         """Return the transfer matrix at these points, shape (points, joints, 2 joints)."""
@@ -49,7 +49,7 @@ class LinearLaw:
                 found[k] -= factor * earlier
         return found
 
-    def realisation(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    def realisation(self) -> tuple[Any, Any, Any, Any]:
         """Return A, B, C, D of s_(k+1) = A s_k + B y_k, u_k = C s_k + D y_k."""
         joints = self.taps.shape[1]
         order = self.states // joints
@@ -95,13 +95,11 @@ def filtered(responses: Any, recursion: Vector) -> Any:
 
 def _recursion(tail: Matrix, poles: int) -> Vector | None:
     """Return a recursion of an order that a tail follows, shape (poles,); None if none does."""
-    ticks = len(tail) - poles
-    earlier = np.stack([tail[poles - i :][:ticks].ravel() for i in range(1, poles + 1)] or [[]], 1)
+    recursion: Any = np.zeros(poles)
     if poles:
-        solution = np.linalg.lstsq(-earlier, tail[poles:].ravel())[0]
-        roots = np.roots([1.0, *solution])
-        solution = np.poly(np.where(abs(roots - 1.0) < _IS_INTEGRAL, 1.0, roots)).real[1:]
-    else:
-        solution = np.zeros(0)
-    left = filtered(tail, solution)[poles:]
-    return solution if abs(left).max() <= ENDED else None
+        ticks = len(tail) - poles
+        earlier = np.stack([tail[poles - i :][:ticks].ravel() for i in range(1, poles + 1)], 1)
+        roots = np.roots([1.0, *np.linalg.lstsq(-earlier, tail[poles:].ravel())[0]])
+        recursion = np.poly(np.where(abs(roots - 1.0) < _IS_INTEGRAL, 1.0, roots)).real[1:]
+    left = filtered(tail, recursion)[poles:]
+    return recursion if abs(left).max() <= ENDED else None

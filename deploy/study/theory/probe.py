@@ -89,7 +89,7 @@ class _Probe:
         motion[0] = shares * self._sizes
         return motion
 
-    def _shares(self, ticks: int) -> Matrix:
+    def _shares(self, ticks: int) -> Any:
         """Return numbers of modulus ½ to 1, the same in every call."""
         random, size = np.random.default_rng(0), (ticks, self._sizes.size)
         return random.uniform(0.5, 1.0, size) * random.choice([-1.0, 1.0], size)
