@@ -233,6 +233,13 @@ class ManipulatorModel:
         )
         return self._places.torques(full)
 
+    def gravity_stiffness(self, position: Vector) -> Matrix:
+        """Return ∂G/∂q, shape (joints, joints), N m per rad."""
+        full = pinocchio.computeGeneralizedGravityDerivatives(
+            self._model, self._data, self._places.positions(position)
+        )
+        return self._places.symmetric(full)
+
     @property
     def moved_kg(self) -> float:
         """Mass of all moving links, kg."""

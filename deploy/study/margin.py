@@ -19,11 +19,11 @@ from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, Stu
 from deploy.study.doubts import doubts
 from deploy.study.follow_ups import disturbances, remedies, unknowns
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
+from deploy.study.follow_ups.expected_loss import first_loss, theory_beside
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
-from deploy.study.follow_ups.theory import theory_of
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
-from deploy.study.margin_search import MarginSearch, Steps, first_loss
+from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.plants import Variant
 from deploy.study.quoted import quoted
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
@@ -180,9 +180,9 @@ class Margin(StudyOfCases):
         """Compute the theory of a case when a run has shown that its law works, for the search."""
         if self.definition.quantity != "delay" or not search.outcomes:
             return
-        theory = self.theories[index] = theory_of(self.cases[index].setting.base)
+        theory = self.theories[index] = theory_beside(self.cases[index].setting)
         if "unstable_ms" in theory:
-            search.parts, search.hints = 1, first_loss(theory["unstable_ms"], search.steps)
+            search.parts, search.hints = 1, first_loss(theory, search.steps)
 
     def _follow_ups(self, index: int, search: MarginSearch) -> Iterator[tuple[str, MarginSearch]]:
         """Return what is left to try of a case with this search, with numbers of their own."""

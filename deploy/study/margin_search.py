@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -161,20 +160,3 @@ class MarginSearch:
         """Return the values to probe beyond a failure."""
         further = (round(factor * failure) for factor in _BEYOND)
         return [value for value in further if failure < value <= self.steps.limit]
-
-
-def first_loss(unstable: Sequence[Sequence[float | None]], steps: Steps) -> list[int]:
-    """Return the last value below the first window of instability, and one in it, in steps.
-
-    Args:
-        unstable: windows in the unit of the values, in order; the last may have no end.
-        steps: the values that can be probed.
-    """
-    for begin, end in unstable[:1]:
-        assert begin is not None
-        below = math.floor((begin - steps.origin) / steps.resolution)
-        inside = below + 1
-        if end is not None:
-            inside = max(inside, round((0.5 * (begin + end) - steps.origin) / steps.resolution))
-        return [each for each in (below, inside) if 0 < each <= steps.limit] or [steps.limit]
-    return [steps.limit]

@@ -46,7 +46,7 @@ def _known(case: Found) -> Iterator[tuple[Any, Because]]:
     if theory.get("unstable_without_delay") is not None:
         yield None, Because.THEORY
     elif "constant_ms" in theory:
-        yield theory["constant_ms"], Because.THEORY
+        yield max(0.0, round(theory["constant_ms"] - theory["beside_ms"], 9)), Because.THEORY
     if (worst := case.get("worst_pattern")) is not None:
         yield worst["margin"], Because.PATTERN
     if (smaller := case.get("smaller_rotors")) is not None:

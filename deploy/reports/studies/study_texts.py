@@ -380,9 +380,7 @@ def theory_sentences(summary: Summary) -> list[str]:
 
 def _in_theory(summary: Summary) -> list[str]:
     return [
-        f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
-        f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
-        f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
+        f"{case_title(case)}: in theory {_stability(theory)}{_windows(theory['unstable_ms'])}."
         for case in summary["cases"]
         if (theory := case.get("theory")) and "reason" not in theory
     ]
@@ -402,6 +400,36 @@ def _gaps(summary: Summary) -> list[str]:
         f"Up to the margins, values at most {width} apart were tried: a narrower window in which a"
         " loop is unstable may lie between them."
     ]
+
+
+def _stability(theory: Summary) -> str:
+    if (growth := theory["unstable_without_delay"]) is not None:
+        return (
+            f"unstable without a delay: it grows by {growth['rate_per_s']:g}/s at"
+            f" {growth['frequency_hz']:g} Hz ({_OF_THEORY}; {growth['joint']} moves most)"
+        )
+    weakest = f"; weakest: {theory['joint']}" if theory["joint"] else ""
+    return (
+        f"stable up to a constant {theory['constant_ms']:g} ms, and below"
+        f" {theory['any_pattern_ms']:g} ms for every pattern (round trip; {_OF_THEORY}{weakest})"
+    )
+
+
+_OF_THEORY = "linear, the arm at its start, viscous friction alone"
+_SHOWN_WINDOWS = 3
+
+
+def _windows(unstable_ms: list[list[float | None]]) -> str:
+    """Return the windows of unstable delays in words, if a larger delay is stable again."""
+    if not unstable_ms or unstable_ms[0][1] is None:
+        return ""
+    shown = ", ".join(
+        f"{begin:g} ms on" if end is None else f"{begin:g} to {end:g} ms"
+        for begin, end in unstable_ms[:_SHOWN_WINDOWS]
+    )
+    count = len(unstable_ms)
+    more = f", and so on ({count} windows)" if count > _SHOWN_WINDOWS else ""
+    return f"; unstable from {shown}{more}"
 
 
 def furthest(summary: Summary) -> str:
