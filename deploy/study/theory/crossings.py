@@ -87,12 +87,12 @@ class Crossings:
         return delays[order], leaving[order], angles[order]
 
     def _fractions(self) -> list[float]:
-        """Return the first fractions: one between any two at which a modulus at θ = π is 1."""
+        """Return the first fractions: one between any two at which a modulus at a peak is 1."""
         tried = np.linspace(0.0, 1.0, _TRIED_FRACTIONS + 1)
-        half_turn = np.array([np.pi])
-        answers = self._loop.answers(np.exp(1j * half_turn))
-        beyond = np.array([(self._sizes(half_turn, answers, f)[0] > 0.0).sum() for f in tried])
-        changes = tried[np.flatnonzero(np.diff(beyond))]
+        peaks = self._loop.peaks
+        answers = self._loop.answers(np.exp(1j * peaks))
+        beyond = np.array([(self._sizes(peaks, answers, f)[0] > 0.0).sum(axis=1) for f in tried])
+        changes = tried[np.flatnonzero(np.diff(beyond, axis=0).any(axis=1))]
         between = 0.5 * (changes[1:] + changes[:-1])
         return sorted({*tried[:: _TRIED_FRACTIONS // _FIRST_FRACTIONS].tolist(), *between.tolist()})
 

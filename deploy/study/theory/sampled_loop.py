@@ -67,6 +67,12 @@ class SampledLoop:
         values, shapes = np.linalg.eig(whole)
         return values, shapes[:states]
 
+    @property
+    def peaks(self) -> Vector:
+        """Angles of z at which responses are largest: those of the plant's resonances, and π."""
+        poles = np.linalg.eigvals(self.transition)
+        return np.array([*(np.angle(poles[poles.imag > 0.0]) * (1.0 - 1e-9)), np.pi])
+
     @cached_property
     def angles(self) -> Vector:
         """Angles of z from 0 to π, close where responses change fast: at poles and roots."""

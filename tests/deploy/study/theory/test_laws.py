@@ -10,7 +10,9 @@ from deploy.study.theory.theory import theory_of
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.theory.lifted_loops import LiftedLoop
 from tests.deploy.study.theory.linear_arms import ARMS, Arm, constant, is_kept
+from tests.warm_process import ROOT
 
+PAGE = ROOT / "deploy" / "docs" / "explanation" / "theory.md"
 K, D = 2500.0, 100.0
 ARM = Arm([1.0], [K], [D], [0.0])
 """A joint of unit inertia."""
@@ -106,6 +108,8 @@ def test_runs_of_shipped_laws_agree_with_their_theory(law, kept_ms, lost_ms, tmp
     file, overrides = ARM.write(tmp_path), [f"controller.law={law}"]
     found = theory_of(load_setup(str(file), overrides))
     assert kept_ms < found["constant_ms"] < lost_ms
+    row = f"| `{law}` | {found['constant_ms']:.2f} ms | {kept_ms:g} ms | {lost_ms:g} ms |"
+    assert row in PAGE.read_text()
     assert is_kept(file, [*overrides, *constant(kept_ms)])
     assert not is_kept(file, [*overrides, *constant(lost_ms)])
 

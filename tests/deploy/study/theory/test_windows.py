@@ -12,8 +12,12 @@ from deploy.study.theory.theory import theory_of
 from deploy.study.theory.windows import unstable_windows
 from tests.deploy.study.theory.lifted_loops import LiftedLoop, random_loop
 from tests.deploy.study.theory.linear_arms import ARMS, RESONANT, constant, is_kept
+from tests.warm_process import ROOT
 
+PAGE = ROOT / "deploy" / "docs" / "explanation" / "theory.md"
 PERIODS, BESIDE_S = 60, 1e-5
+RUNS = [(2.0, 2.5), (8.0, 9.0), (14.0, 15.0), (67.0, 70.0)]
+"""Delays before and in the first three windows and the last one of a gear, in ms."""
 
 
 @pytest.mark.parametrize("seeds", [range(start, start + 10) for start in range(0, 100, 10)])
@@ -46,9 +50,12 @@ def test_a_gear_has_a_window_in_each_of_its_periods(tmp_path):
             assert not arm.loop.is_stable([1e-3 * (edge + sign * 0.02)]), edge
     assert windows[-1][1] is None
     assert len(windows) == 12
-    # In runs too, as far as a growth of more than 1/s shows within 6 s.
-    for delay_ms, is_stable in ((2.0, True), (2.5, False), (3.5, True), (8.0, True), (9.0, False)):
-        assert is_kept(file, constant(delay_ms)) is is_stable, delay_ms
+    text = PAGE.read_text()
+    for (begin, end), (kept_ms, lost_ms) in zip([*windows[:3], windows[-1]], RUNS, strict=True):
+        assert is_kept(file, constant(kept_ms)), kept_ms
+        assert not is_kept(file, constant(lost_ms)), lost_ms
+        shown = f"from {begin:g} ms on" if end is None else f"{begin:g} to {end:g} ms"
+        assert f"| {shown} | {lost_ms:g} ms | {kept_ms:g} ms |" in text
 
 
 def test_a_loop_that_is_unstable_without_a_delay_has_growth_frequency_and_joint(tmp_path):
