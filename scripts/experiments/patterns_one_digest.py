@@ -208,7 +208,6 @@ def tried(number: int) -> Outcome:
 
 def main(patterns: int, workers: int, first: int) -> int:
     """Count the digests of each setting; return the exit code."""
-    logging.disable()
     counts: list[Counter[str]] = [Counter() for _ in SETTINGS]
     late, others = 0, dict[int, Outcome]()
     with ProcessPoolExecutor(workers) as executor:
@@ -234,4 +233,5 @@ if __name__ == "__main__":
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--first", type=int, default=0, help="number of the first pattern")
     given = parser.parse_args()
+    logging.disable()
     sys.exit(main(given.patterns, given.workers, given.first))
