@@ -119,6 +119,7 @@ def help_tables(summary: Summary, folder: str = "") -> list[Table]:
     columns: list[TableColumn] = [
         (Column("Change", is_text=True), lambda each: each["change"]),
         (Column("Kept", is_text=True), lambda each: "yes" if each["held"] else "no"),
+        (Column("Starts tried", brief="Starts"), lambda each: each.get("starts")),
         (Column("Bound left", "%"), lambda each: scaled(each["margin_min"], 100.0)),
         (Column("RMS error of the worst joint", "mrad", "RMS error"),
          lambda each: scaled(each["worst_rms_rad"], 1e3)),

@@ -46,7 +46,8 @@ class Trials(MarginSearch):
             for name, rows in rows_by(in_order(self.rows[steps]), lambda row: row[COLUMN]).items():
                 worst, held = worst_of(rows), all(map(tolerated, rows))
                 tried = {key: worst[key] for key in ("margin_min", "point", "seed")}
-                error = {"worst_rms_rad": largest(worst["rms_rad"])}
+                starts = len({row["point"] for row in rows})
+                error = {"worst_rms_rad": largest(worst["rms_rad"]), "starts": starts}
                 found.append({
                     COLUMN: name, "value": self.steps.value(steps), "held": held, **tried, **error
                 })  # fmt: skip

@@ -40,11 +40,11 @@ def below_six(run):
 
 
 def test_remedies_that_help_the_lost_start_are_tried_from_every_start(tmp_path):
-    study = helped()
+    study = helped(resolution=0.5)
     whole, folder = conduct(study, tmp_path / "out", Here(below_six, seed=4))
     assert whole
     case, helps = case_of(study, folder), case_of(study, folder)["what_helps"]
-    assert (case["margin"], case["first_failure"], helps["value"]) == (5.0, 6.0, 6.0)
+    assert (case["margin"], case["first_failure"], helps["value"]) == (5.5, 6.0, 6.0)
     assert {each["change"]: each["held"] for each in helps["tried"]} == {
         "compensation": True,
         "drive loop": True,
@@ -52,8 +52,9 @@ def test_remedies_that_help_the_lost_start_are_tried_from_every_start(tmp_path):
         "twice the rate": False,
     }
     runs = Counter(row["change"] for row in folder.rows)
-    assert [runs[each] for each in ("compensation", "drive loop")] == [2, 2]
-    assert [runs[each] for each in ("half the gains", "twice the rate")] == [1, 1]
+    assert {each["change"]: each["starts"] for each in helps["tried"]} == {
+        "compensation": 2, "drive loop": 2, "half the gains": 1, "twice the rate": 1,
+    }  # fmt: skip
     assert runs.total() - runs[None] <= runs.total() / 3
     assert study.expected == len(folder.rows)
     best = helps["best"]
@@ -61,7 +62,7 @@ def test_remedies_that_help_the_lost_start_are_tried_from_every_start(tmp_path):
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
     (table,) = help_tables(study.summary(folder.rows))
     assert table.title == "What helps at 6 ms, paper_arm, pid"
-    shown = [(name.text, kept.text, left.text) for name, kept, left, *_ in table.cells]
+    shown = [(name.text, kept.text, left.text) for name, kept, _, left, *_ in table.cells]
     assert shown[:2] == [("compensation", "yes", "31"), ("drive loop", "yes", "42")]
     assert [row[:2] for row in shown[2:]] == [("twice the rate", "no"), ("half the gains", "no")]
 
