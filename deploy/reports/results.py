@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from deploy.study.study import StudyOfRuns
 
 TABLE_FILE = "table.md"
+_REUSE = "reuse"
+"""Condition of rows that later commands make again."""
 
 
 @dataclass
@@ -132,6 +134,8 @@ def judge_rows(study: StudyOfRuns, folder: StudyFolder) -> dict[str, Any]:
     summary = study.summary(folder.rows)
     study.keep_files(summary, folder.path)
     summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
+    if folder.unseen:
+        summary["conditions"][_REUSE] = folder.unseen
     folder.write(summary["conditions"], completed=summary["completed"])
     return summary
 
@@ -166,7 +170,9 @@ def comparison_results(
     if not setups:
         return Results({**summary, **of_runs}, None), compared
     of_runs["clock"] = compared.runs[0].summary["clock"]
-    of_runs["conditions"] = conditions_of_runs(setups, read_manifest(folder.path))
+    known = summary.get("conditions", {})
+    kept = {_REUSE: known[_REUSE]} if _REUSE in known else {}
+    of_runs["conditions"] = {**conditions_of_runs(setups, read_manifest(folder.path)), **kept}
     before = read_rows(file) if file.is_file() else []
     confirmed = CONFIRMATION_COLUMNS if any("confirmed_on" in each for each in before) else {}
     rows, columns = rows_again(compared, before), {**COLUMNS, **confirmed}

@@ -177,8 +177,9 @@ def _judged(setup: Setup, run: PlannedRun) -> Row:
 def _inputs(read: Mapping[str, str], run: PlannedRun) -> dict[str, str]:
     """Return the files read except the scenario, of which a study keeps a digest, and results."""
     results = f"{run.recording}/"
-    own = str(Path(run.scenario).resolve())
-    return {k: v for k, v in read.items() if k != own and not k.startswith(results)}
+    file = Path(run.scenario)
+    own = {str(file.absolute()), str(file.resolve())}
+    return {k: v for k, v in read.items() if k not in own and not k.startswith(results)}
 
 
 def _folder(setup: Setup, run: PlannedRun) -> AbstractContextManager[RunFolder | None]:

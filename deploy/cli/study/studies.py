@@ -163,6 +163,8 @@ def carried_out(
         study, _workers(study, options), options.out, _progress(console, study, options, stop),
         overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
     ) as done:  # fmt: skip
+        if done.folder.unseen:
+            console.print(done.folder.unseen, markup=False, soft_wrap=True)
         yield done
 
 

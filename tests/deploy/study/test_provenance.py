@@ -107,26 +107,30 @@ def test_study_refuses_its_folder_after_any_change_of_its_law(folder):
     assert "gate: failed; " in output
 
 
-def test_program_of_an_external_law_and_files_among_its_arguments_count(folder):
-    program = folder / "law.sh"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    program.chmod(0o755)
+@pytest.mark.parametrize("kind", ["external", "process"])
+def test_runs_of_a_program_are_made_again_by_each_command(kind, folder):
+    """A program reads files that nobody has named."""
     examples = Path(controller.__file__).parent / "external/examples"
     shutil.copy(examples / "stiff_pd.py", "stiff.py")
-    grid = {"controller.law": ["external"]}
-    given = {"controller.external.command": ["./law.sh", "stiff.py"], "duration_s": 0.1}
+    program = [sys.executable, "stiff.py"]
+    if kind == "external":
+        given = {"controller.law": "external", "controller.external.command": program}
+    else:
+        given = {"controller.process": [sys.executable, "-c", "raise SystemExit(1)"]}
+    grid = {"controller.every": [1]}
     (folder / "s.yaml").write_text(
-        json.dumps({"name": "s", "scenario": "paper_arm", "set": given, "grid": grid})
+        json.dumps(
+            {"name": "s", "scenario": "paper_arm", "set": {**given, "duration_s": 0.1}, "grid": grid}
+        )
     )
     words = ("sweep", "s.yaml", "--out", "out", "--workers", "1")
-    for _ in range(2):
-        command(*words)
-    for name in ("law.sh", "stiff.py"):
-        before = (folder / name).read_text()
-        (folder / name).write_text(f"{before}\n")
-        output = command(*words, codes=[2])
-        assert f"{folder / name}: " in output
-        (folder / name).write_text(before)
+    for made_again in (False, True):
+        output = command(*words, codes=[0 if kind == "external" else 1])
+        assert "is a program: each command makes these runs again" in output
+        assert "from before" not in output
+    (folder / "stiff.py").write_text("raise SystemExit(1)")
+    if kind == "external":
+        assert "0 of 1 points kept" in command(*words, codes=[0, 1])
 
 
 def test_comparison_reuses_a_custom_law_until_it_changes(folder):
