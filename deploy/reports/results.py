@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.conditions import conditions_of_recording, conditions_of_runs
 from deploy.judge.run_rows import read_rows, write_rows
+from deploy.judge.tested_with import TESTED_WITH, tested_with
 from deploy.judge.verdict import Verdict, decide, with_verdict
 from deploy.reports.kinds import kind_of
 from deploy.reports.page import Cards, Fact, Page
@@ -82,6 +83,8 @@ def run_results(folder: RunFolder, run: JudgedRun) -> Results:
     """Judge a run; a confirmation in its folder is kept."""
     confirmed = run.summary.get(CONFIRMATION) or read_summary(folder.path).get(CONFIRMATION)
     run.summary |= {CONFIRMATION: confirmed} if confirmed else {}
+    setup = run.data.setup
+    run.summary |= {TESTED_WITH: tested_with([setup], {"seeds": [setup.scenario.seed]})}
     return Results(run.summary, run_page(run, read_manifest(folder.path)), [run])
 
 

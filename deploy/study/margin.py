@@ -101,6 +101,17 @@ class Margin(StudyOfCases):
             own |= dict.fromkeys(keys, "without pattern (--pattern)")
         return own
 
+    @property
+    def own_test(self) -> dict[str, Any]:
+        wanted, steps = self.definition, self.searches[0].steps
+        return {
+            **super().own_test,
+            "offsets": wanted.offsets,
+            "pattern": wanted.pattern,
+            "resolution": steps.resolution,
+            "limit": steps.value(steps.limit),
+        }
+
     def _steps(self, setting: Setting) -> Steps:
         return setting.quantity.steps(self.definition.resolution, self.definition.limit)
 

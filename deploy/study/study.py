@@ -24,6 +24,7 @@ from controller.laws.read_files import files_read
 from deploy.judge.conditions import Conditions, conditions_of_runs
 from deploy.judge.findings.loss_reason import AFTER_S
 from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
+from deploy.judge.tested_with import TESTED_WITH, tested_with
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import InProcess, execute
 from deploy.run.run_folder import RunFolder, provenance
@@ -260,6 +261,17 @@ class StudyOfRuns(ABC):
         return OF_BOUND
 
     @property
+    def tested_with(self) -> dict[str, dict[str, Any]]:
+        """The test of its results, as `deploy.judge.tested_with` describes it."""
+        files = {f"file {Path(name).name}": {"digest": each} for name, each in self.files.items()}
+        return {**tested_with(self.bases, self.own_test), **files}
+
+    @property
+    def own_test(self) -> dict[str, Any]:
+        """Values of its definition that belong to the test."""
+        return {"seeds": self.definition.seeds}
+
+    @property
     def expected(self) -> int:
         """Number of runs, as far as known now."""
         return self._requested
@@ -302,6 +314,7 @@ class StudyOfRuns(ABC):
             "commonest_error": commonest_error(rows),
             "seeds": seeds_of(rows) or self.definition.seeds,
             CONFIRMATION: confirmations(rows),
+            TESTED_WITH: self.tested_with,
             **self.findings(rows),
         }
 

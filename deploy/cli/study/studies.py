@@ -138,7 +138,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
     gate = None
     if isinstance(options, GateOptions):
         gate = ResultGate(
-            options, study.definition.name, study.unit, study.kind, quantity,
+            options, study.definition.name, study.unit, study.tested_with, study.kind, quantity,
             patterns=pattern is not None,
         )  # fmt: skip
     say_oddities(*study.bases)

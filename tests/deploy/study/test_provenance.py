@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
-import controller
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.folder import StudyFolder, find_folder, opened, require_same_provenance
 from deploy.study.execution.runner import carry_out
@@ -105,32 +102,6 @@ def test_study_refuses_its_folder_after_any_change_of_its_law(folder):
     assert "from before" not in output
     output = command(*margin("--at-least", "100ms"), codes=[3])
     assert "gate: failed; " in output
-
-
-@pytest.mark.parametrize("kind", ["external", "process"])
-def test_runs_of_a_program_are_made_again_by_each_command(kind, folder):
-    """A program reads files that nobody has named."""
-    examples = Path(controller.__file__).parent / "external/examples"
-    shutil.copy(examples / "stiff_pd.py", "stiff.py")
-    program = [sys.executable, "stiff.py"]
-    if kind == "external":
-        given = {"controller.law": "external", "controller.external.command": program}
-    else:
-        given = {"controller.process": [sys.executable, "-c", "raise SystemExit(1)"]}
-    grid = {"controller.every": [1]}
-    (folder / "s.yaml").write_text(
-        json.dumps(
-            {"name": "s", "scenario": "paper_arm", "set": {**given, "duration_s": 0.1}, "grid": grid}
-        )
-    )
-    words = ("sweep", "s.yaml", "--out", "out", "--workers", "1")
-    for made_again in (False, True):
-        output = command(*words, codes=[0 if kind == "external" else 1])
-        assert "is a program: each command makes these runs again" in output
-        assert "from before" not in output
-    (folder / "stiff.py").write_text("raise SystemExit(1)")
-    if kind == "external":
-        assert "0 of 1 points kept" in command(*words, codes=[0, 1])
 
 
 def test_comparison_reuses_a_custom_law_until_it_changes(folder):

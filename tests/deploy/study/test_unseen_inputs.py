@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
+import controller
 import funnel_hil
 from deploy.reports.results import judge_rows
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.folder import find_folder, opened, require_same_provenance
+from deploy.study.execution.provenance import provenance_of_law
 from deploy.study.execution.runner import carry_out
 from tests.deploy.study.studies import Here, make_sweep
 
@@ -94,13 +96,13 @@ def turn(place, monkeypatch):
     sys.modules.pop("routed_gain", None)
 
 
-def verdict_in(path):
+def verdict_in(path, **changes):
     """The verdict by a new command in a folder, which imports modules again; what is not seen."""
     for name in ("routed_law", "routed_gain"):
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
-    grid = {"controller.law": ["routed_law:Law"]}
-    study, workers = make_sweep(path.parent, grid, set={"duration_s": 0.5}), Here()
+    grid = {"controller.law": ["external" if changes else "routed_law:Law"]}
+    study, workers = make_sweep(path.parent, grid, set={"duration_s": 0.5, **changes}), Here()
     found = find_folder(study, path)
     require_same_provenance(study, found)
     with opened(study, found, path) as folder:
@@ -156,3 +158,22 @@ def test_rows_of_an_object_are_made_again(place):
         return funnel_hil.sweep("paper_arm", grid, changes, law=law, out="out").rows[0]["verdict"]
 
     assert [verdict(400.0), verdict(-400.0)] == ["kept", "lost"]
+
+
+def test_rows_of_programs_are_made_again(place, monkeypatch):
+    """A program reads files that nobody has named."""
+    example = Path(controller.__file__).parent / "external/examples/stiff_pd.py"
+    text = example.read_text().replace(
+        "(9000, 16000, 2500)",
+        '[float(open("gain.txt").read()) / 400 * each for each in (9000, 16000, 2500)]',
+    )
+    Path("program.py").write_text(text)
+    command = {"controller.external.command": [sys.executable, "program.py"]}
+    unseen = "external is a program: each command makes these runs again"
+    assert verdict_in(place / "out", **command) == ("kept", unseen)
+    turn(place, monkeypatch)
+    assert verdict_in(place / "out", **command) == ("lost", unseen)
+
+
+def test_processes_are_programs_too():
+    assert provenance_of_law("process: my_robot") == {"not seen": "process: my_robot is a program"}
