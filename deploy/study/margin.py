@@ -27,7 +27,7 @@ from deploy.study.follow_ups.trials import COLUMN, Trials, changed, trials
 from deploy.study.plants import Variant
 from deploy.study.quantities import MarginSearch, Steps
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
-from deploy.study.study import Different, PlannedRun, Seeds
+from deploy.study.study import ONE_START, Different, PlannedRun, Seeds
 from deploy.study.trials.sequential_test import SequentialTest
 
 _OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")
@@ -121,14 +121,12 @@ class Margin(StudyOfCases):
 
     def variants_of(self, setting: Setting) -> list[Variant]:
         own, key = setting.base.scenario.robot.initial_offset_rad, "robot.initial_offset_rad"
-        starts = [
-            Variant(
-                number,
-                (override(key, (scale * own).tolist()),),
-                {"offset_scale": scale, COLUMN: None},
-            )
-            for number, scale in enumerate(self.definition.offsets)
-        ]
+        different: dict[str, Variant] = {}
+        for number, scale in enumerate(self.definition.offsets):
+            start = override(key, (scale * own + 0.0).tolist())  # no -0.0
+            columns = {"offset_scale": scale, COLUMN: None}
+            different.setdefault(start, Variant(number, (start,), columns))
+        starts = list(different.values())
         if self.definition.pattern is None:
             return starts
         if self.definition.quantity != "delay":
@@ -226,6 +224,7 @@ class Margin(StudyOfCases):
             "limit": steps.value(steps.limit),
             "completed": all(map(self._is_over, range(len(self.cases)))),
             "offsets": self.definition.offsets,
+            ONE_START: self._arms_with_one_start,
             "cases": [
                 {
                     **case.findings,
@@ -236,6 +235,13 @@ class Margin(StudyOfCases):
                 for index, (case, search) in enumerate(zip(self.cases, self.searches, strict=True))
             ],
         }  # fmt: skip
+
+    @property
+    def _arms_with_one_start(self) -> list[str]:
+        """Arms whose initial offset is zero, so that every factor on it is the same start."""
+        scenarios = [base.scenario for base in self.bases]
+        is_several = len(self.definition.offsets) > 1
+        return [s.name for s in scenarios if is_several and not s.robot.initial_offset_rad.any()]
 
     def _is_over(self, index: int) -> bool:
         others = self.follow_ups.get(index)

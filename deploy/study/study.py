@@ -42,6 +42,8 @@ from plant_emulator.plant_loop import PlantLoop
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
 OF_BOUND = "% of the bound"
+ONE_START = "arms_with_one_start"
+"""Key of the findings about arms on which all starts are the same."""
 _MOST_SEEDS = 10_000
 
 Value = TypeVar("Value")
@@ -340,7 +342,7 @@ class StudyOfRuns(ABC):
             "scenario": ", ".join(durations),
             "law": ", ".join(self.laws),
             "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
-            "starts": _starts(summary),
+            "starts": starts_text(summary),
             "seeds": ", ".join(map(str, summary["seeds"])),
             "set": ", ".join(self.definition.fixed_overrides) or "nothing",
         }
@@ -364,9 +366,12 @@ def shown_value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _starts(summary: Mapping[str, Any]) -> str:
+def starts_text(summary: Mapping[str, Any]) -> str:
+    """Describe the starts and plants of a study, and which starts are all the same."""
     offsets = summary.get("offsets", [1.0])
     text = "initial offset × " + ", ".join(f"{offset:g}" for offset in offsets)
+    if arms := summary.get(ONE_START):
+        text += f"; once on {', '.join(arms)}, where the initial offset is 0"
     if summary.get("plants") is None:
         return text
     return f"{text}; {summary['plants']} plants of plant_seed {summary['plant_seed']}"

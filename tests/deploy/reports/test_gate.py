@@ -156,7 +156,7 @@ EASIER = {
     "robot.initial_offset_rad=0": "robot.initial_offset_rad = [0.15, -0.12, 0.1] before, [0.0] now",
     "rate_hz=2000": "rate_hz = 1000.0 before, 2000.0 now",
     "seed=2": "seeds = [1] before, [2] now",
-    "plant.physics.integrator=runge_kutta_4": "plant.physics.integrator = 'semi_implicit_euler' bef",
+    "plant.physics.integrator=runge_kutta_4": "semi_implicit_euler' before, 'runge_kutta_4' now",
     "reference.speed=0.5": "reference.speed = 1.0 before, 0.5 now",
     "plant.friction.viscous_nm_s=0": "plant.friction.viscous_nm_s = [10.0, 8.0, 5.0] before",
     "controller.model_scale=1.0": "controller.model_scale = 0.9 before, 1.0 now",
