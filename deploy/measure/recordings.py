@@ -23,10 +23,11 @@ from bus_schema.runtime.limited_process import limited_memory
 MOST_MESSAGE_BYTES = 64_000_000
 MOST_MESSAGES = 5_000_000
 """Of the topics that are read: more than an hour at 1 kHz."""
-_MOST_MEMORY_BYTES = 2_000_000_000
+MOST_MEMORY_BYTES = 2_000_000_000
 _DATABASE = ".db3"
-_LARGEST = """SELECT name, MAX(LENGTH(data)) FROM messages JOIN topics ON topics.id = topic_id
-    WHERE name IN (?1, ?2) OR type IN (?1, ?2) GROUP BY name ORDER BY 2 DESC LIMIT 1"""
+_TOPICS = "SELECT id, name, type FROM topics"
+_LARGEST = "SELECT MAX(LENGTH(data)) FROM messages WHERE topic_id = ?"
+"""Without sorting, which would load the data."""
 
 
 @dataclass
@@ -55,15 +56,22 @@ class Recording:
     """A recording.
 
     Args:
-        path: an MCAP file with definitions of its messages, a ``.db3`` file, or a bag's folder.
+        path: a ``.db3`` file, a bag's folder, or an MCAP file with definitions of its messages.
         most_bytes: largest size of a message that is read.
+        most_memory_bytes: memory that reading may take.
 
     Attributes:
         topics: names of all topics, known once messages were read.
     """
 
-    def __init__(self, path: Path, most_bytes: int = MOST_MESSAGE_BYTES) -> None:
+    def __init__(
+        self,
+        path: Path,
+        most_bytes: int = MOST_MESSAGE_BYTES,
+        most_memory_bytes: int = MOST_MEMORY_BYTES,
+    ) -> None:
         self._path, self._most_bytes = path, most_bytes
+        self._most_memory_bytes = most_memory_bytes
         self.topics: set[str] = set()
 
     def messages(self, topic: str, other: str | None = None) -> Iterator[RecordedMessage]:
@@ -73,9 +81,10 @@ class Recording:
             InputError: the file cannot be read, has too many of them, or one is too large.
         """
         wanted = {topic, other or topic}
-        read = self._of_mcap if self._path.suffix == ".mcap" else self._of_bag
+        is_bag = self._path.is_dir() or self._path.suffix == _DATABASE
+        read = self._of_bag if is_bag else self._of_mcap
         try:
-            with limited_memory(_MOST_MEMORY_BYTES):
+            with limited_memory(self._most_memory_bytes):
                 for number, message in enumerate(read(wanted)):
                     if number == MOST_MESSAGES:
                         what = f"more than {MOST_MESSAGES:,} messages on {', '.join(wanted)}"
@@ -86,8 +95,8 @@ class Recording:
         except InputError:
             raise
         except MemoryError as error:
-            allowed = f"needs more than the {_MOST_MEMORY_BYTES / 1e9:g} GB of memory allowed"
-            raise self._refusal(f"{allowed} to read it") from error
+            allowed = f"more than the {self._most_memory_bytes / 1e6:g} MB that are allowed"
+            raise self._refusal(f"takes {allowed} of memory to read") from error
         except Exception as error:  # mcap and rosbags raise many kinds of errors
             reason = str(error) or type(error).__name__
             raise self._refusal(f"cannot be read as a recording: {reason}") from error
@@ -134,19 +143,22 @@ class Recording:
         with AnyReader([self._path], default_typestore=jazzy) as bag:
             self.topics = {each.topic for each in bag.connections}
             chosen = [each for each in bag.connections if wanted & {each.topic, each.msgtype}]
+            types = bag.typestore
             for connection, logged_ns, data in bag.messages(chosen) if chosen else ():
-                decode = partial(_decoded, bag, connection.msgtype)
+                decode = partial(types.deserialize_cdr, typename=connection.msgtype)
                 yield RecordedMessage(connection.topic, logged_ns, data, decode)
 
     def _check_databases(self, wanted: set[str]) -> None:
         """Refuse a bag with too large messages, which SQLite would load several times to sort."""
-        folder = self._path if self._path.is_dir() else self._path.parent
-        for file in sorted(folder.glob(f"*{_DATABASE}")) if self._path.is_dir() else [self._path]:
+        is_folder = self._path.is_dir()
+        for file in sorted(self._path.glob(f"*{_DATABASE}")) if is_folder else [self._path]:
             place = f"{file.resolve().as_uri()}?mode=ro&immutable=1"
             with closing(sqlite3.connect(place, uri=True)) as database:
-                largest = database.execute(_LARGEST, (min(wanted), max(wanted))).fetchone()
-            if largest is not None and largest[1] > self._most_bytes:
-                raise self._too_large(*largest)
+                for number, topic, kind in database.execute(_TOPICS):
+                    if wanted & {topic, kind}:
+                        (size,) = database.execute(_LARGEST, (number,)).fetchone()
+                        if size is not None and size > self._most_bytes:
+                            raise self._too_large(topic, size)
 
     def _too_large(self, topic: str, size: int) -> InputError:
         return self._refusal(
@@ -156,7 +168,3 @@ class Recording:
 
     def _refusal(self, what: str) -> InputError:
         return InputError(f"{self._path}: {what}")
-
-
-def _decoded(bag: Any, type_name: str, data: bytes) -> Any:
-    return bag.deserialize(data, type_name)
