@@ -63,6 +63,11 @@ _INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)
 _PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
 
 
+def is_program(name: str) -> bool:
+    """Whether the controller of this name is a program: the law ``external``, or a process."""
+    return name == EXTERNAL or name.startswith(f"{PROCESS}: ")
+
+
 def _to_word(value: Any) -> Any:
     """Convert a number, as YAML reads it, to a word of a command line."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)

@@ -150,6 +150,7 @@ class ZenohSession:
         gossip: report this session's endpoints to a router, and connect to the peers that it
             reports; nodes with rmw_zenoh, which are peers by default, find each other in this way.
         security: settings that restrict peers (`access.py`); by default, all are accepted.
+        identifier: up to 32 hexadecimal digits, not beginning with 0; random by default.
 
     Raises:
         SessionError: an endpoint cannot be served or is malformed.
@@ -165,6 +166,7 @@ class ZenohSession:
         lease_s: float = 10.0,
         gossip: bool = False,
         security: Mapping[str, Any] | None = None,
+        identifier: str | None = None,
     ) -> None:
         drop_after_us = round(1e6 * patience_s)
         settings = _SETTINGS | {
@@ -175,6 +177,7 @@ class ZenohSession:
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": drop_after_us,
             "transport/unicast/lowlatency": low_latency,
             **(security or {}),
+            **({} if identifier is None else {"id": identifier}),
         }
         configuration = zenoh.Config()
         try:

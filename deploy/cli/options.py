@@ -122,8 +122,18 @@ class GateOptions:
     ] = None
     tolerance: Annotated[
         str | None,
-        typer.Option(metavar="N", help="How much smaller than --baseline a margin may be."),
+        typer.Option(
+            metavar="N",
+            help="How much smaller than --baseline a margin may be, such as 1ms, or 20% of the"
+            " earlier value.",
+        ),
     ] = None
+    allow_changes: Annotated[
+        bool,
+        typer.Option(
+            "--allow-changes", help="List how the test of --baseline differs, instead of exit 2."
+        ),
+    ] = False
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML file.")] = None
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown table.")] = None
     history: Annotated[

@@ -1,16 +1,17 @@
-"""Reads a command and its response from two topics of an MCAP file."""
+"""Reads a command and its response from two topics of a recording."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
+from deploy.measure.recordings import Recording
 
 _PART = re.compile(r"(\w+)|\[([^\[\]]+)\]")
 
@@ -47,73 +48,28 @@ def read_series(
 def _read_field(file: Path, name: str) -> tuple[Vector, Vector]:
     """Log times in ns and values of a field, as ``/joint_states.position[2]``."""
     topic, _, field = name.partition(".")
-    known, found = set[str](), list[tuple[int, float]]()
-    try:
-        for message in messages(file, topic):
-            known.add(message.topic)
-            if message.content is None:
-                continue
-            value: Any = message.content
-            names: Any = getattr(value, "name", None) or getattr(value, "joint_names", ())
-            for word, index in _PART.findall(field):
-                value = value[element_place(index, names)] if index else getattr(value, word)
-            found.append((message.logged_ns, float(value)))
-    except Exception as error:  # mcap and rosbags raise many kinds of errors
-        raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
+    recording, found = Recording(file), list[tuple[int, float]]()
+    for message in recording.messages(topic):
+        try:
+            found.append((message.logged_ns, float(_value_in(message.content, field))))
+        except Exception as error:  # rosbags raises many kinds of errors
+            raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
     if not found:
-        topics, hint = ", ".join(sorted(known)), did_you_mean(topic, sorted(known))
-        raise InputError(f"{file}: no messages on {topic}; topics are {topics}{hint}")
-    times_ns, values = zip(*found, strict=True)
+        topics = sorted(recording.topics)
+        hint = did_you_mean(topic, topics)
+        raise InputError(f"{file}: no messages on {topic}; topics are {', '.join(topics)}{hint}")
+    times_ns, values = zip(*sorted(found, key=lambda each: each[0]), strict=True)
     if not np.isfinite(values).all():
         raise InputError(f"{file}: {name}: must be one finite number in each message")
     return np.array(times_ns), np.array(values)
 
 
-class RecordedMessage(NamedTuple):
-    """A message of a recording.
-
-    Attributes:
-        topic: its name.
-        type_name: as ``sensor_msgs/msg/JointState``.
-        logged_ns: time at which it was recorded.
-        content: its fields; None for topics that were not asked for.
-    """
-
-    topic: str
-    type_name: str
-    logged_ns: int
-    content: Any
-
-
-def messages(file: Path, wanted: str) -> Iterator[RecordedMessage]:
-    """Yield the messages of an MCAP file, of a rosbag2 ``.db3`` file or of a bag's folder.
-
-    Args:
-        file: with messages in CDR; MCAP files have their definitions.
-        wanted: topic, or type of message, whose contents are read.
-    """
-    from mcap.reader import make_reader  # needed by few commands
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    if file.suffix != ".mcap":
-        jazzy = get_typestore(Stores.ROS2_JAZZY)  # for bags without definitions
-        with AnyReader([file], default_typestore=jazzy) as bag:
-            for connection, logged_ns, data in bag.messages():
-                is_wanted = wanted in (connection.topic, connection.msgtype)
-                content = bag.deserialize(data, connection.msgtype) if is_wanted else None
-                yield RecordedMessage(connection.topic, connection.msgtype, logged_ns, content)
-        return
-    types, known = get_typestore(Stores.EMPTY), set[str]()
-    with file.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages():
-            name, content = "" if schema is None else schema.name, None
-            if schema is not None and wanted in (channel.topic, name):
-                if name not in known:
-                    types.register(get_types_from_msg(schema.data.decode(), name))
-                    known.add(name)
-                content = types.deserialize_cdr(message.data, name)
-            yield RecordedMessage(channel.topic, name, message.log_time, content)
+def _value_in(content: Any, field: str) -> Any:
+    """Return a field of a message, as ``position[2]``."""
+    names: Any = getattr(content, "name", None) or getattr(content, "joint_names", ())
+    for word, index in _PART.findall(field):
+        content = content[element_place(index, names)] if index else getattr(content, word)
+    return content
 
 
 def element_place(element: str, names: Sequence[str]) -> int:

@@ -13,6 +13,7 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
 from deploy.judge.findings.link_delays import MeasuredDelays
+from deploy.measure.recordings import Recording
 from deploy.scenario.yaml_files import ScenarioError
 
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
@@ -116,25 +117,20 @@ def from_mcap(file: Path, topic: str, answer: str | None) -> MeasuredDelays:
         answer: a topic whose messages carry the same stamps: each took from when the one was
             logged to when the other was. A message that is not answered was lost.
     """
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
     logged: dict[str, dict[int, int]] = {name: {} for name in (topic, answer or topic)}
-    known: set[str] = set()
-    try:
-        with file.open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages():
-                known.add(channel.topic)
-                stamp_ns = stamp_of(message.data)
-                if channel.topic in logged and stamp_ns is not None:
-                    logged[channel.topic].setdefault(stamp_ns, message.log_time)
-    except (OSError, McapError) as error:
-        raise ScenarioError(f"{file}: cannot be read as MCAP: {error}") from error
+    recording = Recording(file)
+    for message in recording.messages(topic, answer):
+        stamp_ns = stamp_of(message.data)
+        if message.topic in logged and stamp_ns is not None:
+            times_ns = logged[message.topic]
+            times_ns[stamp_ns] = min(message.logged_ns, times_ns.get(stamp_ns, message.logged_ns))
     for name, found in logged.items():
         if not found:
-            topics = ", ".join(sorted(known))
-            hint = did_you_mean(name, sorted(known))
-            raise ScenarioError(f"{file}: no stamps on {name}; topics are {topics}{hint}")
+            topics = sorted(recording.topics)
+            hint = did_you_mean(name, topics)
+            raise ScenarioError(
+                f"{file}: no stamps on {name}; topics are {', '.join(topics)}{hint}"
+            )
     stamps = np.array(sorted(logged[topic]), dtype=np.int64)
     ends = [logged[answer or topic].get(int(stamp)) for stamp in stamps]
     starts = np.array([logged[topic][int(s)] for s in stamps]) if answer else stamps

@@ -30,10 +30,12 @@ class GaugedSummary(_Part, ABC):
     Attributes:
         group: name of the results that can be compared with these.
         completed: whether the results are complete.
+        tested_with: the test behind the results; None if an older version made them.
     """
 
     group: ClassVar[str] = _RUNS
     completed: bool = True
+    tested_with: dict[str, dict[str, Any]] | None = None
 
     @abstractmethod
     def numbers(self) -> Iterator[Gauged]:

@@ -168,8 +168,8 @@ def gauged(summary: Summary) -> list[Gauged]:
     return list(_read(summary).numbers())
 
 
-def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
-    """Return the kind that an earlier result can be compared with, and its numbers.
+def read_baseline(path: Path) -> GaugedSummary:
+    """Return an earlier result, which has numbers.
 
     Args:
         path: its ``summary.json``, or its folder.
@@ -180,7 +180,7 @@ def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
     file = path / "summary.json" if path.is_dir() else path
     try:
         found = _read(_JSON.validate_json(read_text(file)))
-        numbers = list(found.numbers())
+        list(found.numbers())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
@@ -191,7 +191,7 @@ def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
         raise ScenarioError(f"--baseline {file}: {reason}: {_ALLOWED}") from error
     if not found.completed:
         raise ScenarioError(f"--baseline {file}: is unfinished (completed = false): {_ALLOWED}")
-    return found.compared_as, numbers
+    return found
 
 
 def _read(summary: Summary) -> GaugedSummary:

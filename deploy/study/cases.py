@@ -238,6 +238,11 @@ class StudyOfCases(StudyOfRuns):
         """Return the last value to try; raises as `settings`."""
 
     @property
+    def own_test(self) -> dict[str, Any]:
+        wanted = self.definition
+        return {**super().own_test, "direction": wanted.direction, "excitation": wanted.excitation}
+
+    @property
     @abstractmethod
     def own_keys(self) -> Mapping[str, str]:
         """Keys that it sets by itself, each with the alternative to use."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from deploy.judge.run_rows import Row
+from deploy.judge.tested_with import STUDY, Tested
 from deploy.scenario.referenced_files import TRACES
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
@@ -56,6 +57,10 @@ class DataSheet:
         """Length of each run."""
         given: float | None = (self.fixed or {}).get("duration_s")
         return (3.0 if self.is_quick else 6.0) if given is None else given
+
+    def tested_with(self, margin: Tested | None) -> Tested | None:
+        """Return its test from that of its search for margins, which older versions lack."""
+        return margin and {**margin, STUDY: {**margin[STUDY], "plants": self.plants}}
 
     def _set(self) -> dict[str, Any]:
         return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}

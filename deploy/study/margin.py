@@ -27,7 +27,7 @@ from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.plants import Variant
 from deploy.study.quoted import quoted
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
-from deploy.study.study import Different, PlannedRun, Seeds
+from deploy.study.study import ONE_START, Different, PlannedRun, Seeds
 from deploy.study.trials.sequential_test import SequentialTest
 
 _OF_PATTERNS = (
@@ -107,6 +107,17 @@ class Margin(StudyOfCases):
             own |= dict.fromkeys(keys, "without pattern (--pattern)")
         return own
 
+    @property
+    def own_test(self) -> dict[str, Any]:
+        wanted, steps = self.definition, self.searches[0].steps
+        return {
+            **super().own_test,
+            "offsets": wanted.offsets,
+            "pattern": wanted.pattern,
+            "resolution": steps.resolution,
+            "limit": steps.value(steps.limit),
+        }
+
     def _steps(self, setting: Setting) -> Steps:
         return setting.quantity.steps(self.definition.resolution, self.definition.limit)
 
@@ -116,14 +127,12 @@ class Margin(StudyOfCases):
 
     def variants_of(self, setting: Setting) -> list[Variant]:
         own, key = setting.base.scenario.robot.initial_offset_rad, "robot.initial_offset_rad"
-        starts = [
-            Variant(
-                number,
-                (override(key, (scale * own).tolist()),),
-                {"offset_scale": scale, COLUMN: None},
-            )
-            for number, scale in enumerate(self.definition.offsets)
-        ]
+        different: dict[str, Variant] = {}
+        for number, scale in enumerate(self.definition.offsets):
+            start = override(key, (scale * own + 0.0).tolist())  # no -0.0
+            columns = {"offset_scale": scale, COLUMN: None}
+            different.setdefault(start, Variant(number, (start,), columns))
+        starts = list(different.values())
         if self.definition.pattern is None:
             return starts
         if self.definition.quantity != "delay":
@@ -234,10 +243,18 @@ class Margin(StudyOfCases):
             "limit": steps.value(steps.limit),
             "completed": all(map(self._is_over, range(len(self.cases)))),
             "offsets": self.definition.offsets,
+            ONE_START: self._arms_with_one_start,
             "cases": [
                 self._findings_of(index, case) for index, case in enumerate(self.cases)
             ],
         }  # fmt: skip
+
+    @property
+    def _arms_with_one_start(self) -> list[str]:
+        """Arms whose initial offset is zero, so that every factor on it is the same start."""
+        scenarios = [base.scenario for base in self.bases]
+        is_several = len(self.definition.offsets) > 1
+        return [s.name for s in scenarios if is_several and not s.robot.initial_offset_rad.any()]
 
     def _is_over(self, index: int) -> bool:
         others = self.follow_ups.get(index)

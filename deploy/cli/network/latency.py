@@ -15,6 +15,7 @@ import typer
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.tables import column_names, read_columns
+from bus_schema.user_files import read_text
 from deploy.cli.network.trace import Unit
 from deploy.measure.latency import Latency, find_latency
 from deploy.measure.mcap_series import element_place, read_series
@@ -143,6 +144,6 @@ def _names(file: Path, column: str) -> list[str]:
     """
     infos = (folder / "meta" / "info.json" for folder in file.absolute().parents)
     info = next((each for each in infos if each.is_file()), None)
-    features = {} if info is None else json.loads(info.read_text()).get("features", {})
+    features = {} if info is None else json.loads(read_text(info)).get("features", {})
     names: Any = features.get(column, {}).get("names") or []
     return next(iter(names.values()), []) if isinstance(names, dict) else names

@@ -11,6 +11,7 @@ from deploy.reports.studies import study_tables as tables
 from deploy.reports.studies import study_texts as texts
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict_texts import ReportHead
+from deploy.study.study import starts_text
 
 _SHOWN_EFFECTS = 12
 _MOST_NAMED = 8
@@ -36,7 +37,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
             Fact("Largest value tried", texts.value_text(summary["limit"], summary)),
-            Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
+            Fact("Starts", starts_text(summary)),
             _durations(summary),
             Fact("Held-arm ceiling",
                  ", ".join(f"{arm} {text}" for arm, text in ceilings.items() if text) or ABSENT,

@@ -21,8 +21,8 @@ class StatusMessage(NamedTuple):
 
     Attributes:
         role: the process: a `Role`, or the name of a process that is not on the bus.
-        kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action``,
-            ``result``, or ``compiles`` if it has to compile numerical kernels.
+        kind: ``note``, ``lacks``, ``warning``, ``fault``, ``realtime``, ``progress``,
+            ``process_action``, ``result``, or ``compiles`` if it has to compile numerical kernels.
         values: content of this kind of message.
     """
 

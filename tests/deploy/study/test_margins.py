@@ -17,7 +17,7 @@ from deploy.study.margin import MarginDefinition
 from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
-from tests.deploy.study.studies import Here, conduct, limits, made_up, margin_of
+from tests.deploy.study.studies import NOISE, Here, conduct, limits, made_up, margin_of
 
 
 def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
@@ -33,6 +33,20 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
     # Of the 4 runs at 8 ms, the two from the second start are outside at 1 % of their ticks.
     assert probe["violation_fraction"] == {"mean": 0.005, "lowest": 0.0, "highest": 0.01}
     assert (probe["runs"], probe["runs_kept"]) == (4, 2)
+
+
+@pytest.mark.parametrize(("offset", "starts"), [(0.0, 1), (0.01, 3)])
+def test_identical_starts_run_once(offset, starts, tmp_path):
+    """Without an initial offset, every factor on it is the same start."""
+    given = {"robot.initial_offset_rad": offset, **NOISE}
+    margin = margin_of(laws=["pid"], offsets=[1, -0.5, 0.3], set=given, exhaustive=True)
+    _, folder = conduct(margin, tmp_path / "out", Here(made_up))
+    summary = margin.summary(folder.rows)
+    probes = summary["cases"][0]["probes"]
+    assert {probe["runs"] for probe in probes} == {starts * 2}  # with two seeds each
+    text = margin.conditions(summary, {})["starts"]
+    once = "; once on paper_arm, where the initial offset is 0" if starts == 1 else ""
+    assert text == f"initial offset × 1, -0.5, 0.3{once}"
 
 
 def test_a_run_that_fails_does_not_hold(tmp_path):
