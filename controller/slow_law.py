@@ -126,7 +126,8 @@ class SlowLaw:
             else:
                 self._coming = answer
         self._states += 1
-        assert (answer := self._in_force) is not None
+        answer = self._in_force
+        assert answer is not None
         ticks = self._ticks_since_asked(now_s)
         rows = (len(answer.torques), len(answer.targets))
         self.starvation.note(now_s, is_starved=any(1 < each <= ticks for each in rows))

@@ -219,13 +219,14 @@ def loss_words(
     reason = Reason(loss["reason"])
     words, hertz, lag_ms = reason.words, loss["frequency_hz"], loss.get("lag_ms")
     words += f" of {lag_ms:.0f} ms" if lag_ms is not None else ""
-    if reason is Reason.UNSTABLE:
-        words += " already without a delay" if loss.get("without_delay") else ""
-        words += f", by e^({rate:.3g} t)" if (rate := loss["rate_per_s"]) is not None else ""
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
+    if reason is Reason.UNSTABLE and (rate := loss["rate_per_s"]) is not None:
+        words += f" by e^({rate:.3g} t)"
+    if reason in (Reason.UNSTABLE, Reason.GROWING) and loss.get("without_delay"):
+        words += ", already without a delay"
     if (known := unstable_without_delay) is not None:
         swings = f" at {known['frequency_hz']:.2g} Hz" if known["frequency_hz"] else ""
-        words += f"; in theory {known['joint']} by e^({known['rate_per_s']:.3g} t){swings}"
+        words += f"; in theory {known['joint']}{swings} by e^({known['rate_per_s']:.3g} t)"
     return words
 
 

@@ -25,7 +25,7 @@ _EXPLAINED = 0.98
 _SAME, _SAME_SWINGING = 0.6, 0.3
 """Largest difference between the rates of a part and its halves, as a share: it is 0.48 for the
 linear growth of a resonance by a factor of e."""
-_LEAST_GROWTH, _LEAST_GROWTH_SWINGING = 1.4, 1.0
+_LEAST_GROWTH = 0.7
 """Over a part, in e-folds; a swinging error also turns once."""
 
 
@@ -82,7 +82,7 @@ def _common_pole(errors: Vector, torques: Vector) -> _Pole | None:
         np.ptp([each.radians for each in poles]) <= _SAME * abs(complex(whole.rate, whole.radians))
     )
     if swings:
-        grows = turned >= np.pi and e_folds >= _LEAST_GROWTH_SWINGING
+        grows = turned >= np.pi and e_folds >= _LEAST_GROWTH
     else:
         is_driven = float(((torques - torques.mean()) * errors).sum()) > 0.0
         grows = is_driven and e_folds >= _LEAST_GROWTH

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from bus_schema.arrays import Vector
 
 _EXPLAINED = 0.95
-"""Share of the error's square; other smooth errors reach that only by lags longer than they last."""
+"""Share of the error's square; other smooth errors have it only with lags longer than they last."""
+_LEFT_AT_END = 0.3
+"""Share of the last error, which left the bounds."""
 _TIMES_ITS_LENGTH = 2.0
 """A lag shows only in a longer time."""
 
@@ -22,6 +26,8 @@ def lag_s(errors_rad: Vector, velocities_rad_s: Vector, duration_s: float) -> fl
     if not (moved > 0.0 and size > 0.0):
         return None
     lag = -float((errors_rad * velocities_rad_s).sum()) / moved
-    left = float(((errors_rad + lag * velocities_rad_s) ** 2).sum())
-    is_lag = left <= (1.0 - _EXPLAINED) * size and 0.0 < lag * _TIMES_ITS_LENGTH <= duration_s
-    return lag if is_lag else None
+    left = np.abs(errors_rad + lag * velocities_rad_s)
+    is_explained = float((left**2).sum()) <= (1.0 - _EXPLAINED) * size
+    is_at_end = left[-1] <= _LEFT_AT_END * abs(errors_rad[-1])
+    is_seen = 0.0 < lag * _TIMES_ITS_LENGTH <= duration_s
+    return lag if is_explained and is_at_end and is_seen else None

@@ -127,8 +127,8 @@ class _Loss:
     def reason(self) -> LossReason:
         """Return the first reason that fits, the most certain ones first."""
         found = (
-            self._ran_out() or self._oscillation() or self._late() or self._divergence()
-            or self._at_limits() or self._lag() or self._because(Reason.SLOW)
+            self._ran_out() or self._lag() or self._divergence() or self._oscillation()
+            or self._late() or self._at_limits() or self._because(Reason.SLOW)
         )  # fmt: skip
         return found._replace(without_delay=self.is_without_delay)
 
@@ -176,28 +176,37 @@ class _Loss:
         needs_delay = growth.frequency_hz > 0.0 and not self.is_without_delay
         return self._because(Reason.GROWING if needs_delay else Reason.UNSTABLE, growth)
 
+    @cached_property
+    def sides(self) -> Vector:
+        """Where the joint's torque is at a limit, by its sign."""
+        limits, torques = self.run.setup.largest_torques_nm, self.truth["torque"]
+        return np.asarray(at_limits(torques, self.truth["saturated"], limits)[:, self.joint])
+
+    def _swings_s(self, part: slice) -> Vector:
+        """Return when the torque got from one limit to the other one, s."""
+        at = np.flatnonzero(self.sides[part])
+        changed = np.diff(self.sides[part][at]) != 0.0
+        return np.asarray(self.times_s[part][at[1:][changed]])
+
     def _at_limits(self) -> LossReason | None:
-        """Return what torques at their limits mean: not enough, too much, or the wrong sign."""
-        limits, saturated = self.run.setup.largest_torques_nm, self.truth["saturated"]
-        sides = at_limits(self.truth["torque"], saturated, limits)[:, self.joint]
-        around, after = slice(self.first, self.end), slice(self.tick, self.end)
-        times_s, of_limits = self.times_s[around], sides[around]
-        at = np.flatnonzero(of_limits)
-        changes_s = times_s[at[1:][np.diff(of_limits[at]) != 0.0]]
-        if len(changes_s) >= _SWUNG_BACK:
-            hertz = 0.5 * (len(changes_s) - 1) / float(np.ptp(changes_s))
+        """Return what torques at their limits mean: too much, the wrong sign, or not enough."""
+        swings_s = self._swings_s(slice(self.first, self.end))
+        if len(swings_s) >= _SWUNG_BACK:
+            hertz = 0.5 * (len(swings_s) - 1) / float(np.ptp(swings_s))
             return self._because(Reason.VIBRATION)._replace(frequency_hz=hertz)
-        outwards = sides[after] * np.sign(self.errors_rad[after]) > 0.0
+        after = slice(self.tick, self.end)
+        outwards = self.sides[after] * np.sign(self.errors_rad[after]) > 0.0
         if self.is_without_delay and outwards.mean() > _MOSTLY:
             return self._because(Reason.UNSTABLE)
-        is_saturated = saturated[self.first : self.tick + 1].mean() > _MOSTLY
+        is_saturated = self.truth["saturated"][self.first : self.tick + 1].mean() > _MOSTLY
         return self._because(Reason.SATURATED) if is_saturated else None
 
     def _lag(self) -> LossReason | None:
         before = slice(self.first, self.tick + 1)
         errors, period_s = self.errors_rad[before], 1e-9 * self.run.setup.grid.period_ns
         wanted = self.truth["position"][before, self.joint] - errors
-        if len(errors) < _FEWEST_SWINGS or not np.isfinite(wanted).all():
+        is_known = len(errors) > 1 and bool(np.isfinite(wanted).all())
+        if not is_known or len(self._swings_s(before)) >= _SWUNG_BACK:
             return None
         lag = lag_s(errors, np.gradient(wanted, period_s), len(errors) * period_s)
         return None if lag is None else self._because(Reason.LAG)._replace(lag_ms=1e3 * lag)

@@ -28,7 +28,7 @@ class Reason(StrEnum):
         "no command had acted yet: brakes held the arm while the reference moved",
     )  # fmt: skip
     UNSTABLE = (
-        "unstable", "as the loop is unstable",
+        "unstable", "as an error of an unstable loop grew",
         "the error grew exponentially without a delay, or without swinging, which no delay causes:"
         " look at signs and gains of the law",
     )  # fmt: skip
