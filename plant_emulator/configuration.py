@@ -232,8 +232,8 @@ class PhysicsConfiguration(StrictModel):
 
     Attributes:
         engine: by default Bullet if it is installed, otherwise MuJoCo.
-        integrator: the rule over a physics step; torques are evaluated at its start. MuJoCo has
-            both.
+        integrator: the rule over a physics step; torques are evaluated at its start, with
+            ``runge_kutta_4`` those of elastic gears and cogging in mid-step. MuJoCo has both.
     """
 
     engine: Literal["bullet", "mujoco"] | None = None

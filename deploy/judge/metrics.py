@@ -15,11 +15,12 @@ from bus_schema.messages.topics import Role
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import all_damage, judge_bounds, may_have_moved, plant_count
 from deploy.judge.findings.chattering import chatter_shares
-from deploy.judge.findings.growing import growths
+from deploy.judge.findings.growing import growths, longest_growth_time_s
 from deploy.judge.findings.identified import identified
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.findings.loss_reason import loss_reason
 from deploy.judge.findings.stalls import longest_stall_ms
+from deploy.judge.findings.vibration import vibrations
 from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.judge.verdict import decide, with_verdict
@@ -30,6 +31,7 @@ UNAUTHENTICATED = (
     " someone who copies the commander's id"
 )
 _SHORTEST_S = 1e-6
+_UNTESTED = {"growing": [], "not_tested_below_hz": None, "not_tested_slower_s": None}
 _MOST_GAPS = 20
 _largest_inertias: dict[tuple[str, float, bytes], float] = {}
 """By arm, payload and weights: the runs of a study mostly share them."""
@@ -66,12 +68,14 @@ def summarise(run: RunData) -> dict[str, Any]:
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
         "seed_used": _is_seed_used(run),
         "bounds": bounds,
-        "loss": None if lost is None else lost._asdict(),
+        "loss": None if lost is None else {**lost._asdict(), "reason": lost.reason.value},
         "tracking": tracking,
-        "growing": [] if known.missing else _growing(run),
+        **(_UNTESTED if known.missing else _growing(run)),
+        "vibrating": [] if known.missing else _vibrating(run),
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
         "transport": _transport(run),
+        "chunks": _chunks(run),
         "limits": _limits(run),
         "identified": identified(run),
         "recorder": {
@@ -109,14 +113,34 @@ def _tracking(run: RunData) -> dict[str, Any]:
     }
 
 
-def _growing(run: RunData) -> list[dict[str, Any]]:
-    """Return the joints whose error grows exponentially, with rate and frequency."""
+def _growing(run: RunData) -> dict[str, Any]:
+    """Return the joints whose error grows exponentially, and which growth is not tested."""
     positions = run.tables[topics.PLANT_TRUTH.name]["position"]
-    found = growths(run.true_errors_rad, positions, run.setup.scenario.rate_hz)
+    rate_hz = run.setup.scenario.rate_hz
+    found = growths(run.true_errors_rad, positions, rate_hz)
+    duration_s, is_tested = len(positions) / rate_hz, found.not_tested_below_hz is not None
+    return {
+        "growing": _by_joint(run, found.joints),
+        "not_tested_below_hz": found.not_tested_below_hz,
+        "not_tested_slower_s": longest_growth_time_s(duration_s) if is_tested else None,
+    }
+
+
+def _vibrating(run: RunData) -> list[dict[str, Any]]:
+    """Return the joints whose torque swings between its limits."""
+    truth, setup = run.tables[topics.PLANT_TRUTH.name], run.setup
+    found = vibrations(
+        truth["torque"], truth["saturated"], setup.largest_torques_nm, setup.scenario.rate_hz
+    )
+    return _by_joint(run, found)
+
+
+def _by_joint(run: RunData, found: Sequence[Any]) -> list[dict[str, Any]]:
+    """Return the findings of joints, ready for JSON; None stands for a joint without one."""
     return [
-        {"joint": joint, **asdict(growth)}
-        for joint, growth in zip(run.setup.robot.joint_names, found, strict=True)
-        if growth is not None
+        {"joint": joint, **asdict(each)}
+        for joint, each in zip(run.setup.robot.joint_names, found, strict=True)
+        if each is not None
     ]
 
 
@@ -227,6 +251,12 @@ def times_us(run: RunData) -> dict[str, Vector]:
     }
     # negative: there is none
     return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
+
+
+def _chunks(run: RunData) -> dict[str, Any] | None:
+    """Return for how many states a slow law had nothing left to send; None for other laws."""
+    starved = run.last_values(Role.CONTROLLER, EventKind.ENDED).get("starved")
+    return None if starved is None else {"starved_ticks": starved.get("ticks")}
 
 
 def _limits(run: RunData) -> dict[str, Any]:

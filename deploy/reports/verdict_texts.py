@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
 from deploy.judge.conditions import lacked_grants
+from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
@@ -96,6 +97,13 @@ def verdict_on_run(
             f"The error of {each['joint']} grows by e^({each['rate_per_s']:.3g} t) at"
             f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
             for each in summary.get("growing", ())
+        ),
+        *(
+            f"The torque of {each['joint']} swings between its limits at"
+            f" {each['frequency_hz']:.3g} Hz ({100 * each['saturated_fraction']:.2g} % of the ticks"
+            f" saturated, RMS {100 * each['torque_rms_share']:.2g} % of the limit, last half of the"
+            " run): this loop vibrates."
+            for each in summary.get("vibrating", ())
         ),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
@@ -198,21 +206,33 @@ def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) ->
     )
 
 
-_LOSSES = {
-    "start": "before any command acted",
-    "growing": "as an oscillation grew",
-    "late command": "after a command that was much later than usual",
-    "saturated": "with torques at their limits",
-    "friction or model": "slowly, as by friction or an error of the model",
-}
+def loss_words(
+    loss: Mapping[str, Any], unstable_without_delay: Mapping[str, Any] | None = None
+) -> str:
+    """Return how a joint's error left its funnel, in words.
+
+    Args:
+        loss: `deploy.judge.findings.loss_reason.LossReason` as a mapping.
+        unstable_without_delay: what theory says of the loop without a delay: ``rate_per_s``,
+            ``frequency_hz``, ``joint``; None if it is stable, or not known.
+    """
+    reason = Reason(loss["reason"])
+    words, hertz, lag_ms = reason.words, loss["frequency_hz"], loss.get("lag_ms")
+    words += f" of {lag_ms:.0f} ms" if lag_ms is not None else ""
+    words += "" if hertz is None else f" at {hertz:.2g} Hz"
+    if reason is Reason.UNSTABLE and (rate := loss["rate_per_s"]) is not None:
+        words += f" by e^({rate:.3g} t)"
+    if reason in (Reason.UNSTABLE, Reason.GROWING) and loss.get("without_delay"):
+        words += ", already without a delay"
+    if (known := unstable_without_delay) is not None:
+        swings = f" at {known['frequency_hz']:.2g} Hz" if known["frequency_hz"] else ""
+        words += f"; in theory {known['joint']}{swings} by e^({known['rate_per_s']:.3g} t)"
+    return words
 
 
 def _loss_text(loss: Mapping[str, Any] | None) -> str:
     """Why a run left its funnel, as a part of a sentence."""
-    if loss is None:
-        return ""
-    hertz = "" if loss["frequency_hz"] is None else f" at {loss['frequency_hz']:.2g} Hz"
-    return f" ({loss['joint']}, {_LOSSES[loss['reason']]}{hertz})"
+    return "" if loss is None else f" ({loss['joint']}, {loss_words(loss)})"
 
 
 def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:

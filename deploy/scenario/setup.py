@@ -8,6 +8,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bus_schema.arrays import Vector
 from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
 from bus_schema.link.configuration import LinkConfiguration
@@ -92,6 +94,13 @@ class Setup:
         """Ticks from one state that the controller answers to the next."""
         controller = self.scenario.controller
         return 1 if controller.process is None else controller.every
+
+    @property
+    def largest_torques_nm(self) -> Vector:
+        """Largest torques that act on the arm, shape (joints,); inf where there is no limit."""
+        limits = self.scenario.limits.of_plant(self.robot).torque_nm
+        saturation_nm = self.scenario.plant.actuator.saturation_nm
+        return limits if saturation_nm is None else np.minimum(limits, saturation_nm)
 
     def control_task(self) -> ControlTask:
         """Return a new task for a controller."""

@@ -238,7 +238,7 @@ def furthest_case(cases: list[Summary]) -> Summary:
 def margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, the best first."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
-    found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
+    found = [*_headlines(summary), *patterns, *_held_again(summary), *_flawed(summary)]
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
         f" {smaller} if the rotors are a tenth."
@@ -342,21 +342,28 @@ def _held_again(summary: Summary) -> list[str]:
     ]
 
 
-def _growing(summary: Summary) -> list[str]:
-    """A sentence for each case whose margin ends where an error grows as in an unstable loop."""
+_FLAWS = {
+    "runs_growing": "an error grows exponentially in {} of {} runs: this loop is unstable",
+    "runs_vibrating": "a torque swings between its limits in {} of {} runs: this loop vibrates",
+}
+"""What is said of runs that do not hold although they kept their bounds."""
+
+
+def _flawed(summary: Summary) -> list[str]:
+    """A sentence for each case whose margin ends where a loop grows or vibrates in its bounds."""
     return [
-        f"{case_title(case)}: at {value_text(probe['value'], summary)} an error grows exponentially"
-        f" in {probe['runs_growing']} of {probe['runs']} runs: this loop is unstable."
+        f"{case_title(case)}: at {value_text(probe['value'], summary)}"
+        f" {words.format(probe[name], probe['runs'])}."
         for case in summary["cases"]
-        if (probe := probe_at(case, case["first_failure"])) and probe.get("runs_growing")
+        if (probe := probe_at(case, case["first_failure"]))
+        for name, words in _FLAWS.items()
+        if probe.get(name)
     ]
 
 
 def losses_text(runs: Summary) -> str:
     """Why runs left their funnel, the most frequent reason first, and most often which joint."""
     losses, joints = (Counter(runs.get(key) or {}) for key in ("losses", "loss_joints"))
-    if not losses and runs.get("runs_growing"):
-        losses["growing"] = runs["runs_growing"]
     return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
 
 
