@@ -164,6 +164,26 @@ def test_torque_figures(setup: Setup) -> None:
     assert torque["saturated_fraction"] == 0.25
 
 
+def test_torques_of_drives_with_their_own_loops_are_the_delivered_ones(setup: Setup) -> None:
+    """The commands are positions; before the first one acts, nothing is judged."""
+    commands = [{"effort": [0, 0, 0]}] * 3
+    truth = [
+        at(0.0, torque=torque, command_age_ns=age)
+        for torque, age in (([9, 9, 9], -1), ([3, 0, -1], 1), ([-4, 0, 1], 1), ([3, 0, -1], 1))
+    ]
+    torque = judged(setup, truth, commands)["torque"]
+    assert torque["total_variation_nm_per_s"] == pytest.approx([7000.0, 0.0, 2000.0])
+    assert torque["rms_nm"] == pytest.approx([np.sqrt(34 / 3), 0.0, 1.0])
+    assert torque["peak_nm"] == [4.0, 0.0, 1.0]
+
+
+def test_torque_commands_are_judged_as_commanded_whatever_is_delivered(setup: Setup) -> None:
+    commands = [{"effort": [2, 0, 0]}, {"effort": [4, 0, 0]}]
+    truth = [at(0.0, torque=[9, 9, 9], command_age_ns=1)] * 3
+    torque = judged(setup, truth, commands)["torque"]
+    assert torque["peak_nm"] == [4.0, 0.0, 0.0]
+
+
 def test_timing_leaves_out_what_is_not_known(setup: Setup) -> None:
     skipped = {"timing.lateness_ns": -1}
     unknown = {"command_age_ns": -1, "round_trip_ns": -1, "state_age_ns": -1, **skipped}

@@ -126,7 +126,10 @@ LOADERS = {
 
 @pytest.mark.parametrize("export", LOADERS)
 def test_simulator_reads_its_own_file(export: Export, tmp_path: Path) -> None:
-    """It needs a Python with that simulator, whose versions of NumPy and MuJoCo are not ours."""
+    """It needs a Python with that simulator, whose versions of NumPy and MuJoCo are not ours.
+
+    Isaac Lab also needs Isaac Sim, which PyPI does not have.
+    """
     variable, code, expected = LOADERS[export]
     if variable not in os.environ:
         pytest.skip(f"{variable} names no Python that has {export}")
