@@ -115,9 +115,11 @@ class ResultGate:
         self, options: GateOptions, name: str, unit: str, kind: str = "run",
         quantity: str | None = None, *, patterns: bool = False,
     ) -> None:  # fmt: skip
-        baseline = None if options.baseline is None else read_baseline(options.baseline)
+        result = kind_named(kind)
+        unit = result.unit_for(gating.unit_of(options.at_least, options.tolerance), unit)
+        baseline = None if options.baseline is None else read_baseline(options.baseline, unit)
         self._gate = gating.build_gate(options.at_least, options.tolerance, baseline)
-        compared = kind_named(kind).compared_with(quantity, patterns=patterns)
+        compared = result.compared_with(quantity, patterns=patterns)
         gating.require_fit(self._gate, unit, compared)
         self._options, self._name, self._unit = options, name, unit
         if options.history is not None:
@@ -131,7 +133,7 @@ class ResultGate:
             console: where to print.
             note: what else to say about the result.
         """
-        options, found = self._options, gauged(summary)
+        options, found = self._options, gauged(summary, self._unit)
         failures = self._gate.failures(found)
         if options.history is not None:
             with gating.locked_history(options.history) as entries:

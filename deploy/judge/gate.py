@@ -1,7 +1,8 @@
 """A gate: which numbers of a result are too small, or smaller than before.
 
 A study of margins is gated by each margin; a sweep, comparison or run by the smallest distance of
-an error to its bound, in percent of the bound. A history holds the numbers of earlier commits.
+an error to its bound, in percent of the bound; with a limit in mm a comparison or run by the
+largest error of the tip. A history holds the numbers of earlier commits.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class Gate:
         by = "" if found.value is None else f" by {abs(before.value - found.value):.4g}"
         unit = found.unit and f" {found.unit}"
         return (
-            f"{found.name}: fell{by} from {before.text} to {found.text}, more than the"
+            f"{found.name}: {'fell' if found.sign > 0 else 'rose'}{by} from {before.text} to {found.text}, more than the"
             f" {self.tolerance:g}{unit} allowed"
         )
 
@@ -145,6 +146,15 @@ def build_gate(
     kind, found = ("", []) if baseline is None else baseline
     named = {each.name: each for each in found}
     return Gate(limit, named, allowed or 0.0, unit or other, kind)
+
+
+def unit_of(at_least: str | None, tolerance: str | None) -> str:
+    """Return the unit of the options of a gate; empty if they have none.
+
+    Raises:
+        ScenarioError: a number cannot be read.
+    """
+    return _size("--at-least", at_least)[1] or _size("--tolerance", tolerance)[1]
 
 
 def require_fit(gate: Gate, unit: str, kind: str) -> None:

@@ -22,6 +22,7 @@ from deploy.judge.findings.loss_reason import loss_reason
 from deploy.judge.findings.stalls import longest_stall_ms
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
+from deploy.judge.tip_error import tip_error_mm
 from deploy.judge.torques import torques
 from deploy.judge.verdict import decide, with_verdict
 from deploy.scenario.setup import Setup
@@ -69,6 +70,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "bounds": bounds,
         "loss": None if lost is None else lost._asdict(),
         "tracking": tracking,
+        "tip_error_mm": tip_error_mm(run),
         "growing": [] if known.missing else _growing(run),
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
