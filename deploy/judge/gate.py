@@ -116,8 +116,9 @@ class Gate:
             return ""
         by = "" if found.value is None else f" by {abs(before.value - found.value):.4g}"
         unit = found.unit and f" {found.unit}"
+        moved = "fell" if found.sign > 0 else "rose"
         return (
-            f"{found.name}: {'fell' if found.sign > 0 else 'rose'}{by} from {before.text} to {found.text}, more than the"
+            f"{found.name}: {moved}{by} from {before.text} to {found.text}, more than the"
             f" {self.tolerance:g}{unit} allowed"
         )
 
