@@ -145,18 +145,19 @@ def test_robot_shows_gains_only_when_asked(funnel_hil):
 
 @pytest.mark.parametrize(
     ("speeds", "said", "listed"),
-    [((4.8, 4.8), "0.0417 s", "0.0417, 0.0417"), ((1.0, 10.0), "0.02 to 0.06 s", "0.06, 0.02")],
+    [
+        ((4.8, 4.8, 4.8), "0.0417 s", "0.0417, 0.0417, 0.0417"),
+        ((1.0, 10.0, 4.0), "0.02 to 0.06 s", "0.06, 0.02, 0.05"),
+    ],
 )
-def test_estimated_friction_is_one_number_in_words_and_table(
+def test_estimated_friction_is_the_same_in_words_and_table(
     tmp_path, funnel_hil, speeds, said, listed
 ):
     """20 % of the largest torque at top speed, but at most 0.06 s of it."""
-    arm = (tmp_path / "arm.urdf", (ROBOTS / "paper_arm.urdf").read_text())
-    slow, fast = (f'velocity="{speed}"' for speed in speeds)
-    text = re.sub(r'velocity="[^"]*"', slow, arm[1])
-    arm[0].write_text(text.replace(slow, fast) if slow == fast else slow.join(text.split(slow)[:2])
-                      + fast + fast.join(text.split(slow)[2:]))  # fmt: skip
-    output = " ".join(funnel_hil.output("robot", arm[0]).split())
+    arm, left = tmp_path / "arm.urdf", iter(speeds)
+    text = (ROBOTS / "paper_arm.urdf").read_text()
+    arm.write_text(re.sub(r'velocity="[^"]*"', lambda _: f'velocity="{next(left)}"', text))
+    output = " ".join(funnel_hil.output("robot", arm).split())
     assert f"viscous friction ESTIMATED as {said} of the largest torque" in output
     assert f"viscous_share_s {listed}" in output
 
