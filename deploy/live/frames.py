@@ -97,8 +97,9 @@ class RunState:
         if command is None:
             return np.full(joints, np.nan) if truth is None else truth.fields["torque"]
         has_target = np.isfinite(command.fields.get("position", np.nan)).any()
-        delivered = truth is not None and has_target  # the drives add torques of their own
-        return truth.fields["torque"] if delivered else command.fields["effort"]
+        if truth is not None and has_target:  # the drives add torques of their own
+            return truth.fields["torque"]
+        return command.fields["effort"]
 
     def _timing(self, truth: Record | None) -> Frame:
         if truth is None:

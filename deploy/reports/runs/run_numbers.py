@@ -95,7 +95,7 @@ def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
     return "".join(f", {margin_text(it)} {when}" for when, it in margins.items() if it is not None)
 
 
-def tip_error(summary: Summary, name: str) -> float | None:
+def tip_error(summary: Mapping[str, Any], name: str) -> float | None:
     """RMS or largest distance of the tip from its reference, mm; older summaries have none."""
     value: float | None = (summary.get("tip_error_mm") or {}).get(name)
     return value
