@@ -24,7 +24,7 @@ from deploy.judge import gate as gating
 from deploy.judge.tested_with import Tested, require_same_test
 from deploy.judge.verdict import decide
 from deploy.reports.gate_files import write_history, write_junit, write_markdown
-from deploy.reports.kinds import gauged, kind_named, read_baseline
+from deploy.reports.kinds import gauged, kind_named, numbers_in, read_baseline
 from deploy.reports.results import TABLE_FILE, Results, write_run
 from deploy.reports.terminal import print_page
 from deploy.run.confirmation import CONFIRMATION, confirmation_of
@@ -117,12 +117,14 @@ class ResultGate:
         self, options: GateOptions, name: str, unit: str, tested: Tested, kind: str = "run",
         quantity: str | None = None, *, patterns: bool = False,
     ) -> None:  # fmt: skip
-        before = None if options.baseline is None else read_baseline(options.baseline)
+        result = kind_named(kind)
+        unit = result.unit_for(gating.unit_of(options.at_least, options.tolerance), unit)
+        before = None if options.baseline is None else read_baseline(options.baseline, unit)
         if options.allow_changes and before is None:
             raise ScenarioError("--allow-changes: needs --baseline")
-        numbers = before and (before.compared_as, list(before.numbers()))
+        numbers = before and (before.compared_as, numbers_in(before, unit))
         self._gate = gating.build_gate(options.at_least, options.tolerance, numbers)
-        compared = kind_named(kind).compared_with(quantity, patterns=patterns)
+        compared = result.compared_with(quantity, patterns=patterns)
         gating.require_fit(self._gate, unit, compared)
         self._changes: list[str] = []
         if before is not None:
@@ -142,7 +144,7 @@ class ResultGate:
             console: where to print.
             note: what else to say about the result.
         """
-        options, found = self._options, gauged(summary)
+        options, found = self._options, gauged(summary, self._unit)
         failures = self._gate.failures(found)
         changes = [f"--baseline: {each}" for each in self._changes]
         note = "; ".join(filter(None, [note, *changes]))

@@ -14,6 +14,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
 from deploy.measure.recordings import Recording
+from deploy.measure.time_units import UNITS_MS, unit_of
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SHORTEST_S, FEWEST_ROWS = 5.0, 200
@@ -101,7 +102,7 @@ class RobotLog:
 
 
 def read_robot_log(
-    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit_s: float = 1.0
+    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit: str = "s"
 ) -> RobotLog:
     """Read a log.
 
@@ -110,7 +111,7 @@ def read_robot_log(
         joints: the robot's joints.
         given: by keys of `PATTERNS` and ``time``: columns, separated by commas or as a pattern with
             ``{n}`` or ``{joint}``; in bags, ``position`` is the topic. None: known names.
-        unit_s: unit of the times in tables.
+        unit: of the times in tables, if the name of their column does not say it.
 
     Raises:
         InputError: it cannot be read, or lacks values; the message names file, column and line.
@@ -133,7 +134,7 @@ def read_robot_log(
         also = [EPISODE] if EPISODE in names else []
         every = [time, *(c for each in wanted.values() for c in each), *also]
         found = read_columns(path, every, None)
-        times_s = found.values[time] * unit_s
+        times_s = found.values[time] * (UNITS_MS[unit_of(time, unit)] / 1e3)
     except ValueError as error:
         raise InputError(str(error)) from error
 

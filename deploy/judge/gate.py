@@ -1,7 +1,8 @@
 """A gate: which numbers of a result are too small, or smaller than before.
 
 A study of margins is gated by each margin; a sweep, comparison or run by the smallest distance of
-an error to its bound, in percent of the bound. A history holds the numbers of earlier commits.
+an error to its bound, in percent of the bound; with a limit in mm a comparison or run by the
+largest error of the tip. A history holds the numbers of earlier commits.
 """
 
 from __future__ import annotations
@@ -120,8 +121,9 @@ class Gate:
         by = "" if found.value is None else f" by {abs(before.value - found.value):.4g}"
         unit = _PERCENT if self.is_relative else found.unit
         allowed = f"{self.tolerance:g} {unit}".rstrip()
+        moved = "fell" if found.sign > 0 else "rose"
         return (
-            f"{found.name}: fell{by} from {before.text} to {found.text}, more than the {allowed}"
+            f"{found.name}: {moved}{by} from {before.text} to {found.text}, more than the {allowed}"
             " allowed"
         )
 
@@ -157,6 +159,15 @@ def build_gate(
         raise ScenarioError(f"--tolerance {tolerance}: must be 0 or more")
     named = {each.name: each for each in found}
     return Gate(limit, named, allowed or 0.0, is_relative, unit or other, kind)
+
+
+def unit_of(at_least: str | None, tolerance: str | None) -> str:
+    """Return the unit of the options of a gate; empty if they have none.
+
+    Raises:
+        ScenarioError: a number cannot be read.
+    """
+    return _size("--at-least", at_least)[1] or _size("--tolerance", tolerance)[1]
 
 
 def require_fit(gate: Gate, unit: str, kind: str) -> None:

@@ -23,6 +23,8 @@ from deploy.judge.findings.stalls import longest_stall_ms
 from deploy.judge.findings.vibration import vibrations
 from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
+from deploy.judge.tip_error import tip_error_mm
+from deploy.judge.torques import torques
 from deploy.judge.verdict import decide, with_verdict
 from deploy.scenario.setup import Setup
 
@@ -70,6 +72,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "bounds": bounds,
         "loss": None if lost is None else {**lost._asdict(), "reason": lost.reason.value},
         "tracking": tracking,
+        "tip_error_mm": tip_error_mm(run),
         **(_UNTESTED if known.missing else _growing(run)),
         "vibrating": [] if known.missing else _vibrating(run),
         "torque": _torque(run),
@@ -173,10 +176,8 @@ def settling_bound_s(setup: Setup) -> float | None:
 
 
 def _torque(run: RunData) -> dict[str, Any]:
-    commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
-    effort = commands["effort"]
-    times_s, after_gaps = _command_times(run)
+    times_s, effort, after_gaps = torques(run)
     follows = ~np.isin(np.arange(1, len(times_s)), after_gaps)
     left_out_s = np.abs(np.diff(times_s))[~follows].sum()
     duration_s = np.ptp(times_s) - left_out_s if follows.any() else 0.0  # answers may be unordered
@@ -195,12 +196,6 @@ def _torque(run: RunData) -> dict[str, Any]:
     }
 
 
-def _command_times(run: RunData) -> tuple[Vector, Rows]:
-    """Return when the states that commands answer were measured, s, and which follow a gap."""
-    times_s = run.times_s(topics.JOINT_COMMANDS)
-    return times_s, rows_after_gaps(run, times_s)
-
-
 def _recording(
     run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
 ) -> dict[str, Any]:
@@ -209,8 +204,8 @@ def _recording(
     It includes the torque time missing in gaps, and which settling times are upper limits.
     """
     skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
-    command_times_s, after_gaps = _command_times(run)
-    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
+    torque_times_s, _, after_gaps = torques(run)
+    steps_s = np.abs(np.diff(torque_times_s, prepend=torque_times_s[:1]))
     times_s = run.times_s(topics.PLANT_TRUTH)
     behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
     return {

@@ -40,6 +40,8 @@ _COLUMNS = {
     "joint_names": "list<string>",
     "rms_rad": "list<double>",
     "max_abs_rad": "list<double>",
+    "tip_rms_mm": "double",
+    "tip_largest_mm": "double",
     "settling_time_s": "list<double>",
     "settling_bound_s": "list<double>",
     "total_variation_nm_per_s": "list<double>",
@@ -92,6 +94,8 @@ def row(summary: dict[str, Any], seed: int) -> Row:
     values |= {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
     loss = summary.get("loss") or {}
     values |= {"loss_reason": loss.get("reason"), "loss_joint": loss.get("joint")}
+    tip = summary.get("tip_error_mm") or {}
+    values |= {f"tip_{name}_mm": tip.get(name) for name in ("rms", "largest")}
     values |= {name: bool(summary.get(name)) for name in _FLAWS}
     for direction in _DIRECTIONS:
         channel = summary["transport"][direction]

@@ -15,7 +15,7 @@ from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
-from deploy.reports.runs.run_numbers import margin_place, other_margins
+from deploy.reports.runs.run_numbers import margin_place, other_margins, tip_error
 from deploy.reports.tables import margin_text, number
 
 if TYPE_CHECKING:
@@ -93,6 +93,7 @@ def verdict_on_run(
         f"The true error was {_bounds_text(run, summary, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
+        *_sentences_on_the_tip(summary, run.setup.scenario.metrics.from_s),
         *(
             f"The error of {each['joint']} grows by e^({each['rate_per_s']:.3g} t) at"
             f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
@@ -118,6 +119,14 @@ def verdict_on_run(
     elif level == "broken" and is_judged:
         headline += ", inside its bounds at all known ticks"
     return ReportHead(level, headline, reasons, summary["faults"])
+
+
+def _sentences_on_the_tip(summary: Mapping[str, Any], from_s: float) -> list[str]:
+    rms_mm, largest_mm = (tip_error(summary, name) for name in ("rms", "largest"))
+    if rms_mm is None or largest_mm is None:
+        return []
+    most = f"{number(largest_mm)} mm at most"
+    return [f"The tip was off by {number(rms_mm)} mm RMS, {most}, from {from_s:g} s on."]
 
 
 def damaged(damage: Sequence[str]) -> str:

@@ -135,21 +135,29 @@ def drives_of(robot: RobotDescription) -> Drives:
     if not own.friction_nm.all():
         shares = np.where(own.friction_nm > 0.0, 0.0, FRICTION_SHARE)
         friction["coulomb_share"] = shares.tolist() if own.friction_nm.any() else FRICTION_SHARE
+    speeds = np.where(np.isfinite(robot.velocity_limits_rad_s), robot.velocity_limits_rad_s, 0)
+    viscous_s = np.minimum(VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED / np.maximum(speeds, 1e-3))
     if not own.damping_nm_s.all():
-        speeds = np.where(np.isfinite(robot.velocity_limits_rad_s), robot.velocity_limits_rad_s, 0)
-        viscous_s = np.minimum(VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED / np.maximum(speeds, 1e-3))
         friction["viscous_share_s"] = _rounded(np.where(own.damping_nm_s > 0.0, 0.0, viscous_s))
     friction["smoothing_velocity_rad_s"] = 0.02
     sources = (
         ("rotor inertia", own.rotor_inertia_kg_m2, f"{ROTOR_INERTIA_S2_RAD} kg m² per N m"),
         ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
-        ("viscous friction", own.damping_nm_s, f"{VISCOUS_SHARE_S:g} s"),
+        ("viscous friction", own.damping_nm_s, f"{_span(viscous_s[own.damping_nm_s == 0.0])} s"),
     )
     data = [_source(*each) for each in sources]
     if not np.array_equal(rated, robot.effort_limits_nm):
         why = "none" if not np.isfinite(robot.effort_limits_nm).all() else "a placeholder"
         data.insert(0, f"largest torques {ESTIMATED} from its weight if its file has {why}")
     return Drives(rated, rotors, friction, ", ".join(data))
+
+
+def _span(values: Vector) -> str:
+    """Return the smallest and the largest of some values; one number where they are the same."""
+    ends = dict.fromkeys(
+        f"{each:.3g}" for each in (values.min(initial=np.inf), values.max(initial=0))
+    )
+    return " to ".join(ends)
 
 
 def _drive_feedback(drives: DriveValues) -> dict[str, Any]:

@@ -25,6 +25,8 @@ from deploy.study.study import shown_value
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
+_FARTHEST_CEILING = 2.5
+"""Of the largest margin: a ceiling above this would flatten the bars."""
 _HEADROOM = 1.1
 _EFFECT_PX, _FRAME_PX = 26, 110
 _MOST_UPRIGHT = 6
@@ -142,7 +144,7 @@ def curves(
 
 
 def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure:
-    """Margins as bars by law, side by side by setting, with a dotted line at a ceiling.
+    """Margins as bars by law, side by side by setting, and a dotted line at a ceiling nearby.
 
     Args:
         study: the study.
@@ -170,9 +172,10 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
-    if ceilings:
+    highest = max((quoted_or_none(case) or 0.0 for case in cases), default=0.0)
+    if ceilings and min(ceilings) <= _FARTHEST_CEILING * highest:
         figure.add_hline(y=min(ceilings), line=style.DOTTED)
-        highest = max(min(ceilings), *(quoted_or_none(case) or 0.0 for case in cases))
+        highest = max(min(ceilings), highest)
         figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
     return figure
 

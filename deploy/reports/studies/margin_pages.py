@@ -118,8 +118,8 @@ def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Pan
             "Margins", f"margins-{arm}", f"Margins on {arm}",
             lambda study: study_figures.margin_bars(study, cases),
             "A taller bar is a larger margin. Click on it for the command that repeats the first"
-            " failure, from the worst start. Dotted: the held-arm ceiling, beyond which no loop"
-            " can start.",
+            " failure, from the worst start. Dotted, if near: the held-arm ceiling, beyond which no"
+            " loop can start.",
             is_clickable=True,
         ),
         _curves_panel(

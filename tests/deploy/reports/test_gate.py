@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
@@ -97,6 +98,32 @@ def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkey
         "compare", "--laws", "pid", *SHORT,
         "--baseline", tmp_path / "1", "--out", tmp_path / "3", code=3)  # fmt: skip
     assert "paper_arm, fixed_time_neural: is missing" in output
+
+
+def test_tip_error_is_gated_by_a_limit_in_millimetres(funnel_hil, tmp_path):
+    simulate = ["simulate", *SHORT, "--no-report"]
+    output = funnel_hil.output(*simulate, "--at-least", "500mm", "--out", tmp_path / "1")
+    rms, largest = re.search(
+        r"tip was off by ([\d.]+) mm RMS, ([\d.]+) mm at most", output
+    ).groups()
+    summary = json.loads((tmp_path / "1" / "summary.json").read_text())
+    tip = summary["tip_error_mm"]
+    assert (tip["rms"], tip["largest"]) == pytest.approx((float(rms), float(largest)), rel=0.01)
+    assert 0.0 < tip["rms"] < tip["largest"]
+    limit = f"{0.99 * tip['largest']:.6f}mm"
+    output = funnel_hil.output(*simulate, "--at-least", limit, "--out", tmp_path / "2", code=3)
+    assert "paper_arm, fixed_time_neural, largest tip error: " in output
+    assert f"must be at most {0.99 * tip['largest']:g} mm" in output
+    baseline = ["--baseline", tmp_path / "1", "--tolerance", "0.5mm"]
+    assert funnel_hil(*simulate, *baseline, "--out", tmp_path / "3")[0] == 0
+    worse = ["--set", "plant.payload_kg=20", *baseline]
+    output = funnel_hil.output(*simulate, *worse, "--out", tmp_path / "4", code=3)
+    assert "largest tip error: rose by" in output
+    (tmp_path / "old.json").write_text(json.dumps(summary | {"tip_error_mm": None}))
+    old = ["--baseline", tmp_path / "old.json", "--tolerance", "1mm"]
+    output = funnel_hil.output(*simulate, *old, "--out", tmp_path / "5", code=2)
+    assert "has no number in mm" in output
+    assert [each.unit for each in gauged(summary)] == ["% of the bound"]
 
 
 def test_numbers_of_studies_are_margins_and_distances_to_the_bound():
