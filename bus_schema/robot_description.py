@@ -14,13 +14,15 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.urdf.chains import chain_warnings
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.drive_values import DriveValues, drive_values
+from bus_schema.urdf.end_effectors import OF_GRIPPERS
 from bus_schema.urdf.held_pose import fix_held
 from bus_schema.urdf.implausible import mass_warnings
 from bus_schema.urdf.inertia import judge_inertias
 from bus_schema.urdf.inertia_estimate import estimate_inertias, estimated_links
-from bus_schema.urdf.joints import OF_GRIPPERS, Follower, HeldJoint, drop_empty_ranges, joint_roles
+from bus_schema.urdf.joints import Follower, HeldJoint, drop_empty_ranges, joint_roles
 from bus_schema.urdf.link_tree import LinkTree
 from bus_schema.urdf.resolved import (
     attach_mount,
@@ -209,6 +211,8 @@ def _described(
         text = ET.tostring(root, encoding="unicode")
     warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     warnings += [*mended, *mass_warnings(root, moving)]
+    if wanted[0] is None:
+        warnings += chain_warnings(root, roles.driven)
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)

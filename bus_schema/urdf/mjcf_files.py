@@ -24,7 +24,7 @@ from bus_schema.user_files import read_text
 
 _DEEPEST = 200
 _MOST_ELEMENTS = 5000  # MuJoCo's time grows with the square of their number: 1.5 s for 5000 bodies
-_MOST_FILES, _MOST_BYTES = 50, 100_000_000
+_MOST_FILES, _MOST_BYTES = 2000, 500_000_000
 _NO_TREE = ("deformable", "extension")
 _MACROS = ("composite", "flexcomp", "replicate")
 _ONLY_SEEN = {
@@ -59,19 +59,20 @@ class MjcfFiles:
         folder = path.resolve().parent
         around = [each for each in (folder.parent, *repository_of(path)) if each.parent != each]
         self._folders = [folder, *around, *include]
-        self._read = 0
+        self._read = self._read_bytes = 0
 
-    def prepare(self, root: ET.Element, folder: Path) -> None:
+    def prepare(self, root: ET.Element, folder: Path, within: tuple[Path, ...] = ()) -> None:
         """Write the contents of included files into a model, and absolute paths of others.
 
         Args:
             root: the root element of a file; it is modified.
             folder: its folder.
+            within: the attached models that this one is in, and itself.
 
         Raises:
             RobotDescriptionError: it opens other files, or multiplies elements.
         """
-        self._include(root, folder)
+        self._include(root, folder, ())
         for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
             raise RobotDescriptionError(
                 f"{_shown(found)}: must be left out, because only a tree of bodies can be emulated"
@@ -100,17 +101,27 @@ class MjcfFiles:
                 element.set("name", element.get("name") or Path(element.get("file", "")).stem)
                 element.set("file", str(meshes / element.get("file", "")))
             elif element.tag == "model":
-                file = self.allowed(element, folder)
-                self.prepare(parsed(file), file.parent)  # it is checked alone, MuJoCo reads it
+                if (file := self.allowed(element, folder)) in within:
+                    raise RobotDescriptionError(f"{_shown(element)}: {file.name} attaches itself")
+                # It is checked alone, MuJoCo reads it.
+                self.prepare(parsed(file), file.parent, (*within, file))
                 element.set("file", str(file))
 
-    def _include(self, parent: ET.Element, folder: Path) -> None:
-        """Replace elements that include a file by its contents."""
+    def _include(self, parent: ET.Element, folder: Path, within: tuple[Path, ...]) -> None:
+        """Replace elements that include a file by its contents.
+
+        Args:
+            parent: the root element of a file.
+            folder: the model's folder.
+            within: the included files that this one is in, and itself.
+        """
         check_depth(parent, _DEEPEST)
         for place in list(parent.iter()):
             for found in place.findall("include"):
-                content = parsed(self.allowed(found, folder))
-                self._include(content, folder)
+                if (file := self.allowed(found, folder)) in within:
+                    raise RobotDescriptionError(f"{_shown(found)}: {file.name} includes itself")
+                content = parsed(file)
+                self._include(content, folder, (*within, file))
                 at = list(place).index(found)
                 place[at : at + 1] = list(content)
 
@@ -121,13 +132,15 @@ class MjcfFiles:
             RobotDescriptionError: it must not be read, or is too large.
         """
         file = (folder / element.get("file", "")).resolve()
-        self._read += 1
-        if file.suffix.lower() not in _READ[element.tag] or not file.is_file():
+        if is_there := file.is_file():
+            self._read, self._read_bytes = self._read + 1, self._read_bytes + file.stat().st_size
+        if file.suffix.lower() not in _READ[element.tag] or not is_there:
             allowed = f"no such file; its name must end with {' or '.join(_READ[element.tag])}"
         elif not any(file.is_relative_to(each) for each in self._folders):
             allowed = f"must be below {self._folders[1]}, or a folder that --include names"
-        elif self._read > _MOST_FILES or file.stat().st_size > _MOST_BYTES:
-            allowed = f"at most {_MOST_FILES} files of {_MOST_BYTES // 1_000_000} MB are read"
+        elif self._read > _MOST_FILES or self._read_bytes > _MOST_BYTES:
+            most = f"{_MOST_FILES} files, and {_MOST_BYTES // 1_000_000} MB"
+            allowed = f"at most {most}, are read"
         else:
             return file
         raise RobotDescriptionError(f"{_shown(element)}: {allowed}")

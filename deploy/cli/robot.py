@@ -17,8 +17,8 @@ from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
 from bus_schema.urdf.checks import finite_number
+from bus_schema.urdf.end_effectors import BESIDE
 from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
-from bus_schema.urdf.joints import BESIDE
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.options import IncludeOption, JointsOption, MassOption
 from deploy.reports.tables import Column, Table, Value, number
