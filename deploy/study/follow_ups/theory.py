@@ -28,6 +28,7 @@ _SWITCHES = "it has no slope at zero error: it switches, or its gain depends on 
 _LEARNS = "its torque depends on earlier errors, and not by an integral: it filters or learns"
 _IDLE = "its torque does not depend on errors"
 _UNSTABLE = "its linear loop is unstable without a delay"
+_DEAD = "its linear loop is unstable with the actuators' dead time alone"
 _WORKING_RANGE = 0.01
 """Of the funnel's final size, in which a law has to be linear."""
 _AGREE = 0.01
@@ -126,9 +127,12 @@ def _margins(setup: Setup, direct: Matrix, memory: Matrix) -> dict[str, Any]:
     loop = SampledLoop(scale @ direct @ both, scale @ memory @ both, 1e-9 * setup.grid.period_ns)
     if (longest_s := loop.largest_delay_s()) < 0.0:
         return {"reason": _UNSTABLE}
+    if (left_ms := 1e3 * longest_s - setup.scenario.plant.actuator.delay_ms) < 0.0:
+        return {"reason": _DEAD}
+    any_ms = max(0.0, 1e3 * loop.bound_s() - setup.scenario.plant.actuator.delay_ms)
     return {
-        "constant_ms": round(1e3 * longest_s, 2),
-        "any_pattern_ms": round(1e3 * loop.bound_s(), 2),
+        "constant_ms": round(left_ms, 2),
+        "any_pattern_ms": round(any_ms, 2),
         "joint": setup.robot.joint_names[loop.weakest(longest_s)],
     }
 
