@@ -25,6 +25,7 @@ from bus_schema.user_files import read_text
 _DEEPEST = 200
 _MOST_ELEMENTS = 5000  # MuJoCo's time grows with the square of their number: 1.5 s for 5000 bodies
 _MOST_FILES, _MOST_BYTES = 2000, 500_000_000
+_OPTIONS = ("gravity", "timestep", "actuatorgroupdisable")
 _NO_TREE = ("deformable", "extension")
 _MACROS = ("composite", "flexcomp", "replicate")
 _ONLY_SEEN = {
@@ -53,9 +54,13 @@ class MjcfFiles:
     Args:
         path: the first one.
         include: folders that may be read, besides its own and the one around it.
+
+    Attributes:
+        warnings: about parts that are left out.
     """
 
     def __init__(self, path: Path, include: Sequence[Path]) -> None:
+        self.warnings: list[str] = []
         folder = path.resolve().parent
         around = [each for each in (folder.parent, *repository_of(path)) if each.parent != each]
         self._folders = [folder, *around, *include]
@@ -77,12 +82,13 @@ class MjcfFiles:
             raise RobotDescriptionError(
                 f"{_shown(found)}: must be left out, because only a tree of bodies can be emulated"
             )
+        self.warnings += _sensor_delays(root)
         for parent in list(root.iter()):
             for child in list(parent):
                 if child.tag in _ONLY_SEEN:
                     parent.remove(child)
         for option in root.findall("option"):  # old files have some that current MuJoCo refuses
-            option.attrib = {key: text for key, text in option.attrib.items() if key == "gravity"}
+            option.attrib = {key: text for key, text in option.attrib.items() if key in _OPTIONS}
         elements = list(root.iter())
         if len(elements) > _MOST_ELEMENTS:
             raise RobotDescriptionError(f"has {len(elements)} elements: at most {_MOST_ELEMENTS}")
@@ -144,6 +150,18 @@ class MjcfFiles:
         else:
             return file
         raise RobotDescriptionError(f"{_shown(element)}: {allowed}")
+
+
+def _sensor_delays(root: ET.Element) -> list[str]:
+    """Return a warning about sensors that report late."""
+    late = [
+        f"{sensor.get('name') or sensor.tag} ({key} {sensor.get(key)} s)"
+        for sensor in root.iterfind("sensor/*")
+        for key in ("delay", "interval")
+        if any(part not in ("0", "0.0") for part in sensor.get(key, "0").split())
+    ]
+    what = "left out; link.uplink.delay_ms delays what the controller learns of all joints"
+    return [f"delays of sensors {shortened(', '.join(late))}: {what}"] if late else []
 
 
 def parsed(file: Path) -> ET.Element:

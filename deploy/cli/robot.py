@@ -32,7 +32,12 @@ from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import drives_of, starter_scenario
+from deploy.scenario.starter import (
+    actuator_values,
+    drive_feedback,
+    drives_of,
+    starter_scenario,
+)
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
@@ -261,7 +266,13 @@ def _gains_table(setup: Setup) -> Table:
 def _drives_table(arm: RobotDescription) -> Table:
     """Motors and friction that a first scenario gives the arm, and where they come from."""
     drives = drives_of(arm)
-    values = {"rotor_inertia_kg_m2": drives.rotors, **drives.friction}
+    loop = drive_feedback(arm.drives).get("drive_feedback", {})
+    values = {
+        "rotor_inertia_kg_m2": drives.rotors,
+        **actuator_values(arm.drives),
+        **drives.friction,
+        **{f"drive_feedback.{key}": gains for key, gains in loop.items()},
+    }
     rows = [[name, _values(value)] for name, value in values.items()]
     return _table(f"Motors and friction: {drives.data}", ["Value", "Per joint"], rows)
 

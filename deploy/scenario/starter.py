@@ -51,6 +51,8 @@ _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
 """Peak speed of a minimum-jerk move of length 1 in time 1."""
 _TRIES = 12
+_NO_SUCH_SPEED = 1e6
+"""rad/s, of motors whose torque does not fall with their speed."""
 _LEAST_LOAD = 0.1
 """N m of gravity per kg m², below which it loads no joint, as of an arm that lies on its side."""
 _HARDLY_LOADED = 0.2
@@ -100,9 +102,13 @@ def starter_scenario(robot: RobotDescription) -> dict[str, Any]:
         "controller": {"law": "fixed_time_adaptive"},
         "plant": {
             "physics": {"engine": "mujoco"},
-            "actuator": {"rotor_inertia_kg_m2": _rounded(rotors), "saturation_nm": _rounded(rated)},
+            "actuator": {
+                "rotor_inertia_kg_m2": _rounded(rotors),
+                "saturation_nm": _rounded(rated),
+                **actuator_values(robot.drives),
+            },
             "friction": friction,
-            **_drive_feedback(robot.drives),
+            **drive_feedback(robot.drives),
         },
         "limits": {"torque_nm": _rounded(rated)},
     }
@@ -139,6 +145,10 @@ def drives_of(robot: RobotDescription) -> Drives:
         speeds = np.where(np.isfinite(robot.velocity_limits_rad_s), robot.velocity_limits_rad_s, 0)
         viscous_s = np.minimum(VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED / np.maximum(speeds, 1e-3))
         friction["viscous_share_s"] = _rounded(np.where(own.damping_nm_s > 0.0, 0.0, viscous_s))
+    if own.stribeck_nm.any():
+        friction["stribeck_nm"] = _rounded(own.stribeck_nm)
+        speeds = np.where(own.stribeck_velocity_rad_s > 0.0, own.stribeck_velocity_rad_s, 0.1)
+        friction["stribeck_velocity_rad_s"] = _rounded(speeds)
     friction["smoothing_velocity_rad_s"] = 0.02
     sources = (
         ("rotor inertia", own.rotor_inertia_kg_m2, f"{ROTOR_INERTIA_S2_RAD} kg m² per N m"),
@@ -152,13 +162,33 @@ def drives_of(robot: RobotDescription) -> Drives:
     return Drives(rated, rotors, friction, ", ".join(data))
 
 
-def _drive_feedback(drives: DriveValues) -> dict[str, Any]:
-    """Return gains of the drives' own loops, as far as the file has them for all joints."""
+def drive_feedback(drives: DriveValues) -> dict[str, Any]:
+    """Return gains of the drives' own loops; zero for joints without one."""
     gains = {
         "stiffness_nm_rad": drives.servo_stiffness_nm_rad, "damping_nm_s": drives.servo_damping_nm_s
     }  # fmt: skip
-    known = {key: _rounded(each) for key, each in gains.items() if each.all()}
-    return {"drive_feedback": known} if known else {}
+    has_loops = any(each.any() for each in gains.values())
+    known = {key: _rounded(each) for key, each in gains.items()}
+    return {"drive_feedback": known} if has_loops else {}
+
+
+def actuator_values(drives: DriveValues) -> dict[str, Any]:
+    """Return what else the file says about motors, for section ``plant.actuator``."""
+    values: dict[str, Any] = {}
+    for key, seconds in (("delay_ms", drives.delay_s), ("lag_ms", drives.lag_s)):
+        if seconds.any():
+            values[key] = float(f"{1e3 * seconds.max():.4g}")
+    free = drives.no_load_speed_rad_s
+    if free.any():
+        unlimited = np.where(free > 0.0, free, _NO_SUCH_SPEED)
+        rated = np.where(free > 0.0, drives.rated_speed_rad_s, 0.5 * _NO_SUCH_SPEED)
+        values["rated_speed_rad_s"], values["no_load_speed_rad_s"] = map(
+            _rounded, (rated, unlimited)
+        )
+    if drives.cogging_nm.any():
+        values["cogging_nm"] = _rounded(drives.cogging_nm)
+        values["cogging_periods"] = float(drives.cogging_periods.max())
+    return values
 
 
 def _drives_in_file(robot: RobotDescription, rated: Vector) -> DriveValues:
