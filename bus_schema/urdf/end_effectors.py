@@ -21,19 +21,17 @@ SLIDE = f"a gripper's finger: slides beside another joint {MAY}"
 _MIMICKED = f"a gripper's: others mimic it {MAY}"
 _BESIDE_FINGERS = f"a gripper's: moves little, on the body that carries its fingers {MAY}"
 _SAME_AXIS = f"a gripper's: moves little, about the axis of the joint before it {MAY}"
-_FINGER = f"a finger: it branches off behind the arm, and is light {MAY}"
+_OF_HAND = f"of a hand: branches off behind the arm, and is short and light {MAY}"
 _JAW = f"a gripper's jaw: last, light, and opens to one side {MAY}"
 BESIDE = f"beside the arm, such as a wheel, a leg or a head {MAY}"
-OF_GRIPPERS = (_MIMICKED, _BESIDE_FINGERS, _SAME_AXIS, _FINGER, _JAW, BESIDE)
+OF_GRIPPERS = (_MIMICKED, _BESIDE_FINGERS, _SAME_AXIS, _OF_HAND, _JAW, BESIDE)
 """Reasons to hold a joint that could be driven."""
 _ARM_JOINTS = 4
 """So many joints in a row are an arm, which may carry a hand."""
-_MOST_OF_FINGER = 5
-"""No finger has more joints in a row."""
 _LIGHT, _LITTLE = 0.3, 0.1
 """Largest mass of all fingers, and of what one joint moves, as a share of the arm's."""
-_SHORT = 0.5
-"""Longest finger, as a share of the arm's reach; and what is beside an arm of few joints."""
+_SHORT, _SHORT_BESIDE = 0.3, 0.5
+"""Longest finger, as a share of the arm's reach; and longest branch beside an arm of few joints."""
 _ONE_SIDED, _WIDEST_RAD, _WIDEST_M = 0.15, 2.5, 0.2
 """How far a jaw turns to the other side, as a share of its range; and that range."""
 _PARALLEL, _SAME_LINE_M = 0.999, 1e-3
@@ -170,7 +168,7 @@ def _hands(parts: _Parts) -> dict[str, str]:
     for name, above in parts.above.items():
         if len(above) >= _ARM_JOINTS and name not in found:
             fingers = _fingers(parts, above)
-            found |= dict.fromkeys(fingers, _FINGER)
+            found |= dict.fromkeys(fingers, _OF_HAND)
             if not fingers and (why := _last_of_gripper(parts, name)):
                 found[name] = why
     return found
@@ -180,8 +178,7 @@ def _fingers(parts: _Parts, above: Sequence[str]) -> set[str]:
     """Return all joints behind an arm whose last joint carries several, if they are fingers."""
     behind = parts.behind(above[0])
     roots = [each for each in behind if parts.above[each][0] == above[0]]
-    longest = max(len(parts.above[each]) - len(above) + 1 for each in behind)
-    if len(roots) < 2 or longest > _MOST_OF_FINGER:
+    if len(roots) < 2:
         return set()
     is_light = parts.moved_kg(behind) <= _LIGHT * parts.moved_kg({above[-1]})
     reach_m = parts.reach_m(above[-1], roots[0])
@@ -229,4 +226,4 @@ def _beside_arms(root: ET.Element, driven: Sequence[str]) -> list[str]:
 
 def _is_small(chain: Chain, arm: Chain) -> bool:
     """Whether a chain is short or light beside an arm."""
-    return chain.reach_m < _SHORT * arm.reach_m or chain.mass_kg < _LITTLE * arm.mass_kg
+    return chain.reach_m < _SHORT_BESIDE * arm.reach_m or chain.mass_kg < _LITTLE * arm.mass_kg

@@ -26,7 +26,12 @@ from deploy.reports.terminal import print_table
 from deploy.run.console import Console
 from deploy.scenario.checking.checks import check, check_plant
 from deploy.scenario.checking.explanation import Origin
-from deploy.scenario.checking.plausibility import damping_warnings, weak_joint_warnings
+from deploy.scenario.checking.plausibility import (
+    damping_warnings,
+    rotor_warnings,
+    size_warnings,
+    weak_joint_warnings,
+)
 from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.referenced_files import find_urdf
@@ -194,6 +199,8 @@ def robot_warnings(setup: Setup) -> list[str]:
         *tip_warnings(ET.fromstring(arm.text), arm.tip_link, arm.joint_names),
         *telescope_warnings(ET.fromstring(arm.text), arm.joint_names),
         *weak_joint_warnings(arm),
+        *rotor_warnings(arm),
+        *size_warnings(arm),
         *damping_warnings(arm, arm.drives.damping_nm_s, drives_of(arm).rated),
     ]
 

@@ -63,7 +63,7 @@ def test_short_light_branches_behind_an_arm_are_fingers(read, fingers):
     ]
     arm = read(row("j", 6, "base", "1"), *hand)
     assert arm.joint_names == tuple(f"j{i}" for i in range(6))
-    assert all(reason.startswith("a finger") for reason in held(arm).values())
+    assert all(reason.startswith("of a hand") for reason in held(arm).values())
     assert len(arm.held) == 2 * fingers
 
 
