@@ -18,6 +18,7 @@ from bus_schema.urdf.chains import chain_warnings
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.drive_values import DriveValues, drive_values
 from bus_schema.urdf.end_effectors import OF_GRIPPERS
+from bus_schema.urdf.gyration import mend_gyration
 from bus_schema.urdf.held_pose import fix_held
 from bus_schema.urdf.implausible import mass_warnings
 from bus_schema.urdf.inertia import judge_inertias
@@ -207,9 +208,11 @@ def _described(
     roles = joint_roles(root, *wanted)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
     is_posed = fix_held(root, roles.held)
-    if estimate_inertias(root, path.parent, moving, include, mass_kg) or is_posed:
+    estimate_inertias(root, path.parent, moving, include, mass_kg)
+    warnings = mend_gyration(root, path.parent, moving, include, repair=repair)
+    if is_posed or estimated_links(root):
         text = ET.tostring(root, encoding="unicode")
-    warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
+    warnings += judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     warnings += [*mended, *mass_warnings(root, moving)]
     if wanted[0] is None:
         warnings += chain_warnings(root, roles.driven)
