@@ -19,6 +19,7 @@ from deploy.judge.findings.growing import growths
 from deploy.judge.findings.identified import identified
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.findings.loss_reason import loss_reason
+from deploy.judge.findings.ranges import beyond_ranges
 from deploy.judge.findings.stalls import longest_stall_ms
 from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
@@ -68,6 +69,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "bounds": bounds,
         "loss": None if lost is None else lost._asdict(),
         "tracking": tracking,
+        "beyond_ranges": beyond_ranges(run),
         "growing": [] if known.missing else _growing(run),
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),

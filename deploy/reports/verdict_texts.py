@@ -97,6 +97,7 @@ def verdict_on_run(
             f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
             for each in summary.get("growing", ())
         ),
+        *_sentences_on_ranges(summary),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
     ]
@@ -110,6 +111,23 @@ def verdict_on_run(
     elif level == "broken" and is_judged:
         headline += ", inside its bounds at all known ticks"
     return ReportHead(level, headline, reasons, summary["faults"])
+
+
+def _sentences_on_ranges(summary: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about joints that pass their ranges by much."""
+    if not (found := summary.get("beyond_ranges", ())):
+        return []
+    named = ", ".join(
+        f"{each['joint']} by {number(each['beyond_rad'])} rad at {each['time_s']:.2f} s"
+        for each in found[:_NAMED_JOINTS]
+    )
+    more = f" and {len(found) - _NAMED_JOINTS} more" * (len(found) > _NAMED_JOINTS)
+    what = "a real arm hits its stops there, which are not emulated"
+    return (
+        [f"Warning: joints passed the ends of their ranges: {named}{more}; {what}."]
+        if found
+        else []
+    )
 
 
 def damaged(damage: Sequence[str]) -> str:
