@@ -272,7 +272,7 @@ class ControlLoop:
             self._write_target(self._target)
         compensation = self._compensation
         if compensation is not None and compensation.announces:
-            self._command.acts_after_ns = compensation.horizon_ns
+            self._command.acts_after_ns = compensation.acts_after_ns
         if self._bridge is not None:
             self._bridge()
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())

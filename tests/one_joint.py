@@ -31,6 +31,7 @@ def write_arm(
     path.write_text(_URDF.format(axis=axis, lever=lever_m, i=own))
     return path
 
+
 WAVE = {
     "kind": "joint_sinusoids",
     "centre_rad": [0.0],

@@ -44,6 +44,7 @@ class HorizonSettings(NamedTuple):
         row_ns: time from one row to the next, which is that from one state to the next.
         substeps: physics steps in that time; an announced horizon ends where one begins, as the
             plant acts in such steps.
+        actuator_ns: dead time of the actuators, which is part of every horizon.
     """
 
     least_ns: int = 0
@@ -54,6 +55,7 @@ class HorizonSettings(NamedTuple):
     bridge_rows: int = 0
     row_ns: int = 1
     substeps: int = 1
+    actuator_ns: int = 0
 
 
 _AS_REPORTED = HorizonSettings()
@@ -228,7 +230,7 @@ def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns:
         if sequence != state.in_force and delay_ns > commands.announced_ns[sequence % CAPACITY]:
             arrival_ns = max(arrival_ns, delay_ns)  # it came late
         arrival_ns = min(arrival_ns, now_ns - commands.stamps_ns[state.first % CAPACITY])
-        if sequence == HELD and state.wanted_ns == 0 and state.first != HELD:
+        if sequence == HELD and state.wanted_ns == state.actuator_ns and state.first != HELD:
             # Nothing acts yet, so the first command has been on its way for at least this long.
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
             state.exact_ns = max(state.exact_ns, float(waited_ns))

@@ -324,7 +324,8 @@ class _Problem:
         for joint in range(left.shape[1]):
             slow += self._of_slow_noise(design[:, joint], left[:, joint], widening)
         slow = inverse @ slow @ inverse
-        # Sums of few scores are too small; white and slow noise are known better: the largest counts.
+        # Sums of few scores are too small; white and slow noise are known better: the largest
+        # counts.
         least, found = np.diag(inverse), np.maximum(np.diag(robust), np.diag(slow))
         wider = np.sqrt(np.maximum(_FINITE**2 * found, least) / np.diag(robust))
         wider[: self._bodies] *= _OF_BODIES

@@ -103,7 +103,7 @@ def _decays(times_s: Vector, runs: NDArray[np.int64], correlation_s: float) -> V
 
 @compiled
 def _whiten(rows: Matrix, decays: Vector, share: float) -> float:
-    """Turn white and correlated noise in columns into white noise of variance 1, by Kalman's filter.
+    """Turn white and correlated noise in columns into white noise of variance 1 (Kalman filter).
 
     Returns the logarithm of the determinant of the noise's covariance.
     """

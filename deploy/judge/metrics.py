@@ -19,9 +19,10 @@ from deploy.judge.findings.growing import growths, longest_growth_time_s
 from deploy.judge.findings.identified import identified
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.findings.loss_reason import loss_reason
+from deploy.judge.findings.ranges import beyond_ranges
 from deploy.judge.findings.stalls import longest_stall_ms
 from deploy.judge.findings.vibration import vibrations
-from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
+from deploy.judge.recorded_ticks import KnownTicks, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.judge.tip_error import tip_error_mm
 from deploy.judge.torques import torques
@@ -73,6 +74,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "loss": None if lost is None else {**lost._asdict(), "reason": lost.reason.value},
         "tracking": tracking,
         "tip_error_mm": tip_error_mm(run),
+        "beyond_ranges": beyond_ranges(run),
         **(_UNTESTED if known.missing else _growing(run)),
         "vibrating": [] if known.missing else _vibrating(run),
         "torque": _torque(run),

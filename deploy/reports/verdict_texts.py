@@ -106,6 +106,7 @@ def verdict_on_run(
             " run): this loop vibrates."
             for each in summary.get("vibrating", ())
         ),
+        *_sentences_on_ranges(summary),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
     ]
@@ -127,6 +128,19 @@ def _sentences_on_the_tip(summary: Mapping[str, Any], from_s: float) -> list[str
         return []
     most = f"{number(largest_mm)} mm at most"
     return [f"The tip was off by {number(rms_mm)} mm RMS, {most}, from {from_s:g} s on."]
+
+
+def _sentences_on_ranges(summary: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about joints that pass their ranges by much."""
+    if not (found := summary.get("beyond_ranges", ())):
+        return []
+    named = ", ".join(
+        f"{each['joint']} by {number(each['beyond_rad'])} rad at {each['time_s']:.2f} s"
+        for each in found[:_NAMED_JOINTS]
+    )
+    more = f" and {len(found) - _NAMED_JOINTS} more" * (len(found) > _NAMED_JOINTS)
+    what = "a real arm hits its stops there, which are not emulated"
+    return [f"Warning: joints passed the ends of their ranges: {named}{more}; {what}."]
 
 
 def damaged(damage: Sequence[str]) -> str:

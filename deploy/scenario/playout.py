@@ -60,6 +60,23 @@ def resolved_link(setup: Setup) -> LinkConfiguration:
 
 def horizon_settings(setup: Setup) -> HorizonSettings:
     """Return how the controller chooses the time from a state until its command acts."""
+    of_link, actuator = _of_link(setup), setup.scenario.plant.actuator
+    actuator_ns = actuator.delay_steps(1e-9 * _grain_ns(setup)) * _grain_ns(setup)
+    return of_link._replace(
+        least_ns=of_link.least_ns + actuator_ns,
+        first_ns=of_link.first_ns + actuator_ns,
+        wanted_ns=of_link.wanted_ns + actuator_ns,
+        actuator_ns=actuator_ns,
+    )
+
+
+def _grain_ns(setup: Setup) -> int:
+    """Return the length of a physics step."""
+    return setup.grid.period_ns // setup.grid.substeps
+
+
+def _of_link(setup: Setup) -> HorizonSettings:
+    """Return these settings without the actuators' dead time."""
     link = setup.link
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     expected_ns = None if expected_ms is None else round(expected_ms * 1e6)

@@ -60,9 +60,7 @@ def main() -> None:
         for seed in range(given.seed, given.seed + given.draws):
             random = np.random.default_rng(seed)
             truth = truth_of(robot, model, random)
-            write_log(
-                log, given.arm, truth, random, given.seconds, correlation_s=given.correlation
-            )
+            write_log(log, given.arm, truth, random, given.seconds, correlation_s=given.correlation)
             start_s = time.process_time()
             found = identify([log], [], None, robot, Wishes())
             spent_s.append(time.process_time() - start_s)

@@ -22,10 +22,11 @@ from deploy.study.theory.linear_plant import linear_plant
 from deploy.study.theory.pattern_bound import pattern_bound_s
 from deploy.study.theory.probe import linear_law
 from deploy.study.theory.sampled_loop import SampledLoop
-from deploy.study.theory.windows import unstable_windows
+from deploy.study.theory.windows import after_dead_time, unstable_windows
 
 LONGEST_S = 1.0
 """The largest delay that theory looks at."""
+_DEAD = "its linear loop is unstable with the dead time of the actuators alone"
 _MOST_STATES = 1000
 """Of a law; more take minutes."""
 
@@ -50,8 +51,10 @@ def theory_of(setup: Setup) -> dict[str, Any]:
     if isinstance(law, str):
         return {"reason": law}
     loop = SampledLoop(linear_plant(setup), law, 1e-9 * setup.grid.period_ns)
+    step_s = setup.grid.substep_s
+    dead_s = setup.scenario.plant.actuator.delay_steps(step_s) * step_s
     try:
-        return _findings(loop, setup.robot.joint_names)
+        return _findings(loop, setup.robot.joint_names, dead_s)
     except ArithmeticError as error:
         return {"reason": f"of its linear loop, {error}"}
 
@@ -74,8 +77,11 @@ def _law(setup: Setup) -> LinearLaw | str:
     return found
 
 
-def _findings(loop: SampledLoop, names: Sequence[str]) -> dict[str, Any]:
-    windows = unstable_windows(loop, LONGEST_S)
+def _findings(loop: SampledLoop, names: Sequence[str], dead_s: float) -> dict[str, Any]:
+    """Return what a loop tolerates beside the dead time of its actuators."""
+    windows = after_dead_time(unstable_windows(loop, LONGEST_S + dead_s), dead_s)
+    if dead_s > 0.0 and windows and windows[0].begin_s == 0.0:
+        return {"reason": _DEAD}
     unstable_ms = [
         [_below_ms(each.begin_s), -_below_ms(-each.end_s) if each.end_s < LONGEST_S else None]
         for each in windows
@@ -83,8 +89,9 @@ def _findings(loop: SampledLoop, names: Sequence[str]) -> dict[str, Any]:
     constant_ms = any_pattern_ms = joint = without = None
     if not windows or windows[0].begin_s > 0.0:
         constant_ms = _below_ms(windows[0].begin_s if windows else LONGEST_S)
-        any_pattern_ms = _below_ms(min(pattern_bound_s(loop), LONGEST_S))
-        joint = names[loop.moving_most(windows[0].angle, windows[0].begin_s)] if windows else None
+        any_pattern_ms = _below_ms(min(max(0.0, pattern_bound_s(loop) - dead_s), LONGEST_S))
+        if windows:
+            joint = names[loop.moving_most(windows[0].angle, windows[0].begin_s + dead_s)]
     else:
         growth, number = loop.fastest_growth()
         joint = names[number]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,3 +52,12 @@ def unstable_windows(loop: SampledLoop, longest_s: float) -> list[Window]:
         elif end_s - begin_s > _RESOLUTION_S:
             found.append(Window(begin_s, end_s, angle))
     return found
+
+
+def after_dead_time(windows: Sequence[Window], dead_s: float) -> list[Window]:
+    """Return the same windows for a delay that is added to a constant one."""
+    return [
+        each._replace(begin_s=max(0.0, each.begin_s - dead_s), end_s=each.end_s - dead_s)
+        for each in windows
+        if each.end_s > dead_s
+    ]

@@ -70,6 +70,8 @@ SET = [
        f" {{time_s: {time_s}, position_rad: 0}}]}}", "", "increasing time_s")
       for time_s in (1, 0.5)],
     (f"{ACTUATOR}.rated_speed_rad_s=1", "", "with"),
+    (f"{ACTUATOR}.delay_ms=-1", "", "greater than or equal"),
+    (f"{ACTUATOR}.delay_ms=2000", "", "less than or equal to 1000"),
     (f"{ACTUATOR}.gear_damping_nm_s=1", "", "with"),
     (f"{ACTUATOR}.rotor_inertia_kg_m2=[1, 2]", "", f"{ACTUATOR}.rotor_inertia_kg_m2"),
     ("controller.law=external", "", "needs external.command"),
@@ -114,6 +116,7 @@ TOGETHER = [
         (f"{ACTUATOR}.gear_stiffness_nm_rad=1000", f"{ACTUATOR}.rotor_inertia_kg_m2"),
         ("controller.law=process", "controller.process = null: must be a program"),
         (f"{ACTUATOR}.lag_ms=1 & {ACTUATOR}.current_loop_hz=100", "with"),
+        (f"{ACTUATOR}.delay_ms=5 & link.kind=can", "must be 0 over CAN, where link.downlink"),
         (f"{ACTUATOR}.no_load_speed_rad_s=2 & {ACTUATOR}.rated_speed_rad_s=2",
          f"{ACTUATOR}.rated_speed_rad_s"),
         *[(f"{ACTUATOR}.rotor_inertia_kg_m2=1 & {ACTUATOR}.gear_stiffness_nm_rad={stiffness}",
