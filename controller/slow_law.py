@@ -126,12 +126,12 @@ class SlowLaw:
             else:
                 self._coming = answer
         self._states += 1
-        answer = self._in_force
-        assert answer is not None
+        acting = self._in_force
+        assert acting is not None
         ticks = self._ticks_since_asked(now_s)
-        rows = (len(answer.torques), len(answer.targets))
+        rows = (len(acting.torques), len(acting.targets))
         self.starvation.note(now_s, is_starved=any(1 < each <= ticks for each in rows))
-        row: Vector = answer.torques[min(ticks, rows[0] - 1)]
+        row: Vector = acting.torques[min(ticks, rows[0] - 1)]
         return row
 
     def target(self, tracking: Tracking) -> Matrix:

@@ -34,7 +34,9 @@ UNAUTHENTICATED = (
     " someone who copies the commander's id"
 )
 _SHORTEST_S = 1e-6
-_UNTESTED = {"growing": [], "not_tested_below_hz": None, "not_tested_slower_s": None}
+_UNTESTED: dict[str, Any] = {
+    "growing": [], "not_tested_below_hz": None, "not_tested_slower_s": None,
+}  # fmt: skip
 _MOST_GAPS = 20
 _largest_inertias: dict[tuple[str, float, bytes], float] = {}
 """By arm, payload and weights: the runs of a study mostly share them."""

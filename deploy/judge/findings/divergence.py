@@ -25,6 +25,7 @@ _EXPLAINED = 0.98
 _SAME, _SAME_SWINGING = 0.6, 0.3
 """Largest difference between the rates of a part and its halves, as a share: it is 0.48 for the
 linear growth of a resonance by a factor of e."""
+_TINY_RAD = 1e-300
 _LEAST_GROWTH = 0.7
 """Over a part, in e-folds; a swinging error also turns once."""
 
@@ -47,6 +48,7 @@ def divergence(errors_rad: Vector, torques_nm: Vector, lost: int, rate_hz: float
         lost: the first tick outside the bounds.
         rate_hz: ticks per second.
     """
+    errors_rad = errors_rad / max(float(np.abs(errors_rad).max()), _TINY_RAD)  # no overflow
     found = [
         (pole.explained, pole)
         for part in _parts(len(errors_rad), lost, rate_hz)

@@ -16,7 +16,7 @@ class Reason(StrEnum):
     words: str
     meaning: str
 
-    def __new__(cls, name: str, words: str, meaning: str) -> Reason:
+    def __new__(cls, name: str, words: str = "", meaning: str = "") -> Reason:
         """Create a member whose value is its name in rows and summaries."""
         member = str.__new__(cls, name)
         member._value_ = name

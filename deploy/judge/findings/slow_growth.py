@@ -68,9 +68,12 @@ def slow_oscillation(
     Returns:
         None if no linear model describes the errors, so that nothing is known.
     """
-    if errors.std() <= floor:
+    size = float(np.abs(errors).max())  # squares of a diverging error may overflow
+    if not np.isfinite(size):
+        return None
+    if size == 0.0 or (errors / size).std() <= floor / size:
         return _NONE
-    mean = _means(errors)
+    mean, floor = _means(errors / size), floor / size
     step_s = (len(errors) // len(mean)) / rate_hz
     duration_s, ends = len(mean) * step_s, round(_PART * len(mean))
     whole, first, last = (_model(part, step_s) for part in (mean, mean[:ends], mean[-ends:]))
@@ -87,7 +90,8 @@ def slow_oscillation(
         and _has(first, exponent)
         and _has(last, exponent)
     ]
-    return max(found, key=lambda each: each.amplitude, default=_NONE)
+    largest = max(found, key=lambda each: each.amplitude, default=_NONE)
+    return largest._replace(amplitude=size * largest.amplitude)
 
 
 def _means(errors: Vector) -> Vector:
@@ -101,7 +105,7 @@ def _model(values: Vector, step_s: float) -> _Model | None:
     """Return the smallest sum of exponentials that describes the values; None for none."""
     most = _LEFT * float(values.std())
     rows = sliding_window_view(values, len(values) // 2 + 1)
-    if not np.isfinite(values).all() or len(rows) <= _ORDERS[-1]:
+    if len(rows) <= _ORDERS[-1]:
         return None
     _, _, bases = np.linalg.svd(rows, full_matrices=False)
     places = np.arange(len(values)) - (len(values) - 1)
@@ -109,13 +113,15 @@ def _model(values: Vector, step_s: float) -> _Model | None:
         basis = bases[:order].T
         shift, *_ = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)
         poles = np.linalg.eigvals(shift).astype(np.complex128)
-        exponents = np.log(poles[np.abs(poles) > 0.0])
-        shapes = np.exp(np.outer(places, exponents))
-        scales = np.abs(shapes).max(axis=0)
-        factors, *_ = np.linalg.lstsq(shapes / scales, values.astype(complex), rcond=None)
-        left = float(np.sqrt(np.mean((values - ((shapes / scales) @ factors).real) ** 2)))
+        exponents: Exponents = np.log(poles[np.abs(poles) > 0.0])
+        powers = np.outer(places, exponents)
+        largest = powers.real.max(axis=0)  # its exponential may overflow
+        shapes = np.exp(powers - largest)
+        factors, *_ = np.linalg.lstsq(shapes, values.astype(complex), rcond=None)
+        left = float(np.sqrt(np.mean((values - (shapes @ factors).real) ** 2)))
         if left <= most:
-            return _Model(exponents / step_s, 2.0 * np.abs(factors / scales), left)
+            amplitudes = np.asarray(2.0 * np.abs(factors) * np.exp(-largest))
+            return _Model(exponents / step_s, amplitudes, left)
     return None
 
 

@@ -51,6 +51,17 @@ def test_slow_unstable_loop_is_found_from_two_periods_up(duration_s, periods, fa
     assert found.frequency_hz == pytest.approx(hertz, rel=0.01)
 
 
+@pytest.mark.parametrize("size_rad", [1e-9, 1.0, 1e200])
+def test_errors_that_decay_fast_or_diverge_far_are_no_trouble(size_rad):
+    """Neither the smallest nor the largest of numbers overflow."""
+    t = times_s(8.0)
+    fast = np.exp(-300.0 * np.maximum(0.0, t - 4.0)) + 1e-3 * np.sin(0.5 * t)
+    diverging = np.exp(60.0 * (t - 8.0)) * np.sin(2 * np.pi * 0.7 * t)
+    errors = size_rad * np.stack([fast, diverging], axis=1)
+    with np.errstate(divide="raise", over="raise", invalid="raise"):
+        assert growths(errors, errors, RATE_HZ).joints[0] is None
+
+
 def test_what_a_run_is_too_short_to_show():
     t = times_s(8.0)
     smooth, noise = np.sin(0.5 * t), np.random.default_rng(0).standard_normal(len(t))

@@ -55,7 +55,7 @@ def test_margin_prints_theory_beside_what_it_found(tmp_path):
     assert pid["margin"] == 13.5
     assert pid["theory"] == {
         "constant_ms": 13.54, "any_pattern_ms": 8.94, "joint": "j0",
-        "unstable_ms": [[13.54, None]], "unstable_without_delay": None,
+        "unstable_ms": [[13.54, None]], "unstable_without_delay": None, "beside_ms": 0.0,
     }  # fmt: skip
     assert set(smc["theory"]) == {"reason"}
     text = margin_sentences(summary)
