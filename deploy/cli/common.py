@@ -122,7 +122,7 @@ class ResultGate:
         before = None if options.baseline is None else read_baseline(options.baseline, unit)
         if options.allow_changes and before is None:
             raise ScenarioError("--allow-changes: needs --baseline")
-        numbers = before and (before.compared_as, numbers_in(before, unit))
+        numbers = None if before is None else (before.compared_as, numbers_in(before, unit))
         self._gate = gating.build_gate(options.at_least, options.tolerance, numbers)
         compared = result.compared_with(quantity, patterns=patterns)
         gating.require_fit(self._gate, unit, compared)

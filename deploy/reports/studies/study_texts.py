@@ -106,12 +106,13 @@ def because_text(case: Summary) -> str:
     because = case.get("quoted_because")
     if because == Because.THEORY and case["quoted"] is None:
         return "unstable without a delay, in theory"
-    return {
+    words: dict[str, str] = {
         Because.THEORY: "unstable beyond it, in theory",
         Because.PATTERN: "a pattern of delays is lost beyond it",
         Because.ROTORS: "with a tenth of the estimated rotors",
         Because.MODEL: f"with {_worst_model(case)}",
-    }.get(because or "", "")
+    }
+    return words.get(because or "", "")
 
 
 def _worst_model(case: Summary) -> str:
