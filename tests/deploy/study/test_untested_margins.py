@@ -91,7 +91,7 @@ def test_value_at_which_a_loop_grows_does_not_hold(tmp_path):
 
 
 def test_growth_of_a_pd_loop_ends_its_margin_at_rest():
-    """The exact sampled loop is unstable from 64.74 ms; its error stays below a picoradian."""
+    """The exact sampled loop is unstable from 64.24 ms; its error stays below a picoradian."""
     from deploy.judge.metrics import summarise
     from deploy.run.simulate import simulate
     from deploy.scenario.scenario import load_setup
