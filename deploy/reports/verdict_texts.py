@@ -229,15 +229,11 @@ def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) ->
     )
 
 
-def loss_words(
-    loss: Mapping[str, Any], unstable_without_delay: Mapping[str, Any] | None = None
-) -> str:
+def loss_words(loss: Mapping[str, Any]) -> str:
     """Return how a joint's error left its funnel, in words.
 
     Args:
         loss: `deploy.judge.findings.loss_reason.LossReason` as a mapping.
-        unstable_without_delay: what theory says of the loop without a delay: ``rate_per_s``,
-            ``frequency_hz``, ``joint``; None if it is stable, or not known.
     """
     reason = Reason(loss["reason"])
     words, hertz, lag_ms = reason.words, loss["frequency_hz"], loss.get("lag_ms")
@@ -247,9 +243,6 @@ def loss_words(
         words += f" by e^({rate:.3g} t)"
     if reason in (Reason.UNSTABLE, Reason.GROWING) and loss.get("without_delay"):
         words += ", already without a delay"
-    if (known := unstable_without_delay) is not None:
-        swings = f" at {known['frequency_hz']:.2g} Hz" if known["frequency_hz"] else ""
-        words += f"; in theory {known['joint']}{swings} by e^({known['rate_per_s']:.3g} t)"
     return words
 
 

@@ -246,14 +246,16 @@ def margin_sentences(summary: Summary) -> list[str]:
         for case in summary["cases"]
         if (smaller := rotors_text(case, summary))
     ]
-    return [*found, *rotors, *theory_sentences(summary), *_gaps(summary), *_saved(summary)]
+    limits = [*_gaps(summary), *_too_slow(summary)]
+    return [*found, *rotors, *theory_sentences(summary), *limits, *_saved(summary)]
 
 
 def brief_margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, without what a table beside them says."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
     found = [*_doubts(summary), *patterns]
-    return [*found, *_held_again(summary), *_in_theory(summary), *_gaps(summary)]
+    in_theory = [*_in_theory(summary), *_gaps(summary), *_too_slow(summary)]
+    return [*found, *_held_again(summary), *in_theory]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:
@@ -388,19 +390,37 @@ def theory_sentences(summary: Summary) -> list[str]:
 
 def _in_theory(summary: Summary) -> list[str]:
     return [
-        f"{case_title(case)}: in theory {_stability(theory)}{_windows(theory['unstable_ms'])}."
+        f"{case_title(case)}: {_lost_at_once(case)}in theory {_stability(theory)}"
+        f"{_windows(theory['unstable_ms'])}."
         for case in summary["cases"]
         if (theory := case.get("theory")) and "reason" not in theory
     ]
 
 
+def _lost_at_once(case: Summary) -> str:
+    """Why a case is lost at its first value, before what theory says of it."""
+    return f"{loss_text(case)}; " if case.get("completed") and case["margin"] is None else ""
+
+
+def _without_theory(summary: Summary) -> list[Summary]:
+    return [case for case in summary["cases"] if "constant_ms" not in (case.get("theory") or {})]
+
+
+def _too_slow(summary: Summary) -> list[str]:
+    """Which growth runs are too short to show, where theory knows no instability."""
+    probes = (probe_at(case, case["margin"]) or {} for case in _without_theory(summary))
+    most_hz = max((probe.get("not_tested_below_hz") or 0.0 for probe in probes), default=0.0)
+    if not most_hz:
+        return []
+    return [
+        f"Not tested below {most_hz:.2g} Hz: runs at the margins are too short to show whether so"
+        " slow an oscillation grows inside its bounds."
+    ]
+
+
 def _gaps(summary: Summary) -> list[str]:
     """How far apart the tried values are, where theory knows no window of instability."""
-    gaps = [
-        case.get("widest_gap", 0.0)
-        for case in summary["cases"]
-        if "constant_ms" not in (case.get("theory") or {})
-    ]
+    gaps = [case.get("widest_gap", 0.0) for case in _without_theory(summary)]
     if max(gaps, default=0.0) <= summary["resolution"]:
         return []
     width = value_text(max(gaps), summary)
@@ -412,9 +432,11 @@ def _gaps(summary: Summary) -> list[str]:
 
 def _stability(theory: Summary) -> str:
     if (growth := theory["unstable_without_delay"]) is not None:
+        hertz = growth["frequency_hz"]
+        swings = f"at {hertz:g} Hz" if hertz else "without swinging"
         return (
-            f"unstable without a delay: it grows by {growth['rate_per_s']:g}/s at"
-            f" {growth['frequency_hz']:g} Hz ({_OF_THEORY}; {growth['joint']} moves most)"
+            f"unstable without a delay: it grows by {growth['rate_per_s']:g}/s {swings}"
+            f" ({_OF_THEORY}; {growth['joint']} moves most)"
         )
     weakest = f"; weakest: {theory['joint']}" if theory["joint"] else ""
     return (
