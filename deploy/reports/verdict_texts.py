@@ -237,7 +237,7 @@ def loss_words(loss: Mapping[str, Any]) -> str:
     """
     reason = Reason(loss["reason"])
     words, hertz, lag_ms = reason.words, loss["frequency_hz"], loss.get("lag_ms")
-    words += f" of {lag_ms:.0f} ms" if lag_ms is not None else ""
+    words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
     if reason is Reason.UNSTABLE and (rate := loss["rate_per_s"]) is not None:
         words += f" by e^({rate:.3g} t)"

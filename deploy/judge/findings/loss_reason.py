@@ -204,10 +204,10 @@ class _Loss:
     def _lag(self) -> LossReason | None:
         before = slice(self.first, self.tick + 1)
         errors, period_s = self.errors_rad[before], 1e-9 * self.run.setup.grid.period_ns
-        wanted = self.truth["position"][before, self.joint] - errors
-        is_known = len(errors) > 1 and bool(np.isfinite(wanted).all())
+        is_known = len(errors) > 1 and bool(np.isfinite(errors).all())
         if not is_known or len(self._swings_s(before)) >= _SWUNG_BACK:
             return None
+        wanted = self.truth["position"][before, self.joint] - errors
         lag = lag_s(errors, np.gradient(wanted, period_s), len(errors) * period_s)
         return None if lag is None else self._because(Reason.LAG)._replace(lag_ms=1e3 * lag)
 

@@ -1,21 +1,31 @@
-"""Why a run left its funnel."""
+"""Why a run left its funnel: a run with each cause, and one without it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from controller.control_law import Diagnostics
+from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.loss_reason import loss_reason
+from deploy.judge.findings.reasons import Reason
 from deploy.judge.metrics import summarise
+from deploy.reports.verdict_texts import loss_words
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from deploy.study.theory.theory import theory_of
+from tests.one_joint import pd_setup, policy_setup
 
 ON = "controller.delay_compensation.enabled=true"
+INERTIA_KG_M2 = 0.5
+
+
+def loss_of(setup):
+    return summarise(simulate(setup).data())["loss"]
 
 
 def loss(*overrides, arm="paper_arm", duration_s=0.5):
-    setup = load_setup(arm, [f"duration_s={duration_s}", *overrides])
-    return summarise(simulate(setup).data())["loss"]
+    return loss_of(load_setup(arm, [f"duration_s={duration_s}", *overrides]))
 
 
 @pytest.mark.parametrize(
@@ -43,7 +53,7 @@ def test_positions_that_are_no_numbers_are_a_loss_with_a_reason(error):
     truth = data.tables["plant_truth"].copy()
     truth["position"][100:] = error
     found = loss_reason(replace(data, tables={**data.tables, "plant_truth": truth}))
-    assert found == ("friction or model", "base_yaw", pytest.approx(0.1), None, None)
+    assert found == (Reason.SLOW, "base_yaw", pytest.approx(0.1), None, None, None, False)
 
 
 def test_the_frequency_is_that_of_the_oscillation():
@@ -51,3 +61,118 @@ def test_the_frequency_is_that_of_the_oscillation():
     found = loss("link.uplink.delay_ms=8", "controller.law=fixed_time_neural")
     assert 20.0 < found["frequency_hz"] < 40.0
     assert found["joint"] == "elbow"
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping"),
+    [
+        (-50.0, 0.0),  # the sign is wrong
+        (-50.0, 5.0),  # that of the stiffness alone
+        (50.0, -1.0),  # that of the damping, which swings
+    ],
+)
+def test_a_wrong_sign_is_unstable_with_the_pole_of_the_loop(tmp_path, stiffness, damping):
+    """J s² + D s + K = 0, as exact as a torque held for a millisecond is continuous."""
+    setup = pd_setup(tmp_path, INERTIA_KG_M2, stiffness, damping, offset_rad=1e-3)
+    found = loss_of(setup)
+    pole = max(np.roots([INERTIA_KG_M2, damping, stiffness]).astype(complex), key=np.real)
+    assert (found["reason"], found["without_delay"]) == ("unstable", True)
+    assert found["rate_per_s"] == pytest.approx(pole.real, rel=0.02)
+    assert found["frequency_hz"] == (
+        pytest.approx(abs(pole.imag) / (2.0 * np.pi), rel=0.01) if pole.imag else None
+    )
+    assert "already without a delay" in loss_words(found)
+    assert theory_of(setup)["unstable_without_delay"]["rate_per_s"] == pytest.approx(
+        found["rate_per_s"], rel=0.02
+    )
+
+
+class OneWrongSign:
+    """Exact linearisation with both poles at -5/s, but for one joint with the wrong sign."""
+
+    def __init__(self, model, joint=0):
+        self.diagnostics, self._model = Diagnostics(model.joints), model
+        self._signs = np.where(np.arange(model.joints) == joint, -1.0, 1.0)
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        wanted = -25.0 * tracking.error - 10.0 * tracking.error_rate
+        acceleration = tracking.reference_acceleration + self._signs * wanted
+        return self._model.inverse_dynamics(tracking.position, tracking.velocity, acceleration)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_one_wrong_sign_of_an_arm_is_unstable_at_its_joint(joint):
+    """s² = 10 s + 25 of that joint alone."""
+    law = ("controller.law=tests.deploy.judge.test_loss_reason:OneWrongSign",
+           f"controller.gains.custom.joint={joint}")  # fmt: skip
+    frictionless = [f"plant.friction.{name}=0" for name in ("coulomb_nm", "viscous_nm_s")]
+    found = loss(*law, *frictionless, arm="panda")
+    assert (found["reason"], found["joint"]) == ("unstable", f"panda_joint{joint + 1}")
+    assert found["rate_per_s"] == pytest.approx(5.0 + 50.0**0.5, rel=0.1)
+    assert found["frequency_hz"] is None
+
+
+def test_a_delay_makes_a_loop_swing_that_is_stable_without_it(tmp_path):
+    """K = 200, D = 8: its phase margin at 20.9 rad/s lasts for 33 ms."""
+    late = pd_setup(tmp_path, INERTIA_KG_M2, 200.0, 8.0, "link.uplink.delay_ms=60", offset_rad=0.01)
+    found = loss_of(late)
+    assert (found["reason"], found["without_delay"]) == ("growing", False)
+    assert "without a delay" not in loss_words(found)
+    assert loss_of(pd_setup(tmp_path, INERTIA_KG_M2, 200.0, 8.0, offset_rad=0.01)) is None
+
+
+def test_slow_growth_is_not_called_friction(tmp_path):
+    """K = 2, D = 4 with 1.5 s of delay: swings of some seconds, of which a run has few."""
+    setup = pd_setup(
+        tmp_path, INERTIA_KG_M2, 2.0, 4.0, "link.uplink.delay_ms=500", "duration_s=12",
+        offset_rad=0.01,
+    )  # fmt: skip
+    found = loss_of(setup)
+    assert found["reason"] == "growing"
+    assert found["frequency_hz"] < 2.0
+
+
+def test_a_transport_delay_is_a_lag_of_its_length(tmp_path):
+    """A loop at the drives with both poles at -100/s is 2/100 s behind, and the delay more."""
+    found = loss_of(policy_setup(tmp_path, "link.downlink.delay_ms=80"))
+    assert found["reason"] == "lag"
+    assert found["lag_ms"] == pytest.approx(80.0 + 20.0, rel=0.05)
+    assert loss_words(found) == (
+        f"{found['lag_ms']:.0f} ms behind the reference, in proportion to its speed"
+    )
+    assert loss_of(policy_setup(tmp_path)) is None
+
+
+TIMES_S = np.arange(1000) * 1e-3
+NO_LAGS = {
+    "ahead": lambda v, t: 0.05 * v,
+    "offset": lambda v, t: 0.05 + 0.0 * t,
+    "acceleration": lambda v, t: -0.05 * np.gradient(v, t),
+    "growth": lambda v, t: 1e-3 * np.exp(8.0 * t),
+    "lag longer than the time": lambda v, t: -0.6 * v,
+}
+
+
+@pytest.mark.parametrize("name", NO_LAGS)
+def test_other_errors_are_no_lag(name):
+    speeds = np.sin(2.0 * TIMES_S)
+    assert lag_s(NO_LAGS[name](speeds, TIMES_S), speeds, 1.0) is None
+    assert lag_s(-0.05 * speeds, speeds, 1.0) == pytest.approx(0.05)
+
+
+def test_a_chunk_that_ran_out_has_nothing_left_to_send(tmp_path):
+    """It is asked every 200 ms: 40 rows are too few, 300 are not."""
+    found = loss_of(policy_setup(tmp_path, rows=40, every=200))
+    assert found["reason"] == "chunk ran out"
+    assert found["frequency_hz"] is None
+    assert loss_words(found) == "with nothing left to send"
+    assert loss_of(policy_setup(tmp_path, rows=300, every=200)) is None
+
+
+def test_rows_that_ran_out_and_are_held_on_purpose_are_no_reason(tmp_path):
+    """One row is held until the next answer: the arm lags, as it is asked every 200 ms."""
+    found = loss_of(policy_setup(tmp_path, rows=1, every=200))
+    assert found["reason"] != "chunk ran out"

@@ -57,7 +57,7 @@ def test_margin_prints_theory_beside_what_it_found(tmp_path):
         "constant_ms": 13.54, "any_pattern_ms": 8.94, "joint": "j0",
         "unstable_ms": [[13.54, None]], "unstable_without_delay": None, "beside_ms": 0.0,
     }  # fmt: skip
-    assert set(smc["theory"]) == {"reason"}
+    assert set(smc["theory"]) == {"reason", "beside_ms"}
     text = margin_sentences(summary)
     assert any("up to a constant 13.54 ms, and below 8.94 ms for every pattern" in s for s in text)
     assert any("No theoretical margin, because it has no slope at zero error" in s for s in text)
@@ -83,6 +83,11 @@ SENTENCES = {
     " friction alone; j0 moves most)": {
         "constant_ms": None, "any_pattern_ms": None, "joint": "j0", "unstable_ms": [[0.0, None]],
         "unstable_without_delay": {"rate_per_s": 1.2, "frequency_hz": 160.0, "joint": "j0"},
+    },
+    "unstable without a delay: it grows by 10/s without swinging (linear, the arm at its start,"
+    " viscous friction alone; j0 moves most)": {
+        "constant_ms": None, "any_pattern_ms": None, "joint": "j0", "unstable_ms": [[0.0, None]],
+        "unstable_without_delay": {"rate_per_s": 10.0, "frequency_hz": 0.0, "joint": "j0"},
     },
     "stable up to a constant 1000 ms, and below 7 ms for every pattern (round trip; linear, the arm"
     " at its start, viscous friction alone)": {
