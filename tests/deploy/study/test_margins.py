@@ -10,14 +10,24 @@ import pytest
 from controller.laws import COMPARED_LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.reports.studies.study_tables import margins_by_law
+from deploy.reports.studies.study_texts import margin_sentences
 from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.execution.folder import create_folder
-from deploy.study.margin import MarginDefinition
+from deploy.study.margin import Margin, MarginDefinition
 from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
-from tests.deploy.study.studies import NOISE, Here, conduct, limits, made_up, margin_of
+from tests.deploy.study.studies import (
+    NOISE,
+    Here,
+    case_of,
+    conduct,
+    limits,
+    made_up,
+    margin_of,
+)
+from tests.one_joint import pd_setup
 
 
 def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
@@ -220,3 +230,34 @@ def test_what_is_left_is_never_too_much_once_a_value_has_failed(margin):
         probed += 1
     assert search.probes_left == 0
     assert expected is None or probed <= expected
+
+
+@pytest.mark.parametrize(("law", "is_said"), [("smc", True), ("pid", False)])
+def test_growth_that_runs_are_too_short_to_show_is_not_tested_unless_theory_knows(
+    law, is_said, tmp_path
+):
+    """Runs of 6 s, of which two periods must fit into the last half."""
+    study = margin_of(laws=[law], seeds=1, offsets=[1.0], limit=4, running=[False])
+    workers = Here(lambda run: made_up(run, not_tested_below_hz=2.0 / 3.0))
+    _, folder = conduct(study, tmp_path / "out", workers)
+    said = [each for each in margin_sentences(study.summary(folder.rows)) if "too short" in each]
+    assert bool(said) is is_said
+    assert all(each.startswith("Not tested below 0.67 Hz: ") for each in said)
+
+
+def test_a_loop_lost_without_a_delay_is_named_with_its_pole_and_no_remedy(tmp_path):
+    """J s² + D s + K = 0 with J = 0.5, D = 5, K = -50 has the root 6.18/s."""
+    pd_setup(tmp_path, 0.5, -50.0, 5.0, offset_rad=1e-3)
+    search = {
+        "scenarios": [str(tmp_path / "one.yaml")], "laws": ["tests.one_joint:Feedback"],
+        "set": {"duration_s": 2.0}, "what_helps": True,
+    }  # fmt: skip
+    study = Margin(search, tmp_path)
+    _, folder = conduct(study, tmp_path / "out", Here())
+    summary = study.summary(folder.rows)
+    assert case_of(study, folder)["what_helps"] is None
+    assert any(
+        "unstable, j0, already without it; in theory unstable without a delay: it grows by 6.18/s"
+        " without swinging" in each
+        for each in margin_sentences(summary)
+    )
