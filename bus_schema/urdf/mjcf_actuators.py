@@ -224,7 +224,10 @@ class Actuator:
             return control
         if self._dynamics not in _FILTERS or control is None:
             return self._states
-        return control if self._states is None else np.clip(control, *self._states)
+        if self._states is None:
+            return control
+        clipped: Vector = np.clip(control, *self._states)
+        return clipped
 
     def _add_effort(self, drive: JointActuators, forces: Vector | None) -> None:
         """Add the largest force, of the limit and of the controls."""
