@@ -166,7 +166,9 @@ def load_robot(
     left_out: list[str] = []
     try:
         if root.tag == "mujoco":
-            from bus_schema.urdf.from_mjcf import urdf_from_mjcf  # which imports MuJoCo: 0.15 s
+            from bus_schema.urdf.mjcf.from_mjcf import (
+                urdf_from_mjcf,  # which imports MuJoCo: 0.15 s
+            )
 
             root, left_out = urdf_from_mjcf(root, path, driven, hold, include)
             text = ET.tostring(root, encoding="unicode")

@@ -274,7 +274,9 @@ def _drives_table(arm: RobotDescription) -> Table:
     """Motors and friction that a first scenario gives the arm, and where they come from."""
     drives = drives_of(arm)
     loop = drive_feedback(arm.drives).get("drive_feedback", {})
+    is_estimated = not np.array_equal(drives.rated, arm.effort_limits_nm)
     values = {
+        **({"saturation_nm": drives.rated} if is_estimated else {}),
         "rotor_inertia_kg_m2": drives.rotors,
         **actuator_values(arm.drives),
         **drives.friction,

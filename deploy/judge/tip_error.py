@@ -17,11 +17,13 @@ _models: dict[tuple[str, str], ManipulatorModel] = {}
 def tip_error_mm(run: RunData) -> dict[str, float | None]:
     """Return RMS and largest distance of the true tip from the reference's, mm.
 
-    Both are from ``metrics.from_s`` on, and None without a finite position there.
+    Both are from ``metrics.from_s`` on, and None without a finite position there, or if the tip is
+    on the axes of all joints, so that no error of theirs moves it.
     """
     judged = run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s
     distances_m = _distances_m(run, judged)
-    if not (len(distances_m) and np.isfinite(distances_m).all()):
+    is_on_axes = not distances_m.any() and run.true_errors_rad[judged].any()
+    if is_on_axes or not (len(distances_m) and np.isfinite(distances_m).all()):
         return {"rms": None, "largest": None}
     rms_m = float(np.sqrt((distances_m**2).mean()))
     return {"rms": _MM * rms_m, "largest": _MM * float(distances_m.max())}

@@ -127,6 +127,8 @@ def _field(
         index = usual[int(index)]
     numbers = [_number(value, (word, index), names) for _, names, value in found]
     has_it = np.array([number is not None for number in numbers])
+    if not has_it.any() and index in usual:
+        raise ValueError("the messages name joints, but have no such values")
     if not has_it.any():
         raise ValueError(f"no element {index!r}; there are {', '.join(usual) or 'no names'}")
     values = np.array(numbers, dtype=float)[has_it]

@@ -16,8 +16,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.arm_sizes import arm_sizes
 from bus_schema.urdf.drive_values import DriveValues
-from controller.manipulator_model import ManipulatorModel, spread_positions
-from controller.rigid_bodies.vectors import product
+from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.checking.plausibility import (
     MOST_NM_PER_KG,
     USUAL_RAD_S2,
@@ -28,6 +27,7 @@ from deploy.scenario.checking.plausibility import (
     placeholders,
 )
 from deploy.scenario.referenced_files import ROBOTS
+from deploy.scenario.starter_motion import middle_and_move, move_time, slow_speeds, start_offsets
 from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
 
@@ -47,19 +47,6 @@ _FRICTION_SHARE_BELIEVED = 0.2
 """Largest plausible friction in a file."""
 ESTIMATED = "ESTIMATED"
 """Mark of estimated numbers where a scenario names the source of its numbers."""
-_SPEED_SHARE = 0.3
-_TORQUE_SHARE, _HELD_SHARE = 0.7, 0.5
-"""Shares of rated torque, along a move and for gravity alone."""
-_REACH_SHARE = 0.2
-"""Share of a joint's range, to either side of the middle of the reference."""
-_LARGEST_MOVE = 0.5
-_OFFSET_SHARE = 0.1
-_SHED_PER_S, _SHED_S = 9.0, 0.05
-_UNKNOWN_SPEED = 1.0
-_LEAST_MOVE_S = 1.0
-_PEAK_SPEED = 1.875
-"""Peak speed of a minimum-jerk move of length 1 in time 1."""
-_TRIES = 12
 _NO_SUCH_SPEED = 1e6
 """rad/s, of motors whose torque does not fall with their speed."""
 _LEAST_LOAD = 0.1
@@ -89,14 +76,14 @@ def starter_scenario(robot: RobotDescription) -> dict[str, Any]:
     """Return the values of a scenario that moves an arm to and fro, at rest at both ends."""
     rated, rotors, friction, data = drives_of(robot)
     model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
-    middle, move = _motion(robot, model, rated)
-    duration_s = _move_time(robot, model, rated, middle, move)
+    middle, move = middle_and_move(robot, model, rated)
+    duration_s = move_time(robot, model, rated, middle, move)
     ends = [middle - move, middle + move]
     waypoints = [
         {"time_s": round(number * duration_s, 3), "position_rad": _rounded(ends[number % 2])}
         for number in range(5)
     ]
-    offsets = _offsets(model, rated, middle - move, move)
+    offsets = start_offsets(model, rated, middle - move, move)
     return {
         "name": re.sub(r"[^A-Za-z0-9_.-]", "_", robot.path.stem).lstrip("_.-") or "arm",
         "duration_s": round(4.0 * duration_s, 3),
@@ -217,18 +204,12 @@ def _drives_in_file(robot: RobotDescription, rated: Vector) -> DriveValues:
     """
     own = robot.drives
     rotors = np.where(heavy_rotors(robot), 0.0, own.rotor_inertia_kg_m2)
-    dry, viscous = own.friction_nm, own.damping_nm_s * _slow_speeds(robot)
+    dry, viscous = own.friction_nm, own.damping_nm_s * slow_speeds(robot)
     return own._replace(
         rotor_inertia_kg_m2=rotors,
         friction_nm=np.where(dry <= _FRICTION_SHARE_BELIEVED * rated, dry, 0.0),
         damping_nm_s=np.where(viscous <= _FRICTION_SHARE_BELIEVED * rated, own.damping_nm_s, 0.0),
     )
-
-
-def _slow_speeds(robot: RobotDescription) -> Vector:
-    """Return upper limits of the reference's speeds, shape (joints,), rad/s."""
-    limits = robot.velocity_limits_rad_s
-    return _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
 
 
 def _source(name: str, known: Vector, estimate: str) -> str:
@@ -283,76 +264,7 @@ def _estimated_torques(robot: RobotDescription, loads: Loads, known: Vector) -> 
     held = np.where(held < _HARDLY_LOADED * found, found, held)
     for _ in carriers:  # as a vertical waist that carries vertical shoulders
         held = np.where(held < _NOT_LOADED * held.max(), np.maximum(held, by_neighbour()), held)
-    return np.maximum(held, 0.01 * max(held.max(), 1.0))
-
-
-def _motion(
-    robot: RobotDescription, model: ManipulatorModel, rated: Vector
-) -> tuple[Vector, Vector]:
-    """Return the middle of the motion, and its amplitude to either side; shape (joints,).
-
-    The middle is zero if the joints' ranges contain it; for an arm that hardly holds itself up
-    there, it is the one of many postures with the least load.
-    """
-    lower, upper = _range(robot)
-    zero = np.where((lower < 0.0) & (upper > 0.0), 0.0, 0.5 * (lower + upper))
-    move = np.minimum(_REACH_SHARE * (upper - lower), _LARGEST_MOVE)
-    margin = move + 0.1 * (upper - lower - 2.0 * move)
-    best, least = zero, np.inf
-    for posture in (zero, *spread_positions(robot)):
-        middle = np.clip(posture, lower + margin, upper - margin)
-        usage = float((_peak_torque(model, middle, move) / rated).max())
-        if usage < least:
-            best, least = middle, usage
-        if least <= _HELD_SHARE:
-            break
-    return best, move
-
-
-def _offsets(model: ManipulatorModel, rated: Vector, start: Vector, move: Vector) -> Vector:
-    """Return the joints' offset from the reference at the start, within motors' limits, (joints,).
-
-    All joints together start towards the reference at `_SHED_PER_S` times the offset, within
-    `_SHED_S`.
-    """
-    offsets = _OFFSET_SHARE * move * np.where(np.arange(move.size) % 2, -1.0, 1.0)
-    needed = np.abs(product(model.mass_matrix(start), _SHED_PER_S / _SHED_S * offsets))
-    left = np.maximum(rated - np.abs(model.gravity(start)), 0.0)
-    return offsets * min(1.0, float((left / needed).min()))
-
-
-def _range(robot: RobotDescription) -> tuple[Vector, Vector]:
-    """Return the ends of the joints' ranges; continuous joints have half a turn each way."""
-    return np.maximum(robot.lower_rad, -np.pi), np.minimum(robot.upper_rad, np.pi)
-
-
-def _move_time(
-    robot: RobotDescription, model: ManipulatorModel, rated: Vector, middle: Vector, move: Vector
-) -> float:
-    """Return the time of a move from one end to the other within limits of speed and torque, s."""
-    move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / _slow_speeds(robot)).max()))
-    # Moving very slowly does not help an arm that hardly holds itself up.
-    allowed = np.maximum(_TORQUE_SHARE * rated, 1.1 * _peak_torque(model, middle, move))
-    for _ in range(_TRIES):
-        if (_peak_torque(model, middle, move, move_s) <= allowed).all():
-            break
-        move_s *= 1.25
-    return move_s
-
-
-def _peak_torque(
-    model: ManipulatorModel, middle: Vector, move: Vector, move_s: float = np.inf
-) -> Vector:
-    """Return the largest torque of each joint along a minimum-jerk move, shape (joints,), N m."""
-    peaks: list[Vector] = []
-    for s in np.linspace(0.0, 1.0, 11 if np.isinf(move_s) else 41):
-        path = -1.0 + 2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5)
-        rate = 60 * s**2 * (1 - s) ** 2 / move_s
-        change = 120 * s * (1 - s) * (1 - 2 * s) / move_s**2
-        torque = model.inverse_dynamics(middle + path * move, rate * move, change * move)
-        peaks.append(np.abs(torque))
-    largest: Vector = np.array(peaks).max(axis=0)
-    return largest
+    return np.asarray(np.maximum(held, 0.01 * max(held.max(), 1.0)))
 
 
 def _rounded(values: Vector | Matrix) -> list[float]:

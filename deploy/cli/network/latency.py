@@ -34,12 +34,13 @@ def latency(
     command: Annotated[
         str,
         typer.Option(
-            help="Column of commands, as `action[2]`; in MCAP, `/topic.field[2]` or `[joint]`."
+            help="Column of commands, as `action[2]`; in MCAP, `/topic.field[2]` or"
+            r" `/topic.field\[joint]`."
         ),
     ],
     response: Annotated[str, typer.Option(help="Column of responses, in the same form.")],
     time: Annotated[
-        str | None, typer.Option(help="Column of times.  [default: time_s, t, time or timestamp]")
+        str | None, typer.Option(help=r"Column of times.  \[default: time_s, t, time or timestamp]")
     ] = None,
     unit: Annotated[
         Unit, typer.Option(help="Unit of the times, if the name of their column does not say it.")
@@ -57,7 +58,7 @@ def latency(
         Export | None, typer.Option(help="Write the latency for this program.", show_default=False)
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File of --export.  [default: <file>_latency.*]")
+        Path | None, typer.Option(help=r"File of --export.  \[default: <file>_latency.*]")
     ] = None,
 ) -> None:
     """Estimate dead time and first-order lag from a recorded command and response.
@@ -71,7 +72,8 @@ def latency(
         found, seen_s, episodes = _fitted(*rows, longest_s, is_held=not linear)
         check_interval(seen_s)
     except ValueError as error:
-        raise InputError(f"{file}: {command}, {response}: {error}") from error
+        why = "; ".join([str(error), *read.notes])
+        raise InputError(f"{file}: {command}, {response}: {why}") from error
     try:
         other, *_ = _fitted(*others, longest_s, is_held=linear)
     except ValueError:
@@ -112,6 +114,9 @@ def _read(file: Path, command: str, response: str, time: str | None, unit: Unit)
     fields = [read_field(file, name) for name in (command, response)]
     held, on_lines = (rows_of(*fields, is_held=is_held) for is_held in (True, False))
     notes, doubts = ([*fields[0].notes, *fields[1].notes], [*fields[0].doubts, *fields[1].doubts])
+    commanded, moved = (each.element for each in fields)
+    if commanded and moved and commanded != moved and not (commanded + moved).isdecimal():
+        notes.append(f"commands are those of {commanded}, responses those of {moved}")
     return _Read((held, on_lines), notes, doubts)
 
 

@@ -39,7 +39,7 @@ class BenchmarkOptions(GateOptions, StudyOptions):
         str | None,
         typer.Option(
             metavar="A,B,…",
-            help="none and predictors.  [default: none, adaptive, smith,"
+            help=r"none and predictors.  \[default: none, adaptive, smith,"
             " communication_disturbance_observer]",
         ),
     ] = None

@@ -114,7 +114,8 @@ class TuneOptions(StudyOptions):
         typer.Option(
             "--for",
             metavar="rms|margin",
-            help="rms: a small error with a smooth torque; margin: a large delay.  [default: rms]",
+            help="rms: a small error with a smooth torque; margin: a large delay."
+            r"  \[default: rms]",
         ),
     ] = None
     budget: Annotated[

@@ -122,7 +122,7 @@ def heavy_rotors(robot: RobotDescription) -> NDArray[np.bool_]:
     sizes = arm_sizes(robot.text, robot.joint_names)
     stretched = sizes.moved_kg * sizes.reach_m**2
     is_heavy = robot.drives.rotor_inertia_kg_m2 > _ROTOR_SHARE * max(stretched, 1e-12)
-    return is_heavy & ~np.array(robot.slides)
+    return np.asarray(is_heavy & ~np.array(robot.slides))
 
 
 def rotor_warnings(robot: RobotDescription) -> list[str]:

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from rich.text import Text
 
 from deploy.cli.commands import COMMANDS, EARLIER, PANELS, LazyCommand, summary_of
 from tests.warm_process import cold_python
@@ -72,3 +73,18 @@ def test_earlier_names_do_what_their_successors_do(funnel_hil, tmp_path):
         written.append([(file.name, file.read_bytes()) for file in files])
     assert written[0] == written[1]
     assert [name for name, _ in written[0]] == ["controllers.yaml", "robot.urdf"]
+
+
+def parameters(command):
+    """The parameters of a command and of those below it."""
+    yield from command.params
+    for below in getattr(command, "commands", {}).values():
+        yield from parameters(below)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_words_in_brackets(name):
+    """Typer reads help as Rich's markup, where `[word]` is a style and not shown."""
+    for each in parameters(LazyCommand(name).load()):
+        text = getattr(each, "help", None) or ""
+        assert Text.from_markup(text).plain == text.replace("\\[", "["), each.name

@@ -12,6 +12,7 @@ from deploy.scenario.yaml_files import ScenarioError
 from funnel_hil import Scenario
 from tests.arms import INSTALLED, PAPER_ARM, needs_bullet, needs_pybullet_data
 from tests.bus_schema.urdf.test_chains import TWO_ARMS
+from tests.deploy.scenario.test_starter import ARM as TWO_LINKS
 
 XACRO = """<robot name="test" xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:property name="length" value="0.4"/>
@@ -160,6 +161,17 @@ def test_estimated_friction_is_the_same_in_words_and_table(
     output = " ".join(funnel_hil.output("robot", arm).split())
     assert f"viscous friction ESTIMATED as {said} of the largest torque" in output
     assert f"viscous_share_s {listed}" in output
+
+
+def test_torques_in_place_of_placeholders_are_shown(funnel_hil, tmp_path):
+    """Thrice the weight of links of 3 and 2 kg, 0.5 m each, that lie straight."""
+    (tmp_path / "arm.urdf").write_text(TWO_LINKS.format(5000, 5000))
+    output = funnel_hil.output("robot", tmp_path / "arm.urdf")
+    [found] = re.findall(r"saturation_nm +([\d.]+), ([\d.]+)", output)
+    weights = [9.81 * (3 * 0.25 + 2 * 0.75), 9.81 * 2 * 0.25]
+    assert [float(each) for each in found] == pytest.approx(3.0 * np.array(weights), rel=0.05)
+    (tmp_path / "arm.urdf").write_text(TWO_LINKS.format(60, 20))
+    assert "saturation_nm" not in funnel_hil.output("robot", tmp_path / "arm.urdf")
 
 
 def test_robot_shows_the_inertia_and_gains_of_a_run(funnel_hil, tmp_path):

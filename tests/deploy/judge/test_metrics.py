@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -169,6 +170,14 @@ def test_tip_error_is_unknown_without_positions(setup: Setup, ticks) -> None:
     found = judged(setup, ticks)
     assert found["tip_error_mm"] == {"rms": None, "largest": None}
     assert row(found, 1)["tip_largest_mm"] is None
+
+
+def test_tip_error_is_unknown_where_no_joint_moves_the_tip(setup: Setup) -> None:
+    """The first link's frame is on the first axis, as the only frame of an arm of one joint is."""
+    first = ET.fromstring(setup.robot.text).find(f"joint[@name='{JOINTS[0]}']/child").get("link")
+    robot = replace(setup.robot, tip_link=first)
+    found = judged(replace(setup, robot=robot), [at(0.02, 0.0, 0.0)] * 12)
+    assert found["tip_error_mm"] == {"rms": None, "largest": None}
 
 
 def test_torque_figures(setup: Setup) -> None:

@@ -284,6 +284,12 @@ def test_elements_have_names_of_joints(tmp_path: Path, funnel_hil) -> None:
     assert by_number == by_name
     output = funnel_hil.output(*words, "/found.effort[elbw]", code=2)
     assert "no element 'elbw'; there are shoulder, elbow" in output
+    output = funnel_hil.output(*words, "/found.effort[0]", code=2)
+    assert "never changes: the motion does not excite the system; commands are those of elbow" in (
+        " ".join(output.split())
+    )
+    output = funnel_hil.output(*words, "/found.velocity[elbow]", code=2)
+    assert "name joints, but have no such values" in " ".join(output.split())
 
 
 @pytest.mark.parametrize("nested", [False, True])

@@ -9,100 +9,20 @@ Importing this module imports MuJoCo, so import it where it is used.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.mujoco_library import mujoco
+from bus_schema.urdf.mjcf.joint_actuators import LEFT_OUT, JointActuators, Omissions
 
 _DYNAMICS, _GAIN, _BIAS = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 _FILTERS = (_DYNAMICS.mjDYN_FILTER, _DYNAMICS.mjDYN_FILTEREXACT)
-_POSITION, _VELOCITY, _VOLTAGE = (
-    int(getattr(mujoco.mjtCtrlInput, f"mjINPUT_{name}")) for name in ("POS", "VEL", "VOLTAGE")
+_POSITION, _VELOCITY, _FORCE, _VOLTAGE = (
+    int(getattr(mujoco.mjtCtrlInput, f"mjINPUT_{name}")) for name in ("POS", "VEL", "FF", "VOLTAGE")
 )
 ONE_SIDED = "not symmetric; the larger end counts for both directions"
-_MOST_SHOWN = 6
-_OPEN = "it is left out"
-
-
-@dataclass
-class JointActuators:
-    """What the actuators of a joint do there, in rad and N m, or m and N where it slides.
-
-    Attributes:
-        effort: largest torque; inf without a limit.
-        velocity: largest speed, of velocity servos and at the voltage of motors.
-        lower: lower end of the range of the joint and of its position servos.
-        upper: upper end.
-        stiffness: of position servos, per rad.
-        damping: of all servos, per rad/s.
-        rotor_inertia: kg m².
-        viscous: friction per rad/s.
-        coulomb: dry friction.
-        stribeck: dry friction beyond that near standstill.
-        stribeck_velocity: speed over which that decays, rad/s.
-        delay: dead time, s.
-        lag: time constant, s.
-        rated_speed: up to this speed the largest torque is available, rad/s.
-        no_load_speed: at this speed there is no torque; 0 for no such speed.
-        cogging: amplitude of the cogging torque.
-        cogging_periods: periods of that torque per turn of the joint.
-    """
-
-    effort: float = 0.0
-    velocity: float = math.inf
-    lower: float = -math.inf
-    upper: float = math.inf
-    stiffness: float = 0.0
-    damping: float = 0.0
-    rotor_inertia: float = 0.0
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    stribeck: float = 0.0
-    stribeck_velocity: float = 0.0
-    delay: float = 0.0
-    lag: float = 0.0
-    rated_speed: float = 0.0
-    no_load_speed: float = 0.0
-    cogging: float = 0.0
-    cogging_periods: float = 0.0
-
-    def limit_range(self, ends: Vector) -> None:
-        """Keep the part of the range that lies between both ends."""
-        self.lower, self.upper = max(self.lower, ends.min()), min(self.upper, ends.max())
-
-    def limit_speed(self, ends: Vector) -> None:
-        """Keep the speeds that both ends allow."""
-        self.velocity = min(self.velocity, float(abs(ends).max()))
-
-
-class Omissions:
-    """What of a file's drives is not carried over, by attribute and reason."""
-
-    def __init__(self) -> None:
-        self._names: dict[tuple[str, str], dict[str, int | None]] = {}
-
-    def add(self, attribute: str, name: str, reason: str = _OPEN, joint: int | None = None) -> None:
-        """Note an attribute of an actuator or joint.
-
-        Args:
-            attribute: the attribute.
-            name: of the actuator or joint.
-            reason: what becomes of it.
-            joint: number of the joint that it concerns; None for all.
-        """
-        self._names.setdefault((attribute, reason), {})[name] = joint
-
-    def sentences(self, joints: Collection[int]) -> Iterator[str]:
-        """Return a sentence for each attribute and reason, as far as it concerns some joints."""
-        for (attribute, reason), noted in self._names.items():
-            names = [name for name, joint in noted.items() if joint is None or joint in joints]
-            shown = ", ".join(names[:_MOST_SHOWN]) + ", …" * (len(names) > _MOST_SHOWN)
-            if names:
-                yield f"{attribute} of {shown}: {reason}"
 
 
 class Actuator:
@@ -155,9 +75,9 @@ class Actuator:
         elif self._gain == _GAIN.mjGAIN_FIXED or not self._gainprm[1:3].any():
             self._add_linear(drive)
         else:
-            self._add_other(drive)
+            self._omit_all()
 
-    def _omit(self, attribute: str, reason: str = _OPEN) -> None:
+    def _omit(self, attribute: str, reason: str = LEFT_OUT) -> None:
         self._omitted.add(attribute, self._name, reason, self.joint)
 
     def _add_passive(self, drive: JointActuators) -> None:
@@ -193,7 +113,7 @@ class Actuator:
         A motor has a gain alone. A servo comes to rest where the force is zero.
         """
         gear, bias = self._gear, self._biasprm
-        is_servo = self._bias == _BIAS.mjBIAS_AFFINE
+        is_servo = self._bias == _BIAS.mjBIAS_AFFINE and bool(bias[1:3].any())
         if self._dynamics not in (_DYNAMICS.mjDYN_NONE, *_FILTERS, _DYNAMICS.mjDYN_INTEGRATOR):
             self._omit(f"dyntype {self._dynamics.name.removeprefix('mjDYN_').lower()}")
         elif self._dynamics == _DYNAMICS.mjDYN_INTEGRATOR:
@@ -203,10 +123,10 @@ class Actuator:
         ends = self._ends()
         forces = None if ends is None else self._gainprm[0] * ends
         self._add_effort(drive, None if is_servo else forces)
+        if self._bias == _BIAS.mjBIAS_AFFINE and bias[0]:
+            self._omit("constant force (bias)")
         if not is_servo:
             return
-        if bias[0]:
-            self._omit("constant force (bias)")
         self._add_gains(drive, -bias[1], -bias[2])
         if gear and self._dynamics == _DYNAMICS.mjDYN_INTEGRATOR and self._controls[0] is not None:
             drive.limit_speed(self._controls[0] / gear)
@@ -224,7 +144,10 @@ class Actuator:
             return control
         if self._dynamics not in _FILTERS or control is None:
             return self._states
-        return control if self._states is None else np.clip(control, *self._states)
+        if self._states is None:
+            return control
+        clipped: Vector = np.clip(control, *self._states)
+        return clipped
 
     def _add_effort(self, drive: JointActuators, forces: Vector | None) -> None:
         """Add the largest force, of the limit and of the controls."""
@@ -251,10 +174,14 @@ class Actuator:
         for name, value in (("ki", self._gainprm[0]), ("slewmax", self._dynprm[1])):
             if value:
                 self._omit(name)
+        if bias[1] and not self._inputs & _POSITION:
+            self._omit("input", "without positions, it pulls to zero there; to the target here")
         ranges = iter(self._controls)
-        for kind in (_POSITION, _VELOCITY):
+        for kind in (_POSITION, _VELOCITY, _FORCE):
             ends = next(ranges, None) if self._inputs & kind else None
-            if ends is not None and kind == _POSITION and gear:
+            if ends is not None and kind == _FORCE:
+                self._omit("ffrange", "torques beside the targets have the drive's limit here")
+            elif ends is not None and kind == _POSITION and gear:
                 drive.limit_range(ends / gear)
             elif ends is not None and gear:
                 drive.limit_speed(ends / gear)
@@ -307,10 +234,9 @@ class Actuator:
             drive.stribeck_velocity = max(drive.stribeck_velocity, speed / gear if gear else 0.0)
             self._omit("lugre stiffness and damping", "its friction has no bristles here")
 
-    def _add_other(self, drive: JointActuators) -> None:
-        """Note an actuator whose force is no control times a gain."""
+    def _omit_all(self) -> None:
+        """Note an actuator whose force is no control times a gain; so it drives nothing here."""
         if self._gain == _GAIN.mjGAIN_AFFINE and self._bias == _BIAS.mjBIAS_NONE:
             self._omit("damping by its control (gainprm)")
         else:
             self._omit(f"gaintype {self._gain.name.removeprefix('mjGAIN_').lower()}")
-        self._add_effort(drive, None)

@@ -12,7 +12,8 @@ from typing import Any
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.mujoco_library import mujoco
 from bus_schema.urdf.checks import shortened
-from bus_schema.urdf.mjcf_actuators import ONE_SIDED, Actuator, JointActuators, Omissions
+from bus_schema.urdf.mjcf.actuators import ONE_SIDED, Actuator
+from bus_schema.urdf.mjcf.joint_actuators import JointActuators, Omissions
 
 _GROUPS = 31
 """Groups of actuators that a file can disable."""

@@ -30,8 +30,7 @@ from bus_schema.runtime.limited_process import (
 )
 from bus_schema.urdf.drive_values import MOTOR_VALUES
 from bus_schema.urdf.held_pose import roll_pitch_yaw
-from bus_schema.urdf.mjcf_actuators import JointActuators
-from bus_schema.urdf.mjcf_files import (
+from bus_schema.urdf.mjcf.files import (
     HINGE_AND_SLIDE,
     SHAPES,
     MjcfFiles,
@@ -40,7 +39,8 @@ from bus_schema.urdf.mjcf_files import (
     reason,
     reduce_spec,
 )
-from bus_schema.urdf.mjcf_joints import drives_of
+from bus_schema.urdf.mjcf.joint_actuators import JointActuators
+from bus_schema.urdf.mjcf.joints import drives_of
 
 _GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 _Frame = tuple[Vector, Vector]

@@ -1,0 +1,1 @@
+"""Arms in MJCF files: the files, their joints and actuators, and their bodies as a URDF."""
