@@ -21,6 +21,9 @@ from bus_schema.urdf.link_tree import LinkTree, tensor_of
 _IMPOSSIBLE, _SUSPICIOUS = 1.5, 0.75
 """Radius of gyration of a link, as a share of the extent of the whole arm. It is at most 0.5 in the
 files of 120 arms but for templates and rounding; 1.3 of a finger of 0.1 kg, for instance."""
+_NOTHING = 1e-6
+"""Moment of inertia that changes nothing, as a share of the arm's mass times its extent squared:
+frames without a body often have 1e-8 kg and 1e-8 kg m²."""
 _FEWEST = 3
 """So few joints do not show how large an arm is."""
 _SHOWN = 6
@@ -68,13 +71,19 @@ def _shares(tree: LinkTree, moving: set[str]) -> dict[str, float]:
     extent_m = float(np.sqrt(((high - low) ** 2).sum()))
     if not extent_m:
         return {}
-    return {name: _radius_m(tree.links[name]) / extent_m for name in moved}
+    least = _NOTHING * sum(mass_of(tree.links[name]) for name in moved) * extent_m**2
+    matter = [name for name in moved if _moment(tree.links[name]) > least]
+    return {name: _radius_m(tree.links[name]) / extent_m for name in matter}
 
 
 def _radius_m(link: ET.Element) -> float:
     """Return the largest radius of gyration of a link."""
-    largest = max(inertia_of(link)[place] for place in (0, 3, 5))
-    return math.sqrt(max(largest, 0.0) / mass_of(link))
+    return math.sqrt(_moment(link) / mass_of(link))
+
+
+def _moment(link: ET.Element) -> float:
+    """Return the largest moment of inertia of a link, at least zero."""
+    return max(0.0, *(inertia_of(link)[place] for place in (0, 3, 5)))
 
 
 def _write(link: ET.Element, tensor: Matrix) -> None:

@@ -53,14 +53,14 @@ class Actuator:
         self._inputs = int(model.actuator_ctrlspec[number])
         first, count = model.actuator_ctrladr[number], model.actuator_ctrlnum[number]
         self.has_input = count > 0
-        self._controls = [
+        self._controls: list[Vector | None] = [
             model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else None
             for i in range(first, first + count)
         ]
         limited = bool(model.actuator_forcelimited[number])
-        self._forces = model.actuator_forcerange[number] if limited else None
+        self._forces: Vector | None = model.actuator_forcerange[number] if limited else None
         is_held = bool(model.actuator_actlimited[number])
-        self._states = model.actuator_actrange[number] if is_held else None
+        self._states: Vector | None = model.actuator_actrange[number] if is_held else None
         self._is_early = bool(model.actuator_actearly[number])
         self._model, self._number = model, number
 
@@ -75,7 +75,7 @@ class Actuator:
         elif self._gain == _GAIN.mjGAIN_FIXED or not self._gainprm[1:3].any():
             self._add_linear(drive)
         else:
-            self._omit_all()
+            self._add_other(drive)
 
     def _omit(self, attribute: str, reason: str = LEFT_OUT) -> None:
         self._omitted.add(attribute, self._name, reason, self.joint)
@@ -234,9 +234,11 @@ class Actuator:
             drive.stribeck_velocity = max(drive.stribeck_velocity, speed / gear if gear else 0.0)
             self._omit("lugre stiffness and damping", "its friction has no bristles here")
 
-    def _omit_all(self) -> None:
-        """Note an actuator whose force is no control times a gain; so it drives nothing here."""
+    def _add_other(self, drive: JointActuators) -> None:
+        """Note an actuator whose force is no control times a gain; of it only a limit counts."""
         if self._gain == _GAIN.mjGAIN_AFFINE and self._bias == _BIAS.mjBIAS_NONE:
             self._omit("damping by its control (gainprm)")
         else:
             self._omit(f"gaintype {self._gain.name.removeprefix('mjGAIN_').lower()}")
+        if self._forces is not None:
+            self._add_effort(drive, None)

@@ -186,6 +186,8 @@ FROM_GEOMS = '<compiler inertiafromgeom="true"/>'
         ('<general ctrlrange="-2 2"/>', '<position joint="j"/>', np.inf),
         ("", '<position joint="j" forcerange="-5 5"/><damper joint="j" forcerange="0 2"'
          ' ctrlrange="0 1" kv="1"/>', 7.0),
+        ("", '<motor joint="j" ctrlrange="-5 5"/><damper joint="j" ctrlrange="0 1" kv="1"/>', 5.0),
+        ("", '<cylinder joint="j" area="2" ctrlrange="-5 5" timeconst="0.1"/>', 10.0),
         ('<joint actuatorfrcrange="-3 2"/>', '<motor joint="j" ctrlrange="-5 5"/>', 3.0),
     ],
 )  # fmt: skip

@@ -70,3 +70,12 @@ def test_suspicious_moments_are_named_and_mended_on_request(load, moment, is_nam
 
 def test_arm_of_few_joints_shows_no_size(load):
     assert not named(load(arm("1", count=2)))
+
+
+def test_frames_with_hardly_any_mass_are_not_named(load):
+    """As Sawyer's: 1e-8 kg and 1e-8 kg m², a radius of 1 m."""
+    frame = arm("1e-8", "1e-8", count=1).replace("l1", "frame").replace("j0", "at_frame")
+    link = ET.fromstring(frame).findall("link")[1]
+    fixed = '<joint name="at" type="fixed"><parent link="l4"/><child link="frame"/></joint>'
+    text = arm("0.001", "1").replace("</robot>", f"{ET.tostring(link).decode()}{fixed}</robot>")
+    assert named(load(text)) == []

@@ -21,7 +21,8 @@ from deploy.judge.gate import (
     read_history,
     since_when,
 )  # fmt: skip
-from deploy.judge.tested_with import require_same_test, tested_with
+from deploy.judge.tested_with import require_same_test
+from deploy.judge.tested_with import tested_with as conditions_of
 from deploy.reports.gate_files import write_history, write_junit, write_markdown
 from deploy.reports.kinds import gauged
 from deploy.scenario.referenced_files import ROBOTS
@@ -194,7 +195,7 @@ SUBJECT = ["controller.law=pid", "controller.delay_compensation.enabled=true",
 
 def values_of_test(*overrides):
     setup = load_setup("paper_arm", ["plant.physics.engine=mujoco", "duration_s=0.2", *overrides])
-    return json.loads(json.dumps(tested_with([setup], {"seeds": [setup.scenario.seed]})))
+    return json.loads(json.dumps(conditions_of([setup], {"seeds": [setup.scenario.seed]})))
 
 
 @pytest.mark.parametrize("change", SUBJECT)

@@ -231,6 +231,8 @@ LATE = '<sensor><jointpos joint="j" name="encoder" delay="0.01" nsample="40"/></
         ('<muscle joint="j" force="100" lengthrange="0.1 1"/>', "gaintype muscle of actuator 0"),
         ('<pid joint="j" kp="9" ki="3" slewmax="2"/>', "ki of actuator 0"),
         ('<pid joint="j" kp="9" ki="3" slewmax="2"/>', "slewmax of actuator 0"),
+        ('<pid joint="j" kp="9" input="pos ff" ffrange="-1 1"/>', "ffrange of actuator 0: torques"),
+        ('<pid joint="j" kp="9" kv="1" input="vel"/>', "input of actuator 0: without positions"),
         ('<dcmotor joint="j" nominal="24 6 4" thermal="1 2 0 0.004 25 25"/>',
          "thermal of actuator"),
         ('<dcmotor joint="j" nominal="24 6 4"/>', "voltage input of actuator 0"),
