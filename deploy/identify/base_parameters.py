@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from controller.manipulator_model import ManipulatorModel
-from deploy.identify.fit import Fit, bodies_of
+from deploy.identify.fit import Fit
+from deploy.identify.problem import bodies_of
 from deploy.identify.regression import ROTOR
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")

@@ -5,12 +5,12 @@ unknown shares. Their likelihood counts what the parameters have absorbed of the
 likelihood: Patterson and Thompson, "Recovery of inter-block information when block sizes are
 unequal", 1971), as a slow noise looks like an offset. Variances are means over all τ and shares,
 weighted by their likelihoods: a short log that cannot tell a small noise from a large slow one has
-wide intervals.
+wide intervals. Noise of two joints, or of two motions, is independent.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,16 @@ from bus_schema.runtime.compiled import compiled
 _TIMES, _SHORTEST_S = 7, 0.1
 _SHARES = np.array([0.0, *np.geomspace(0.02, 50.0, 8)])
 """Variance of the correlated noise over that of the white noise."""
+_UNSURE = 2.0
+"""Factor on the variance of correlated noise, which a log shows a few times its correlation."""
+_MOST_ROWS = 1000
+"""From which the noise of a joint is estimated."""
+_BANDWIDTH = 1.06
+"""Noise-equivalent bandwidth of the filter of the samples over its cutoff."""
 
 
 @dataclass(frozen=True)
-class Noise:
+class _Noise:
     """Noise of a joint, in units of its weighted residuals.
 
     Attributes:
@@ -55,7 +61,40 @@ class Noise:
         return total
 
 
-def noise_of(left: Vector, design: Matrix, times_s: Vector, runs: NDArray[np.int64]) -> Noise:
+def widening_of(times_s: Vector, cutoff_hz: float) -> float:
+    """Return how much more sums of filtered white noise deviate than if all samples were apart."""
+    rate_hz = 1.0 / float(np.median(np.diff(times_s)))
+    return float(np.sqrt(max(1.0, rate_hz / (2.0 * _BANDWIDTH * cutoff_hz))))
+
+
+def covariance_of_sums(
+    design: NDArray[np.float64], left: Matrix, times_s: Vector, runs: NDArray[np.int64],
+    cutoff_hz: float,
+) -> Matrix:  # fmt: skip
+    """Return the covariance of Σ design · noise over rows and joints, shape (columns, columns).
+
+    Args:
+        design: derivatives of residuals, shape (rows, joints, columns).
+        left: residuals in units of about their own deviation, shape (rows, joints).
+        times_s: of the rows, each motion for itself.
+        runs: number of the motion of each row.
+        cutoff_hz: of the filter of the rows.
+    """
+    found = np.zeros((design.shape[2],) * 2)
+    widening = widening_of(times_s, cutoff_hz)
+    apart = slice(None, None, max(round(widening**2), -(-len(left) // _MOST_ROWS)))
+    for joint in range(left.shape[1]):
+        used = np.flatnonzero(design[:, joint].any(axis=0))
+        own = design[:, joint, used]
+        noise = _noise_of(left[apart, joint], own[apart], times_s[apart], runs[apart])
+        wider = replace(
+            noise, white=noise.white * widening**2, correlated=noise.correlated * _UNSURE
+        )
+        found[np.ix_(used, used)] += wider.of_sums(own, times_s, runs)
+    return found
+
+
+def _noise_of(left: Vector, design: Matrix, times_s: Vector, runs: NDArray[np.int64]) -> _Noise:
     """Return the noise of a joint.
 
     Args:
@@ -76,7 +115,7 @@ def noise_of(left: Vector, design: Matrix, times_s: Vector, runs: NDArray[np.int
     weights = np.exp(logs - logs.max())
     weights[1:, _SHARES == 0.0] = 0.0  # the same for each correlation
     weights *= white / weights.sum()
-    return Noise(float(weights.sum()), correlations_s, weights @ _SHARES)
+    return _Noise(float(weights.sum()), correlations_s, weights @ _SHARES)
 
 
 def _likelihood(rows: Matrix, decays: Vector, share: float) -> tuple[float, float]:
