@@ -201,19 +201,12 @@ def _fitted(
     problem = Problem(columns, centre, spread, lowest, size)
     cutoff_hz = trials[0].samples.cutoff_hz
     widening = widening_of(columns.times_s, cutoff_hz)
-    x = problem.start if start is None else _restart(start, has_term)
-    noise, weights = 0.05 * columns.torque.std(axis=0), np.ones_like(columns.torque)
-    least = _LEAST_NOISE * columns.torque.std(axis=0)
-    for _ in range(_ROUNDS):
-        x = problem.solve(x, weights / (widening * noise))
-        left = problem.residuals(x)
-        noise = np.maximum(1.4826 * np.median(np.abs(left), axis=0), least)
-        size_of = np.maximum(np.abs(left) / (_HUBER * noise), 1.0)
-        weights = 1.0 / np.sqrt(size_of)
-    noise = np.maximum(np.sqrt((weights * left**2).mean(axis=0)), least)
+    x, weights = _robust(
+        problem, problem.start if start is None else _restart(start, has_term), widening
+    )
     covariance = np.zeros((x.size, x.size))
     if not is_draft:
-        covariance = problem.covariance(x, weights / (widening * noise), cutoff_hz)
+        covariance = problem.covariance(x, weights, cutoff_hz)
     terms = np.zeros(prior.terms.shape)
     terms[has_term] = np.maximum(x[size:-1], np.where(free[has_term], -np.inf, 0.0))
     delay = float(x[-1]), float(np.sqrt(covariance[-1, -1]))
@@ -221,6 +214,20 @@ def _fitted(
         x[:size].reshape(prior.bodies.shape), terms, has_term, delay, smoothing, covariance,
         constants, prior, load_by,
     )  # fmt: skip
+
+
+def _robust(problem: Problem, x: Vector, widening: float) -> tuple[Vector, Matrix]:
+    """Return the best parameters, and the weight of each sample and joint; outliers have less."""
+    deviation = problem.torque.std(axis=0)
+    noise, least = 0.05 * deviation, _LEAST_NOISE * deviation
+    weights, left = np.ones_like(problem.torque), problem.torque
+    for _ in range(_ROUNDS):
+        x = problem.solve(x, weights / (widening * noise))
+        left = problem.residuals(x)
+        noise = np.maximum(1.4826 * np.median(np.abs(left), axis=0), least)
+        weights = 1.0 / np.sqrt(np.maximum(np.abs(left) / (_HUBER * noise), 1.0))
+    noise = np.maximum(np.sqrt((weights * left**2).mean(axis=0)), least)
+    return x, weights / (widening * noise)
 
 
 def _restart(start: Fit, has_term: NDArray[np.bool_]) -> Vector:

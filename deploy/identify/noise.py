@@ -19,10 +19,12 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 
 _TIMES, _SHORTEST_S = 7, 0.1
-_SHARES = np.array([0.0, *np.geomspace(0.02, 50.0, 8)])
+_SHARES = np.array([0.0, *np.geomspace(0.02, 2000.0, 11)])
 """Variance of the correlated noise over that of the white noise."""
 _UNSURE = 2.0
 """Factor on the variance of correlated noise, which a log shows a few times its correlation."""
+_ROUNDS = 10
+"""In which a variance and what the parameters absorb of it agree."""
 _MOST_ROWS = 1000
 """From which the noise of a joint is estimated."""
 _BANDWIDTH = 1.06
@@ -113,7 +115,7 @@ def _noise_of(left: Vector, design: Matrix, times_s: Vector, runs: NDArray[np.in
         for at, share in enumerate(_SHARES):
             logs[place, at], white[place, at] = _likelihood(rows, decays, float(share))
     weights = np.exp(logs - logs.max())
-    weights[1:, _SHARES == 0.0] = 0.0  # the same for each correlation
+    weights[:, _SHARES == 0.0] *= np.count_nonzero(_SHARES)  # as likely as all others before
     weights *= white / weights.sum()
     return _Noise(float(weights.sum()), correlations_s, weights @ _SHARES)
 
@@ -122,15 +124,17 @@ def _likelihood(rows: Matrix, decays: Vector, share: float) -> tuple[float, floa
     """Return the logarithm of the restricted likelihood, and the variance of the white noise."""
     whitened = rows.copy()
     determinant = _whiten(whitened, decays, share)
-    square = whitened.T @ whitened
-    normal, right, total = square[:-1, :-1], square[:-1, -1], square[-1, -1]
-    with_prior = normal + np.eye(len(right))
-    absorbed = float(np.trace(np.linalg.solve(with_prior, normal)))
-    rest = float(total - right @ np.linalg.solve(with_prior, right))
-    free = len(rows) - absorbed
-    variance = rest / free
-    log = -0.5 * (determinant + np.linalg.slogdet(with_prior)[1] + free * np.log(variance))
-    return float(log), variance
+    square, count = whitened.T @ whitened, len(rows)
+    shown, turned = np.linalg.eigh(square[:-1, :-1])
+    shown, total = np.maximum(shown, 0.0), square[-1, -1]
+    right = (turned.T @ square[:-1, -1]) ** 2
+    variance = rest = total / count
+    for _ in range(_ROUNDS):
+        rest = total - float((right / (shown + variance)).sum())
+        variance = rest / (count - float((shown / (shown + variance)).sum()))
+    absorbed = float(np.log1p(shown / variance).sum())
+    log = -0.5 * (determinant + count * np.log(variance) + absorbed + rest / variance)
+    return float(log), float(variance)
 
 
 def _decays(times_s: Vector, runs: NDArray[np.int64], correlation_s: float) -> Vector:

@@ -45,6 +45,10 @@ class Problem:
     def start(self) -> Vector:
         return self._centre
 
+    @property
+    def torque(self) -> Matrix:
+        return self._columns.torque
+
     def _linear(self, x: Vector) -> tuple[Vector, Matrix]:
         """Return linear parameters, and their derivatives by scaled coordinates."""
         values, slopes = bodies_of(x[: self._bodies])
