@@ -21,7 +21,7 @@ from bus_schema.runtime.compiled import compiled
 _TIMES, _SHORTEST_S = 7, 0.1
 _SHARES = np.array([0.0, *np.geomspace(0.02, 2000.0, 11)])
 """Variance of the correlated noise over that of the white noise."""
-_UNSURE = 2.0
+_UNSURE = 1.4
 """Factor on the variance of correlated noise, which a log shows a few times its correlation."""
 _ROUNDS = 10
 """In which a variance and what the parameters absorb of it agree."""

@@ -7,7 +7,7 @@ from deploy.identify.noise import _Noise, covariance_of_sums
 from tests.deploy.identify.virtual_logs import RATE_HZ, coloured
 
 CUTOFF_HZ = RATE_HZ / 2.12  # the noise-equivalent bandwidth: all rows are apart
-DURATION_S, DRAWS = 16.0, 100
+DURATION_S, DRAWS = 16.0, 60
 
 
 def test_sums_of_correlated_noise_have_the_covariance_of_their_autocorrelation():
@@ -18,9 +18,7 @@ def test_sums_of_correlated_noise_have_the_covariance_of_their_autocorrelation()
     times_s[runs == 1] -= times_s[30]
     apart = np.abs(times_s[:, None] - times_s)
     together = runs[:, None] == runs
-    exact = 2.0 * np.eye(60) + together * (
-        0.5 * np.exp(-apart / 0.1) + 3.0 * np.exp(-apart / 4.0)
-    )
+    exact = 2.0 * np.eye(60) + together * (0.5 * np.exp(-apart / 0.1) + 3.0 * np.exp(-apart / 4.0))
     noise = _Noise(2.0, np.array([0.1, 4.0]), np.array([0.5, 3.0]))
     found = noise.of_sums(design, times_s, runs)
     np.testing.assert_allclose(found, design.T @ exact @ design, rtol=1e-9)
@@ -42,6 +40,9 @@ def test_intervals_of_a_line_hold_it_in_most_draws(correlation_s):
         sd = np.sqrt(np.diag(inverse @ sums @ inverse))
         off.append(np.abs(wrong[:, 0]) / sd)
         widths.append(sd)
-    assert np.mean(np.array(off) < 1.96) > 0.9
+    inside = np.array(off) < 1.96
+    assert inside[:, 1].mean() > 0.85
+    if correlation_s < DURATION_S / 2.0:  # else a log cannot tell the noise from an offset
+        assert inside[:, 0].mean() > 0.9
     if correlation_s == 0.0:  # then the covariance is the inverse
-        assert np.median(widths, axis=0) == pytest.approx(np.sqrt(np.diag(inverse)), rel=0.4)
+        assert np.median(widths, axis=0)[1] == pytest.approx(np.sqrt(inverse[1, 1]), rel=0.2)
