@@ -124,17 +124,8 @@ def _likelihood(rows: Matrix, decays: Vector, share: float) -> tuple[float, floa
     """Return the logarithm of the restricted likelihood, and the variance of the white noise."""
     whitened = rows.copy()
     determinant = _whiten(whitened, decays, share)
-    square, count = whitened.T @ whitened, len(rows)
-    shown, turned = np.linalg.eigh(square[:-1, :-1])
-    shown, total = np.maximum(shown, 0.0), square[-1, -1]
-    right = (turned.T @ square[:-1, -1]) ** 2
-    variance = rest = total / count
-    for _ in range(_ROUNDS):
-        rest = total - float((right / (shown + variance)).sum())
-        variance = rest / (count - float((shown / (shown + variance)).sum()))
-    absorbed = float(np.log1p(shown / variance).sum())
-    log = -0.5 * (determinant + count * np.log(variance) + absorbed + rest / variance)
-    return float(log), float(variance)
+    variance, logarithm = _of_white(whitened.T @ whitened, len(rows))
+    return -0.5 * (determinant + logarithm), variance
 
 
 def _decays(times_s: Vector, runs: NDArray[np.int64], correlation_s: float) -> Vector:
@@ -166,6 +157,42 @@ def _whiten(rows: Matrix, decays: Vector, share: float) -> float:
         logarithm += np.log(total)
         variance = gain
     return logarithm
+
+
+@compiled
+def _of_white(square: Matrix, count: int) -> tuple[float, float]:
+    """Return the likeliest variance of white noise, and its part of −2 log likelihood.
+
+    Compiled, as threads of BLAS that wait for each other take longer than these small matrices.
+
+    Args:
+        square: products of all columns, of which the last has the residuals.
+        count: of rows.
+    """
+    size = square.shape[0] - 1
+    lower, inverse = np.zeros_like(square), np.zeros(size)
+    variance, logarithm = square[size, size] / count, 0.0
+    for _ in range(_ROUNDS):
+        for row in range(size + 1):  # Cholesky; the last row becomes L⁻¹ of the products
+            for column in range(min(row + 1, size)):
+                value = square[row, column] - (lower[row, :column] * lower[column, :column]).sum()
+                if row == column:
+                    lower[row, row] = np.sqrt(value + variance)
+                else:
+                    lower[row, column] = value / lower[column, column]
+        trace, determinant = 0.0, 0.0
+        for column in range(size):
+            determinant += 2.0 * np.log(lower[column, column])
+            for row in range(column, size):
+                value = 1.0 if row == column else 0.0
+                value -= (lower[row, column:row] * inverse[column:row]).sum()
+                inverse[row] = value / lower[row, row]
+                trace += inverse[row] ** 2
+        rest = square[size, size] - (lower[size, :size] ** 2).sum()
+        absorbed = determinant - size * np.log(variance)
+        logarithm = count * np.log(variance) + absorbed + rest / variance
+        variance = rest / (count - size + variance * trace)
+    return variance, logarithm
 
 
 @compiled
