@@ -1,4 +1,4 @@
-"""Base parameters: the combinations of the bodies' parameters that torques depend on."""
+"""Base parameters, the combinations that torques depend on, and what is known of link masses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from controller.manipulator_model import ManipulatorModel
-from deploy.identify.fit import Fit, bodies_of
+from deploy.identify.fit import Fit
+from deploy.identify.problem import bodies_of
 from deploy.identify.regression import ROTOR
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -81,6 +82,22 @@ def base_values(fit: Fit, group: Grouping) -> list[Interval]:
     rows = zip(group.matrix @ value, sd, group.matrix @ before, prior, alone, strict=True)
     return [Interval(float(v), float(Z_95 * s), float(b), bool(s < SEEN * p and apart))
             for v, s, b, p, apart in rows]  # fmt: skip
+
+
+def link_masses(fit: Fit) -> list[Interval]:
+    """Return the mass of each body, kg.
+
+    Torques show masses only as parts of base parameters: most keep the interval of the prior.
+    """
+    value, slopes = bodies_of(fit.bodies.ravel())
+    before, slopes_before = bodies_of(fit.prior.bodies.ravel())
+    size, masses = fit.bodies.size, slice(None, None, len(NAMES))
+    sd = _deviations(slopes[masses], fit.covariance[:size, :size])
+    prior = _deviations(slopes_before[masses], np.diag(fit.prior.bodies_sd.ravel() ** 2))
+    rows = zip(value[masses], sd, before[masses], prior, strict=True)
+    return [
+        Interval(float(v), float(Z_95 * s), float(b), bool(s < SEEN * p)) for v, s, b, p in rows
+    ]
 
 
 def _deviations(matrix: Matrix, covariance: Matrix) -> Vector:

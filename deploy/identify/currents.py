@@ -10,12 +10,14 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError
 from controller.manipulator_model import ManipulatorModel
 from deploy.identify.fit import Fit
+from deploy.identify.noise import covariance_of_sums
 from deploy.identify.regression import LOAD, STRIBECK, Trial
-from deploy.measure.latency import long_run
 
 _UNSURE = 0.2
 """Half of an interval over its value, beyond which a constant is taken from the other joints."""
 _Z_95 = 1.96
+_LEAST_NOISE = 1e-6
+"""Of the deviation of a current."""
 _MASS, _FIRST_MOMENTS = 0, slice(1, 4)
 
 
@@ -81,9 +83,14 @@ def _per_torque(trials: list[Trial], parameters: Vector, joint: int) -> tuple[fl
     design, current = np.concatenate(rows), np.concatenate(currents)
     solved = np.linalg.lstsq(design, current, rcond=None)[0]
     left = current - design @ solved
+    noise = max(float(left.std()), _LEAST_NOISE * float(current.std()))
+    design, times_s = design / noise, np.concatenate([trial.times_s for trial in trials])
+    runs = np.repeat(np.arange(len(trials)), [len(trial.times_s) for trial in trials])
+    sums = covariance_of_sums(
+        design[:, None], left[:, None] / noise, times_s, runs, trials[0].samples.cutoff_hz
+    )
     inverse = np.linalg.pinv(design.T @ design)
-    covariance = inverse @ long_run(design * left[:, None]) @ inverse
-    return float(solved[0]), float(np.sqrt(covariance[0, 0]))
+    return float(solved[0]), float(np.sqrt((inverse @ sums @ inverse)[0, 0]))
 
 
 def payload_of(fit: Fit, trial: Trial, known_kg: float | None) -> Payload:
@@ -102,8 +109,11 @@ def payload_of(fit: Fit, trial: Trial, known_kg: float | None) -> Payload:
     inverse = np.linalg.inv(flat.T @ flat + ridge)
     solved = inverse @ (flat.T @ (left / noise).ravel())
     error = (left - design @ solved) / noise
-    scores = np.einsum("njp,nj->np", design / noise[:, None], error)
-    sd = float(np.sqrt((inverse @ long_run(scores) @ inverse)[_MASS, _MASS]))
+    sums = covariance_of_sums(
+        design / noise[:, None], error, trial.times_s, np.zeros(len(error), np.int64),
+        trial.samples.cutoff_hz,
+    )  # fmt: skip
+    sd = float(np.sqrt((inverse @ sums @ inverse)[_MASS, _MASS]))
     mass = float(solved[_MASS])
     constants = None
     if known_kg is not None:

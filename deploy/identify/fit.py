@@ -2,24 +2,20 @@
 
 Bodies are in the coordinates of `controller.manipulator_model.log_cholesky`, where every value is a
 possible body, with a prior at the values of the robot's file. What the motion does not show stays
-there. Outliers get less weight (Huber). The covariance allows for residuals that resemble their
-neighbours: H⁻¹ (M + P) H⁻¹, with M that of the sums of scores (Newey and West, 1987) and P the
-prior's information.
+there. Outliers get less weight (Huber).
 """
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.errors import InputError
-from controller.manipulator_model import ManipulatorModel, body_from_log_cholesky, log_cholesky
-from deploy.identify.noise import noise_of
+from controller.manipulator_model import ManipulatorModel, log_cholesky
+from deploy.identify.noise import widening_of
+from deploy.identify.problem import Problem, bodies_of
 from deploy.identify.regression import (
     COULOMB,
     LOAD,
@@ -29,11 +25,9 @@ from deploy.identify.regression import (
     STRIBECK,
     TERMS,
     VISCOUS,
-    Columns,
     Trial,
     columns_of,
 )
-from deploy.measure.latency import long_run
 from deploy.scenario.starter import Drives
 
 _BODY_SHARE, _LEAST_EXTENT_M = 0.3, 0.02
@@ -43,14 +37,6 @@ _LEAST_NOISE = 0.005
 """Of the torque's own deviation: no model is better."""
 _SURELY = 5.0
 """Standard errors from which a further friction term is believed."""
-_FINITE = 1.25
-"""Factor on standard deviations: as many parameters as here also fit some of the noise."""
-_OF_BODIES = 1.1
-"""Further factor for bodies, whose columns have the noise of the positions."""
-_MOST_ROWS = 1000
-"""Of a joint, from which its noise is estimated."""
-_NEB = 1.06
-"""Noise-equivalent bandwidth of the filter over its cutoff."""
 _PLAIN = (COULOMB, VISCOUS, OFFSET)
 
 
@@ -144,16 +130,6 @@ class Fit:
         return np.asarray(torque + self.delay_s[0] * rate)
 
 
-def bodies_of(coordinates: Vector) -> tuple[Vector, Matrix]:
-    """Return the parameters of bodies, and their derivatives, a block for each body."""
-    slopes = np.zeros((coordinates.size, coordinates.size))
-    values = np.empty(coordinates.size)
-    for start in range(0, coordinates.size, 10):
-        rows = slice(start, start + 10)
-        values[rows], slopes[rows, rows] = body_from_log_cholesky(coordinates[rows])
-    return values, slopes
-
-
 def fit(trials: list[Trial], prior: Prior, constants: Vector, rotors: NDArray[np.bool_]) -> Fit:
     """Identify an arm.
 
@@ -222,23 +198,15 @@ def _fitted(
     free = has_term & (np.arange(len(TERMS)) == OFFSET)
     lowest = np.concatenate([np.full(size, -np.inf), np.where(free[has_term], -np.inf, 0.0),
                              [-np.inf]])  # fmt: skip
-    problem = _Problem(columns, centre, spread, lowest, size)
-    first = trials[0].samples
-    rate_hz = 1.0 / float(np.median(np.diff(trials[0].times_s)))
-    widening = np.sqrt(max(1.0, rate_hz / (2.0 * _NEB * first.cutoff_hz)))
-    x = problem.start if start is None else _restart(start, has_term)
-    noise, weights = 0.05 * columns.torque.std(axis=0), np.ones_like(columns.torque)
-    least = _LEAST_NOISE * columns.torque.std(axis=0)
-    for _ in range(_ROUNDS):
-        x = problem.solve(x, weights / (widening * noise))
-        left = problem.residuals(x)
-        noise = np.maximum(1.4826 * np.median(np.abs(left), axis=0), least)
-        size_of = np.maximum(np.abs(left) / (_HUBER * noise), 1.0)
-        weights = 1.0 / np.sqrt(size_of)
-    noise = np.maximum(np.sqrt((weights * left**2).mean(axis=0)), least)
+    problem = Problem(columns, centre, spread, lowest, size)
+    cutoff_hz = trials[0].samples.cutoff_hz
+    widening = widening_of(columns.times_s, cutoff_hz)
+    x, weights = _robust(
+        problem, problem.start if start is None else _restart(start, has_term), widening
+    )
     covariance = np.zeros((x.size, x.size))
     if not is_draft:
-        covariance = problem.covariance(x, weights / (widening * noise), float(widening))
+        covariance = problem.covariance(x, weights, cutoff_hz)
     terms = np.zeros(prior.terms.shape)
     terms[has_term] = np.maximum(x[size:-1], np.where(free[has_term], -np.inf, 0.0))
     delay = float(x[-1]), float(np.sqrt(covariance[-1, -1]))
@@ -248,116 +216,19 @@ def _fitted(
     )  # fmt: skip
 
 
+def _robust(problem: Problem, x: Vector, widening: float) -> tuple[Vector, Matrix]:
+    """Return the best parameters, and the weight of each sample and joint; outliers have less."""
+    deviation = problem.torque.std(axis=0)
+    noise, least = 0.05 * deviation, _LEAST_NOISE * deviation
+    weights, left = np.ones_like(problem.torque), problem.torque
+    for _ in range(_ROUNDS):
+        x = problem.solve(x, weights / (widening * noise))
+        left = problem.residuals(x)
+        noise = np.maximum(1.4826 * np.median(np.abs(left), axis=0), least)
+        weights = 1.0 / np.sqrt(np.maximum(np.abs(left) / (_HUBER * noise), 1.0))
+    noise = np.maximum(np.sqrt((weights * left**2).mean(axis=0)), least)
+    return x, weights / (widening * noise)
+
+
 def _restart(start: Fit, has_term: NDArray[np.bool_]) -> Vector:
     return np.concatenate([start.bodies.ravel(), start.terms[has_term], start.delay_s[:1]])
-
-
-class _Problem:
-    """Least squares with a prior, in coordinates that are 0 at the prior with deviation 1."""
-
-    def __init__(
-        self, columns: Columns, centre: Vector, spread: Vector, lowest: Vector, bodies: int
-    ) -> None:
-        self._columns, self._bodies = columns, bodies
-        self._centre, self._spread = centre, spread
-        self._lowest = (lowest - centre) / spread
-
-    @property
-    def start(self) -> Vector:
-        return self._centre
-
-    def _linear(self, x: Vector) -> tuple[Vector, Matrix]:
-        """Return linear parameters, and their derivatives by scaled coordinates."""
-        values, slopes = bodies_of(x[: self._bodies])
-        jacobian = np.diag(self._spread)
-        jacobian[: self._bodies, : self._bodies] = slopes * self._spread[: self._bodies]
-        return np.concatenate([values, x[self._bodies :]]), jacobian
-
-    def residuals(self, x: Vector) -> Matrix:
-        """Return measured minus predicted torque, shape (samples, joints)."""
-        return np.asarray(self._columns.torque - self._columns.design @ self._linear(x)[0])
-
-    def solve(self, x: Vector, weights: Matrix) -> Vector:
-        """Return the best parameters, for a weight of each sample and joint."""
-        least_squares, qr = _scipy()
-        design = (self._columns.design * weights[:, :, None]).reshape(-1, x.size)
-        wanted = (self._columns.torque * weights).reshape(-1, 1)
-        (r,) = qr(np.hstack([design, wanted]), mode="r", overwrite_a=True, check_finite=False)
-        r = r[: x.size + 1]
-        triangle, right = r[:, :-1], r[:, -1]
-
-        def residuals(z: Vector) -> Vector:
-            linear, _ = self._linear(self._centre + self._spread * z)
-            return np.concatenate([triangle @ linear - right, z])
-
-        def jacobian(z: Vector) -> Matrix:
-            _, slopes = self._linear(self._centre + self._spread * z)
-            return np.vstack([triangle @ slopes, np.eye(z.size)])
-
-        z = np.maximum((x - self._centre) / self._spread, self._lowest + 1e-9)
-        solved = least_squares(
-            residuals, z, jacobian, bounds=(self._lowest - 1e-9, np.inf), xtol=1e-7, ftol=1e-9,
-            max_nfev=60,
-        )  # fmt: skip
-        found: Vector = self._centre + self._spread * solved.x
-        return found
-
-    def covariance(self, x: Vector, weights: Matrix, widening: float) -> Matrix:
-        """Return the covariance of the parameters; scores of each trial are summed apart.
-
-        Args:
-            x: the parameters.
-            weights: of each sample and joint.
-            widening: by how much sums of white noise deviate more than if all samples were apart.
-        """
-        _, slopes = self._linear(x)
-        left = self.residuals(x) * weights
-        design = (self._columns.design * weights[:, :, None]) @ slopes
-        flat = design.reshape(-1, x.size)
-        middle, runs = np.zeros((x.size, x.size)), self._columns.runs
-        for run in range(int(runs.max()) + 1):
-            rows = runs == run
-            middle += long_run(np.einsum("njp,nj->np", design[rows], left[rows]))
-        inverse = np.linalg.inv(flat.T @ flat + np.eye(x.size))
-        robust = inverse @ (middle + np.eye(x.size)) @ inverse
-        slow = np.eye(x.size)
-        for joint in range(left.shape[1]):
-            slow += self._of_slow_noise(design[:, joint], left[:, joint], widening)
-        slow = inverse @ slow @ inverse
-        # Sums of few scores are too small; white and slow noise are known better: the largest
-        # counts.
-        least, found = np.diag(inverse), np.maximum(np.diag(robust), np.diag(slow))
-        wider = np.sqrt(np.maximum(_FINITE**2 * found, least) / np.diag(robust))
-        wider[: self._bodies] *= _OF_BODIES
-        scale = wider * self._spread
-        return np.asarray(robust * np.outer(scale, scale))
-
-    def _of_slow_noise(self, design: Matrix, left: Vector, widening: float) -> Matrix:
-        """Return the covariance of the sum of scores of a joint, whose noise may be slow."""
-        used = np.flatnonzero(design.any(axis=0))
-        step = max(round(widening**2), -(-len(left) // _MOST_ROWS))
-        apart = slice(None, None, step)
-        times_s, runs = self._columns.times_s, self._columns.runs
-        noise = noise_of(left[apart], design[apart, used], times_s[apart], runs[apart])
-        noise = replace(noise, white=noise.white * widening**2)
-        found = np.zeros((design.shape[1],) * 2)
-        found[np.ix_(used, used)] = noise.of_sums(design[:, used], times_s, runs)
-        return found
-
-
-def _scipy() -> Any:
-    """Return scipy's `least_squares` and `qr`.
-
-    With one thread: the matrices are small, and threads that wait for each other take many times as
-    long on a busy machine. SciPy's own BLAS reads this when it is loaded.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        from scipy.linalg import qr  # an extra, needed by this command alone
-        from scipy.optimize import least_squares
-    except ImportError as error:
-        raise InputError(f"identify needs scipy ({error}): pip install scipy") from error
-    return least_squares, qr

@@ -19,15 +19,9 @@ from controller.manipulator_model import ManipulatorModel
 from deploy.identify.base_parameters import SEEN, Z_95, Grouping, Interval, grouping
 from deploy.identify.currents import Constants, Payload, constants_by_weight, payload_of
 from deploy.identify.fit import Fit, fit, prior_of
+from deploy.identify.not_seen import not_seen
 from deploy.identify.quality import predicted_before, relative_errors, residual_notes
-from deploy.identify.regression import (
-    COULOMB,
-    ROTOR,
-    TERMS,
-    Trial,
-    split,
-    trial_of,
-)
+from deploy.identify.regression import ROTOR, Trial, split, trial_of
 from deploy.identify.robot_log import RobotLog, read_robot_log
 from deploy.identify.signals import checked, cutoff_hz, moves, samples_of
 from deploy.measure.latency import find_latency
@@ -178,7 +172,7 @@ def identify(
         ([each.name for each in files], [each.name for each in tests]), constants, payload,
         _dead_time(logs), [], list(dict.fromkeys(notes)),
     )  # fmt: skip
-    result.not_seen.extend(_not_seen(result))
+    result.not_seen.extend(not_seen(result))
     return result
 
 
@@ -292,30 +286,3 @@ def _dead_time(logs: list[RobotLog]) -> tuple[float, float] | None:
         return None
     middle = np.median([value for value, _ in found])
     return float(middle), float(np.median([half for _, half in found]))
-
-
-def _not_seen(found: Identified) -> list[str]:
-    """Return a sentence for each parameter of a joint that the logs do not show."""
-    sentences = []
-    moving = np.any([moves(each.samples.velocity) for each in found.training], axis=0)
-    for joint, name in enumerate(found.robot.joint_names):
-        if not moving[joint]:
-            sentences.append(f"all of {name}: move it faster than 0.05 rad/s in both directions")
-            continue
-        fastest = max(float(np.abs(t.samples.velocity[:, joint]).max()) for t in found.training)
-        advice = {
-            COULOMB: "move it slowly in both directions",
-            ROTOR: "accelerate it more",
-        }
-        for term in (COULOMB, 1, ROTOR):
-            if found.fit.has_term[joint, term] and not found.term(joint, term).seen:
-                hint = advice.get(term, f"move it faster than {2.0 * fastest:.2g} rad/s")
-                if term == ROTOR and found.group.of_rotor[joint].any():
-                    hint = "no motion tells it from the inertia of the link, which is believed"
-                sentences.append(f"{TERMS[term]} of {name}: {hint}")
-        if found.constants is not None and math.isnan(found.constants.half[joint]):
-            sentences.append(f"current constant of {name}: taken from the nearest joint")
-        if not found.fit.has_term[joint, ROTOR]:
-            sentences.append(f"rotor of {name}: its torques do not show it, it is an estimate")
-    sentences.append("elasticity of the gears: needs motion near their resonance")
-    return sentences

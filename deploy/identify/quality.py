@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from deploy.identify.fit import Fit, bodies_of
+from deploy.identify.fit import Fit
+from deploy.identify.noise import covariance_of_sums
+from deploy.identify.problem import bodies_of
 from deploy.identify.regression import COULOMB, Trial, columns_of
-from deploy.measure.latency import long_run
 
 _BINS, _MUCH, _SURELY = 12, 0.25, 4.0
 _LEAST_DRIFT = 0.05
@@ -69,9 +70,13 @@ def _drift(fit: Fit, trial: Trial, left: Matrix, joint: int) -> float | None:
     at = (trial.times_s - trial.times_s.mean()) / np.ptp(trial.times_s)
     design = np.column_stack([sign * at, sign, np.ones_like(sign)])
     solved = np.linalg.lstsq(design, left[:, joint], rcond=None)[0]
-    inverse = np.linalg.pinv(design.T @ design)
     error = left[:, joint] - design @ solved
-    sd = np.sqrt((inverse @ long_run(design * error[:, None]) @ inverse)[0, 0])
+    inverse, noise = np.linalg.pinv(design.T @ design), max(float(error.std()), 1e-12)
+    sums = covariance_of_sums(
+        design[:, None] / noise, error[:, None] / noise, trial.times_s,
+        np.zeros(len(error), np.int64), trial.samples.cutoff_hz,
+    )  # fmt: skip
+    sd = noise**2 * np.sqrt((inverse @ sums @ inverse)[0, 0])
     coulomb = fit.terms[joint, COULOMB]
     share = float(solved[0] / max(coulomb, 1e-12))
     is_sure = abs(solved[0]) > _SURELY * sd and coulomb > 0.0 and abs(share) > _LEAST_DRIFT

@@ -14,9 +14,9 @@ from bus_schema.configuration import shortened
 from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.robot_description import load_robot
 from bus_schema.urdf.checks import joint_ends
-from deploy.identify.base_parameters import Interval, base_values
-from deploy.identify.fit import bodies_of
+from deploy.identify.base_parameters import Interval, base_values, link_masses
 from deploy.identify.identification import Identified
+from deploy.identify.problem import bodies_of
 from deploy.identify.regression import (
     COULOMB,
     LOAD,
@@ -210,9 +210,12 @@ def summary_of(found: Identified, name: str) -> dict[str, Any]:
         "joints": joints,
         "base_parameters": [{"name": name, **_plain(each)} for name, each in base],
         "bodies": [
-            {"joint": each, "mass_kg": float(p[0]), "centre_m": (p[1:4] / p[0]).tolist()}
-            for each, p in zip(found.model.body_joints, found.fit.parameters.reshape(-1, 10),
-                               strict=True)
+            {"joint": each, "mass_kg": mass.value, "mass_half_95": mass.half,
+             "mass_before_kg": mass.before, "mass_seen": mass.seen,
+             "centre_m": (p[1:4] / p[0]).tolist()}
+            for each, p, mass in zip(found.model.body_joints,
+                                     found.fit.parameters.reshape(-1, 10),
+                                     link_masses(found.fit), strict=True)
         ],
         "torque_ahead_ms": _milliseconds((found.fit.delay_s[0], 1.96 * found.fit.delay_s[1])),
         "dead_time_ms": _milliseconds(found.dead_time_s),

@@ -65,7 +65,7 @@ def write_identify_report(found: Identified, summary: Mapping[str, Any], path: P
         "identification", found.robot.path.stem, head, facts, lambda: _PANELS, found,
         results=[Cards([error_table(found), joint_table(found)], "stacked"),
                  Cards([notes] if found.notes else [], "stacked"),
-                 Cards([_base_table(summary)], "stacked")],
+                 Cards([_mass_table(summary), _base_table(summary)], "stacked")],
     )  # fmt: skip
     write_page(path, page)
 
@@ -127,6 +127,18 @@ def _interval(value: float, half: float) -> str:
     if math.isnan(value):
         return "–"
     return number(float(value)) + ("" if math.isnan(half) else f" ± {number(float(half))}")
+
+
+def _mass_table(summary: Mapping[str, Any]) -> Table:
+    columns = [Column("Moved by", is_text=True), Column("File", "kg"), Column("Identified", "kg"),
+               Column("± (95 %)", "kg"), Column("From the log", is_text=True)]  # fmt: skip
+    rows = [[each["joint"], each["mass_before_kg"], each["mass_kg"], each["mass_half_95"],
+             "yes" if each["mass_seen"] else "no"] for each in summary["bodies"]]  # fmt: skip
+    note = (
+        "No: torques show this mass only together with others, in the base parameters; its interval"
+        " is what the file and the base parameters leave open."
+    )
+    return Table("Masses of the links", columns, rows, note)
 
 
 def _base_table(summary: Mapping[str, Any]) -> Table:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 import sys
 from dataclasses import dataclass, field
 from importlib.machinery import PathFinder
@@ -27,12 +28,23 @@ COMPUTING = frozenset({
 })  # fmt: skip
 """Packages that read nothing but files that Python opens, except by the names below."""
 _READING_MORE = frozenset({
-    "__builtins__", "__import__", "breakpoint", "compile", "ctypeslib", "environ", "environb",
-    "eval", "exec", "exists", "expanduser", "f2py", "getenv", "glob", "home", "input", "is_dir",
-    "is_file", "is_symlink", "iterdir", "lstat", "objmode", "readlink", "rglob", "samefile", "stat",
-    "walk",
+    "__builtins__", "__import__", "breakpoint", "compile", "ctypeslib", "cwd", "environ",
+    "environb", "eval", "exec", "exists", "expanduser", "f2py", "getenv", "glob", "group", "home",
+    "input", "is_block_device", "is_char_device", "is_dir", "is_fifo", "is_file", "is_junction",
+    "is_mount", "is_socket", "is_symlink", "iterdir", "lstat", "objmode", "owner", "readlink",
+    "resolve", "rglob", "samefile", "stat", "walk",
+    "_os", "_sys", "builtins", "ctypes", "importlib", "os", "posix", "socket", "subprocess", "sys",
+    "CLoader", "Loader", "UnsafeLoader", "allow_pickle", "dictConfig", "fileConfig", "unsafe_load",
+    "unsafe_load_all",
+    "__dict__", "__getattribute__", "__globals__", "attrgetter", "globals", "locals",
+    "methodcaller", "vars",
 })  # fmt: skip
-"""Names with which code reads more than the contents of files, or runs other code."""
+"""Names with which code reads more than the contents of files, or runs other code.
+
+In this order: reading, modules that other modules have imported, data that runs code, and names
+that are made of text.
+"""
+_ADDRESS = re.compile(r"\w+://")
 
 
 @dataclass
@@ -112,8 +124,12 @@ def _add(code: LawCode, name: str, file: Path) -> list[str]:
         match node:
             case ast.Constant(value=str(text)):
                 texts.append(text)
-                code.unseen |= {text} if text[:1] == "/" and not is_of_the_user(text) else set()
-            case ast.Name(id=used) | ast.Attribute(attr=used):
+                is_elsewhere = text[:1] == "/" and not is_of_the_user(text)
+                code.unseen |= {text} if is_elsewhere or _ADDRESS.match(text) else set()
+            case ast.Call(func=ast.Name(id="getattr"), args=[_, named, *_]):
+                is_read = isinstance(named, ast.Constant) and named.value not in _READING_MORE
+                code.unseen |= set() if is_read else {"getattr"}
+            case ast.Name(id=used) | ast.Attribute(attr=used) | ast.keyword(arg=str(used)):
                 code.unseen |= {used} & _READING_MORE
             case ast.Import(names=names):
                 imported += [alias.name for alias in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,10 @@ import numpy as np
 
 from bus_schema.robot_description import RobotDescription, load_robot
 from controller.manipulator_model import ManipulatorModel, body_from_log_cholesky, log_cholesky
+from deploy.identify.base_parameters import Interval, base_values, link_masses
 from deploy.identify.design import design
+from deploy.identify.identification import Identified
+from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.starter import drives_of
 
@@ -94,3 +98,17 @@ def write_log(
     values = np.column_stack([times_s, position, velocity, torque])
     np.savetxt(file, values, "%.9g", ",", header=",".join(["time_s", *names]), comments="")
     return robot
+
+
+def intervals(found: Identified, truth: Truth) -> Iterator[tuple[str, Interval, float]]:
+    """Yield name, interval and true value of each parameter, also of those that are not seen."""
+    true = found.group.matrix @ truth.bodies
+    yield from zip(found.group.names, base_values(found.fit, found.group), true, strict=True)
+    masses = zip(found.model.body_joints, link_masses(found.fit), truth.bodies[::10], strict=True)
+    for name, mass, kg in masses:
+        yield f"{name}: mass of the link", mass, kg
+    for name, term in (("coulomb", COULOMB), ("viscous", VISCOUS), ("rotors", ROTOR)):
+        for joint, each in enumerate(getattr(truth, name)):
+            yield f"{found.robot.joint_names[joint]}: {name}", found.term(joint, term), each
+    delay_s, sd_s = found.fit.delay_s
+    yield "delay", Interval(delay_s, 1.96 * sd_s, 0.0, seen=True), truth.lag_s

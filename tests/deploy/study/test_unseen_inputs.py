@@ -48,6 +48,31 @@ UNSEEN = {
     "listing": ("from pathlib import Path", "400 - 800 * len(list(Path().glob('turned*')))"),
     "existence": ("from pathlib import Path", "-400 if Path('turned').exists() else 400"),
     "code that is built": ("", "float(eval(\"__im\" \"port__('os').environ['GAIN']\"))"),
+    "environment by another module": ("import random", "float(random._os.environ['GAIN'])"),
+    "module of another module": (
+        "import pathlib",
+        "400 - 800 * ('turned' in pathlib.os.listdir('.'))",
+    ),
+    "name made of text": (
+        "import pathlib",
+        "float(getattr(getattr(pathlib, 'o' + 's'), 'env' + 'iron')['GAIN'])",
+    ),
+    "names made of text": (
+        "import operator, pathlib",
+        "float(operator.attrgetter('o' + 's.envi' + 'ron')(pathlib)['GAIN'])",
+    ),
+    "tables of names": (
+        "import random",
+        "float(vars(vars(random)['_o' + 's'])['env' + 'iron']['GAIN'])",
+    ),
+    "data that runs code": (
+        "import yaml",
+        "float(yaml.unsafe_load('!!python/object/apply:os.get' + 'env [GAIN]'))",
+    ),
+    "end of a link": (
+        "from pathlib import Path",
+        "400 if Path('link.txt').resolve().parent.name == 'first' else -400",
+    ),
     "device": ("", "float(open('/proc/self/fd/' + open('handle.txt').read()).read())"),
 }
 SEEN = {
