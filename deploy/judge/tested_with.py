@@ -10,9 +10,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from typing import Any
 
 from bus_schema.configuration import shown
+from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.effective import values_in_common
 from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.setup import Setup
@@ -92,8 +94,22 @@ def require_same_test(before: Tested | None, now: Tested, *, allows_changes: boo
     return found
 
 
+@cache
+def _defaults() -> dict[str, Any]:
+    return ScenarioConfiguration.model_construct().model_dump(mode="json", warnings=False)
+
+
+def _default(key: str) -> Any:
+    """Return a scenario's default, which holds where a version does not know the key; else None."""
+    found: Any = _defaults()
+    for part in key.split("."):
+        found = found.get(part) if isinstance(found, dict) else None
+    return found
+
+
 def _changes(place: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
     prefix = "" if place == STUDY else f"{place}: "
     for key in dict.fromkeys((*before, *now)):
-        if json.dumps(old := before.get(key)) != json.dumps(new := now.get(key)):
+        old, new = (side.get(key, _default(key)) for side in (before, now))
+        if json.dumps(old) != json.dumps(new):
             yield f"{prefix}{key} = {shown(old)} before, {shown(new)} now"

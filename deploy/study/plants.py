@@ -141,7 +141,7 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
         plants.append(Variant(number, (*drawn.overrides, *settled), columns))
     if len(plants) > 1 and len({plant.overrides for plant in plants}) == 1:
         allowed = "must draw different plants: a factor on 0, or a choice of one value, draws none"
-        raise ConfigurationError("uncertainty", ", ".join(uncertainty), allowed)
+        raise ConfigurationError("uncertainty", ", ".join(uncertainty) or {}, allowed)
     return plants
 
 

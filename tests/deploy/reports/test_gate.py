@@ -117,7 +117,7 @@ def test_tip_error_is_gated_by_a_limit_in_millimetres(funnel_hil, tmp_path):
     assert f"must be at most {0.99 * tip['largest']:g} mm" in output
     baseline = ["--baseline", tmp_path / "1", "--tolerance", "0.5mm"]
     assert funnel_hil(*simulate, *baseline, "--out", tmp_path / "3")[0] == 0
-    worse = ["--set", "plant.payload_kg=20", *baseline]
+    worse = ["--set", "plant.payload_kg=20", "--allow-changes", *baseline]
     output = funnel_hil.output(*simulate, *worse, "--out", tmp_path / "4", code=3)
     assert "largest tip error: rose by" in output
     (tmp_path / "old.json").write_text(json.dumps(summary | {"tip_error_mm": None}))

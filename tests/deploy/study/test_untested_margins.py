@@ -70,7 +70,8 @@ def test_quantity_without_effect_has_no_margin(key, limit, resolution, tmp_path)
 
 
 def test_plants_on_which_a_quantity_has_no_effect_are_not_tested_either(tmp_path):
-    given = {"plants": 2, "values": [2, 4], "uncertainty": {}, "duration_s": 4.0}
+    payloads = {"plant.payload_kg": {"distribution": "uniform", "from": 0.0, "to": 0.1}}
+    given = {"plants": 2, "values": [2, 4], "uncertainty": payloads, "duration_s": 4.0}
     summary = summary_of(tmp_path, lambda run: made_up(run, seed_used=False), **given)
     assert "none of its values changed" in robustness_sentences(summary)[-1]
     assert gate_failures(summary)
