@@ -10,9 +10,10 @@ from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
-from bus_schema.configuration import ConfigurationError, Registry
+from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 
 
@@ -124,8 +125,10 @@ class DriveProtocol(ABC):
         return node_ids
 
 
-PROTOCOLS: Registry[DriveProtocol] = Registry(
+PROTOCOLS: Registry[type[DriveProtocol]] = Registry(
+    "drive_protocols",
     "link.can.protocol",
+    DriveProtocol,
     {
         "cia402": "bus_schema.can.cia402.protocol:Cia402Protocol",
         "cansimple": "bus_schema.can.cansimple.protocol:CanSimpleProtocol",
@@ -134,4 +137,4 @@ PROTOCOLS: Registry[DriveProtocol] = Registry(
         "moteus": "bus_schema.can.moteus.protocol:MoteusProtocol",
     },
 )
-"""A new protocol is one line here, and one in `plant_emulator.drives.commissioning.DRIVES`."""
+"""The drives of each are in `plant_emulator.drives.commissioning.DRIVES`."""

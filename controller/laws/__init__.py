@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import did_you_mean
+from bus_schema.registry import Registry
 from controller.control_law import ControlLaw, Dynamics
 from controller.laws.computed_torque import ComputedTorque, ComputedTorqueGains
 from controller.laws.disturbance_observer import DisturbanceObserver, DisturbanceObserverGains
@@ -25,7 +26,7 @@ from controller.laws.time_delay_control import TimeDelayControl, TimeDelayContro
 
 
 class LawEntry(NamedTuple):
-    """One line of the table of laws.
+    """One entry of `LAWS`.
 
     Attributes:
         build: returns a new law from its gains, a nominal model, which model-free laws ignore, and
@@ -40,7 +41,7 @@ class LawEntry(NamedTuple):
     settling_bound_s: Callable[[Any, LargestInertia], float] | None = None
 
 
-LAWS = {
+_SHIPPED = {
     "fixed_time_neural": LawEntry(FixedTimeNeural, FixedTimeNeuralGains, settling_bound_s),
     "fixed_time_model_based": LawEntry(
         FixedTimeModelBased, FixedTimeModelBasedGains, settling_bound_s
@@ -60,6 +61,7 @@ LAWS = {
     "funnel_control": LawEntry(FunnelControl, FunnelControlGains),
     "ppc_delay": LawEntry(PpcDelay, PpcDelayGains),
 }
+LAWS: Registry[LawEntry] = Registry("laws", "controller.law", LawEntry, _SHIPPED)
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
 
 COMPARED_LAWS = [

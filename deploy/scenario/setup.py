@@ -193,7 +193,7 @@ class Setup:
     @property
     def link_kind(self) -> LinkKind[Any]:
         """The scenario's kind of link."""
-        return LINK_KINDS.build(self.scenario.link.kind)
+        return LINK_KINDS[self.scenario.link.kind]()
 
     def link_run(
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None

@@ -1,19 +1,27 @@
-"""The table of faults: its classes are the kinds of faults that scenarios can schedule."""
+"""The kinds of faults that scenarios can schedule."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache, reduce
 from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
 
-from bus_schema.configuration import Sections
+from bus_schema.configuration import ConfigurationError, Sections
+from bus_schema.registry import Registry
 from plant_emulator.faults import arm_faults, message_faults, process_faults
 from plant_emulator.faults.fault import Fault, FaultContext
 
-FAULT_KINDS: list[type[Fault]] = [
+
+def kind_of(fault: type[Fault]) -> str:
+    """Return the name that a class of faults declares, as a literal, for its key ``kind``."""
+    (kind,) = get_args(fault.model_fields["kind"].annotation) or ("",)
+    return str(kind)
+
+
+_SHIPPED: list[type[Fault]] = [
     arm_faults.EncoderStuck,
     arm_faults.EncoderBiased,
     arm_faults.EncoderNoisy,
@@ -34,6 +42,9 @@ FAULT_KINDS: list[type[Fault]] = [
     process_faults.ProcessFrozen,
     process_faults.ProcessRestarted,
 ]
+FAULT_KINDS: Registry[type[Fault]] = Registry(
+    "faults", "faults.kind", Fault, {kind_of(each): each for each in _SHIPPED}
+)
 """Each class declares its ``kind`` as a literal, its keys, and its effect."""
 
 
@@ -41,10 +52,26 @@ def parse_fault(values: Any) -> Fault:
     """Return the fault that an entry of a scenario describes.
 
     Raises:
-        ValidationError: its kind is not in the table, or its keys are wrong.
+        ValidationError: its kind is unknown, or its keys are wrong.
+        ValueError: its kind cannot be loaded.
     """
-    fault: Fault = _adapter(tuple(FAULT_KINDS)).validate_python(values)
+    kind = values.get("kind") if isinstance(values, dict) else None
+    is_known = isinstance(kind, str) and kind in FAULT_KINDS
+    if is_known:
+        try:
+            _ = FAULT_KINDS[kind]
+        except ConfigurationError as error:
+            raise ValueError(f"of a kind that can be used: {error.allowed}") from error
+    fault: Fault = _adapter(_classes([kind] if is_known else None)).validate_python(values)
     return fault
+
+
+def _classes(only: Collection[str] | None = None) -> tuple[type[Fault], ...]:
+    """Return the classes that ship and those of these extensions; None for all extensions."""
+    found: dict[str, type[Fault]] = {}
+    for each in FAULT_KINDS.usable(only).values():
+        found.setdefault(kind_of(each), each)
+    return tuple(found.values())
 
 
 @cache
@@ -53,10 +80,8 @@ def _adapter(kinds: tuple[type[Fault], ...]) -> TypeAdapter[Any]:
     return TypeAdapter(union)
 
 
-ScheduledFault = Annotated[
-    SerializeAsAny[Fault], PlainValidator(parse_fault), Sections(lambda: FAULT_KINDS)
-]
-"""An entry of the section ``faults``; the table is read when a scenario is read."""
+ScheduledFault = Annotated[SerializeAsAny[Fault], PlainValidator(parse_fault), Sections(_classes)]
+"""An entry of the section ``faults``; the kinds are those installed when a scenario is read."""
 
 
 def check_faults(faults: Sequence[Fault], context: FaultContext) -> None:

@@ -129,7 +129,7 @@ class Impedance:
 
 @pytest.fixture
 def added(monkeypatch):
-    monkeypatch.setitem(LAWS, "impedance", LawEntry(Impedance, ImpedanceGains))
+    monkeypatch.setitem(LAWS.shipped, "impedance", LawEntry(Impedance, ImpedanceGains))
 
 
 @pytest.mark.usefixtures("added")

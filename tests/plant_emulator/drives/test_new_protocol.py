@@ -133,8 +133,8 @@ class ToyProtocol(DriveProtocol):
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PROTOCOLS.places, "toy", f"{__name__}:ToyProtocol")
-    monkeypatch.setitem(DRIVES.places, "toy", f"{__name__}:ToyDrive")
+    monkeypatch.setitem(PROTOCOLS.shipped, "toy", f"{__name__}:ToyProtocol")
+    monkeypatch.setitem(DRIVES.shipped, "toy", f"{__name__}:ToyDrive")
 
 
 def test_loop_closes_over_it() -> None:

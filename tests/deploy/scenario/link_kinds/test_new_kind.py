@@ -64,7 +64,7 @@ class LoopbackKind(LinkKind[ArmPlant]):
 
 @pytest.fixture(autouse=True)
 def loopback(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(LINK_KINDS.places, "loopback", f"{__name__}:LoopbackKind")
+    monkeypatch.setitem(LINK_KINDS.shipped, "loopback", f"{__name__}:LoopbackKind")
 
 
 def events(run: RunData) -> list[str]:
