@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import Any, Generic, TypeVar, cast
@@ -12,6 +13,7 @@ from bus_schema.errors import did_you_mean
 from bus_schema.runtime.extensions import Extension, ExtensionError, installed
 
 T = TypeVar("T")
+_NONE = "left out: no installed package adds one"
 
 REGISTRIES: dict[str, Registry[Any]] = {}
 """All registries that were created, by kind."""
@@ -85,9 +87,7 @@ class Registry(Generic[T]):
             ConfigurationError: it is not.
         """
         if name not in self:
-            *others, last = [repr(each) for each in self] or [
-                "left out: no installed package adds one"
-            ]
+            *others, last = tuple(map(repr, self)) or (_NONE,)
             allowed = f"must be {', '.join(others)} or {last}" if others else f"must be {last}"
             raise ConfigurationError(self.key, name, allowed + did_you_mean(name, self))
 
@@ -100,25 +100,21 @@ class Registry(Generic[T]):
         found = {}
         for name in self:
             if name in self.shipped or only is None or name in only:
-                try:
+                with suppress(ConfigurationError):
                     found[name] = self[name]
-                except ConfigurationError:
-                    continue
         return found
 
     def extension(self, name: str) -> Extension | None:
         """Return the origin of an entry that an installed package adds; None for what ships."""
         return None if name in self.shipped else next(iter(self._added().get(name, ())), None)
 
-    def problems(self) -> Iterator[tuple[Extension, str]]:
-        """Load all extensions; return each with the reason why it is unusable, or nothing."""
-        for name, added in self._added().items():
-            try:
-                self[name]
-                reason = ""
-            except ConfigurationError as error:
-                reason = str(error)
-            yield from ((each, reason) for each in added)
+    def problem(self, name: str) -> str:
+        """Return the reason why a known entry cannot be used; empty for none."""
+        try:
+            _ = self[name]
+        except ConfigurationError as error:
+            return error.allowed
+        return ""
 
     def _added(self) -> Mapping[str, tuple[Extension, ...]]:
         return installed().get(self._kind, {})
@@ -130,3 +126,28 @@ class Registry(Generic[T]):
             allowed = f"must be an instance or a subclass of {wanted}"
             raise ExtensionError(f"{extension}: {extension.entry.value} {allowed}")
         return cast(T, found)
+
+
+def extensions_in(scenario: Mapping[str, Any]) -> list[Extension]:
+    """Return the extensions that a scenario names.
+
+    Args:
+        scenario: its values, in the form of its YAML file.
+    """
+    return [
+        extension
+        for registry in REGISTRIES.values()
+        for name in _values_at(scenario, registry.key.split("."))
+        if (extension := registry.extension(name)) is not None
+    ]
+
+
+def _values_at(values: Any, path: Sequence[str]) -> Iterator[Any]:
+    """Return the values at a dotted key, those of lists each."""
+    if isinstance(values, list):
+        for each in values:
+            yield from _values_at(each, path)
+    elif not path:
+        yield values
+    elif isinstance(values, Mapping) and path[0] in values:
+        yield from _values_at(values[path[0]], path[1:])

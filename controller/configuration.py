@@ -292,15 +292,16 @@ class ControllerConfiguration(StrictModel):
                 that the scenario does not give.
 
         Raises:
-            ConfigurationError: the number of a gain's values does not fit the arm.
+            ConfigurationError: the number of a gain's values does not fit the arm, or the law
+                cannot be loaded.
         """
         if self.law in (EXTERNAL, PROCESS):
             return {}
         if self.law not in LAWS:
             return self.gains["custom"]
-        gains = self.gains.get(self.law)
+        entry, gains = LAWS[self.law], self.gains.get(self.law)
         if gains is None:
-            gains = LAWS[self.law].gains.from_inertia(inertia_kg_m2)
+            gains = entry.gains.from_inertia(inertia_kg_m2)
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 
     def build_law(

@@ -35,13 +35,8 @@ class Extension:
     version: str
 
     def __str__(self) -> str:
-        """Name package and group."""
-        return f"{self.package} (group {self.entry.group})"
-
-    @property
-    def package(self) -> str:
-        """Name and version of the package."""
-        return f"{self.distribution} {self.version}"
+        """Name the entry, its group and its package."""
+        return f"{self.entry.name} ({self.entry.group}) of {self.distribution} {self.version}"
 
     def load(self) -> Any:
         """Import the module and return the attribute.

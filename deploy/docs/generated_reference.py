@@ -27,6 +27,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from bus_schema.configuration import Sections
 from bus_schema.foreign_text import markdown_table
+from bus_schema.registry import REGISTRIES, NameIn
 from bus_schema.units import split_unit
 
 PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything",
@@ -60,6 +61,8 @@ def values_of(hint: Any) -> str:
     """Which values a type allows, in words."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
+        if named := [each for each in parts if isinstance(each, NameIn)]:
+            return ", ".join(f"`{name}`" for name in REGISTRIES[named[0].kind].usable())
         return values_of(parts[0]) + "".join(_limits(each) for each in parts[1:])
     if origin is Literal:
         return ", ".join(f"`{each}`" for each in parts)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args
 
 from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
 
-from bus_schema.configuration import ConfigurationError, Sections
+from bus_schema.configuration import Sections
 from bus_schema.registry import Registry
 from plant_emulator.faults import arm_faults, message_faults, process_faults
 from plant_emulator.faults.fault import Fault, FaultContext
@@ -57,11 +57,8 @@ def parse_fault(values: Any) -> Fault:
     """
     kind = values.get("kind") if isinstance(values, dict) else None
     is_known = isinstance(kind, str) and kind in FAULT_KINDS
-    if is_known:
-        try:
-            _ = FAULT_KINDS[kind]
-        except ConfigurationError as error:
-            raise ValueError(f"of a kind that can be used: {error.allowed}") from error
+    if is_known and (problem := FAULT_KINDS.problem(kind)):
+        raise ValueError(f"of a kind that can be used: {problem}")
     fault: Fault = _adapter(_classes([kind] if is_known else None)).validate_python(values)
     return fault
 
