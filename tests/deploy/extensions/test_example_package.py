@@ -8,7 +8,6 @@ import pytest
 from bus_schema.messages import topics
 from bus_schema.registry import REGISTRIES
 from bus_schema.runtime.extensions import installed
-from controller.compensation.delay_compensation import PREDICTORS
 from deploy.run.run_folder import manifest_of
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
@@ -16,6 +15,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.provenance import provenance_of
 from plant_emulator.drives.commissioning import DRIVES
+from tests.controller.compensation.prediction_bench import Bench, compensation_of
 
 SHORT = "duration_s=0.2"
 COMPENSATED = "controller.delay_compensation={enabled: true, predictor: constant_velocity}"
@@ -47,14 +47,18 @@ def test_law_keeps_its_bounds_with_gains_of_the_scenario(tmp_path):
 
 
 @pytest.mark.usefixtures("example_package")
-def test_predictor_moves_the_arm_otherwise_than_the_shipped_ones():
-    delays = ["link.uplink.delay_ms=8", "controller.law=pid"]
-    found = {
-        name: run(f"controller.delay_compensation={{enabled: true, predictor: {name}}}", *delays)
-        for name in PREDICTORS
-    }
-    assert all(each.faults() == [] for each in found.values())
-    assert len({each.digest for each in found.values()}) == len(found) == 5
+def test_predictor_keeps_the_velocities_over_a_delay_of_8_ms():
+    bench = Bench(compensation_of(predictor="constant_velocity"))
+    bench.run(100, 8)
+    for tick in (20, 50, 99):
+        (position, velocity), (_, foreseen, foreseen_rate) = (
+            bench.truth[tick],
+            bench.predicted[tick],
+        )
+        np.testing.assert_allclose(foreseen, position + 0.008 * velocity, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(foreseen_rate, velocity)
+    data = run(COMPENSATED, "link.uplink.delay_ms=8", "controller.law=pid")
+    assert data.faults() == []
 
 
 @pytest.mark.usefixtures("example_package")
@@ -181,7 +185,7 @@ def test_doctor_lists_extensions_and_their_problems(add_package, example_package
 def test_packages_are_not_imported_before_they_are_used(add_package, tmp_path):
     (tmp_path / "loud_law.py").write_text("raise RuntimeError('imported')\n")
     add_package(project(loud="loud_law:LAW"), tmp_path)
-    simulate(load_setup("paper_arm", ["duration_s=0.01", "controller.gains.smc={}"]))
+    simulate(load_setup("paper_arm", ["duration_s=0.01"]))
     with pytest.raises(ScenarioError, match="RuntimeError: imported"):
         load_setup("paper_arm", ["controller.law=loud"])
 
