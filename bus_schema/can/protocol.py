@@ -72,7 +72,7 @@ class DriveProtocol(ABC):
         return ()
 
     def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:  # noqa: ARG002
-        """Who has answered a question: address, name and value; None if it is no answer."""
+        """Return the answer to a question: address, name and value; None if it is no answer."""
         return None
 
     def expected_answers(
@@ -80,7 +80,7 @@ class DriveProtocol(ABC):
         can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
         robot: RobotDescription,
     ) -> Sequence[Mapping[str, float]]:
-        """What the drive of each joint must answer, as far as the scenario says so."""
+        """Return the answers required of each joint's drive, as far as the scenario gives them."""
         return [{}] * robot.joints
 
     def oddities(

@@ -168,7 +168,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         return endpoint
 
     def listen_endpoint(self, role: Role) -> str:
-        """Where plant or controller listen; recorders connect to both, and do not listen."""
+        """Return where plant or controller listen; recorders connect to both, and do not."""
         return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
 
     @property
@@ -183,7 +183,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     @property
     def emulated_round_trip_ns(self) -> int:
-        """What ``delay_ms`` of both directions come to, without jitter."""
+        """Sum of ``delay_ms`` of both directions, ns, without jitter."""
         return self.uplink.delay_ns + self.downlink.delay_ns
 
     def deadline_ns(self, period_ns: int, mean_round_trip_ns: int) -> int:

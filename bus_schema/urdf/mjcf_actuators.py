@@ -1,4 +1,4 @@
-"""What the actuators of a compiled MJCF model do at their joints.
+"""Effects of a compiled MJCF model's actuators at their joints.
 
 An actuator has its joint's position and speed times the gear, and its joint the force times that.
 So stiffness, damping and inertia have the gear squared at the joint.
@@ -30,7 +30,7 @@ _OPEN = "it is left out"
 
 @dataclass
 class JointActuators:
-    """What the actuators of a joint do there, in rad and N m, or m and N where it slides.
+    """Effect of a joint's actuators, in rad and N m, or m and N where it slides.
 
     Attributes:
         effort: largest torque; inf without a limit.
@@ -80,7 +80,7 @@ class JointActuators:
 
 
 class Omissions:
-    """What of a file's drives is not carried over, by attribute and reason."""
+    """Attributes of a file's drives that are not carried over, with the reasons."""
 
     def __init__(self) -> None:
         self._names: dict[tuple[str, str], dict[str, int | None]] = {}

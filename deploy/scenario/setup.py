@@ -176,7 +176,7 @@ class Setup:
 
     @cached_property
     def horizon(self) -> HorizonSettings:
-        """How a controller with delay compensation chooses when its commands act."""
+        """Settings by which a controller with delay compensation chooses when its commands act."""
         return horizon_settings(self)
 
     def layouts(self) -> dict[str, MessageLayout]:

@@ -1,4 +1,4 @@
-"""What made a row: versions, arithmetic, and every file that its run and its law have read.
+"""Provenance of a row: versions, arithmetic, and every file that its run and its law have read.
 
 A provenance has a value by part: a version, or the digest of a file. A row is valid as long as all
 of its parts have the same values.
