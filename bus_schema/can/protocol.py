@@ -98,6 +98,18 @@ class DriveProtocol(ABC):
         """
         return []
 
+    def largest_torques_nm(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (for protocols whose numbers depend on it)
+        robot: RobotDescription,
+    ) -> Vector:
+        """Return the largest torque of each joint's drive, N m, shape (joints,).
+
+        Raises:
+            ConfigurationError: a value does not fit the robot.
+        """
+        return robot.effort_limits_nm
+
     def own_settings(
         self,
         can: CanConfiguration,  # noqa: ARG002 (most protocols have none)

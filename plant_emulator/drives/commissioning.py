@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.configuration import expand
 from bus_schema.drive_feedback import DriveGains
@@ -18,8 +15,6 @@ from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cascade import UNTUNED, CascadeGains
 from plant_emulator.drives.drive import Drive, DriveSettings, Send
-
-_LARGEST_PER_MILLE = 32_767
 
 DRIVES: Registry[type[Drive[Any]]] = Registry(
     "drives",
@@ -48,10 +43,8 @@ def commission(
         ConfigurationError: a value does not fit the robot.
     """
     damping = expand(plant.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
-    rated = rated_torque_nm(can, robot)
-    # The joint's limit, or what a 16-bit torque can say if that is less.
-    largest = np.minimum(robot.effort_limits_nm, rated * _LARGEST_PER_MILLE / 1000.0)
     protocol = PROTOCOLS[can.protocol]()
+    largest = protocol.largest_torques_nm(can, robot)
     node_ids = protocol.node_ids(can, robot.joints)
     own = protocol.own_settings(can, robot)
     return tuple(
