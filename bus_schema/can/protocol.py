@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
+
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
@@ -26,6 +28,7 @@ class DriveProtocol(ABC):
         has_fd_process_data: its cyclic frames can be those of CAN FD.
         takes_targets: its drives close loops around targets that come with the torques.
         answers_torques: its drives send their states in answer to torques, too.
+        settings_type: keys of ``link.can.settings``, for protocols of packages; None for no keys.
         master: master of drives that speak it; the arguments are those of `CanMaster`.
     """
 
@@ -34,6 +37,7 @@ class DriveProtocol(ABC):
     has_fd_process_data = False
     takes_targets = False
     answers_torques = False
+    settings_type: type[BaseModel] | None = None
     master: type[CanMaster]
 
     @abstractmethod
@@ -66,6 +70,25 @@ class DriveProtocol(ABC):
                 "link.can.eds", can.eds, f"must be left out with {self.title}, which has no EDS",
                 ["link.can.protocol"],
             )  # fmt: skip
+
+    def settings(self, can: CanConfiguration) -> Any:
+        """Return the section ``link.can.settings`` as `settings_type`; None where that is None.
+
+        Raises:
+            ConfigurationError: it has wrong keys or values.
+        """
+        key = "link.can.settings"
+        if self.settings_type is None and can.settings is not None:
+            allowed = f"must be left out with {self.title}, which has no such settings"
+            raise ConfigurationError(key, can.settings, allowed, ["link.can.protocol"])
+        if self.settings_type is None:
+            return None
+        try:
+            return self.settings_type.model_validate(can.settings or {})
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+            name = ".".join([key, *map(str, wrong["loc"])])
+            raise ConfigurationError(name, wrong["input"], f"invalid: {wrong['msg']}") from error
 
     def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
         """Frames that a drive answers and that change nothing; none if there are no such frames."""

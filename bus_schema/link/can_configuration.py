@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -146,6 +146,7 @@ class CanConfiguration(StrictModel):
         damiao: the motors of protocol ``damiao``.
         cansimple: the axes of protocol ``cansimple``.
         answer_timeout_s: wall time that the master waits for the answer to a request.
+        settings: keys of a protocol that a package adds, if it has any.
         faults: faults of an emulated bus and of the drives on it.
     """
 
@@ -169,6 +170,7 @@ class CanConfiguration(StrictModel):
     mit: MitConfiguration = MitConfiguration()
     damiao: DamiaoConfiguration = DamiaoConfiguration()
     cansimple: CanSimpleConfiguration = CanSimpleConfiguration()
+    settings: dict[str, Any] | None = None
     faults: CanFaults = CanFaults()
 
     @property

@@ -134,6 +134,7 @@ def check_drives(
     """
     protocol = PROTOCOLS[can.protocol]()
     protocol.check(can, takes_targets=takes_targets)
+    protocol.settings(can)
     _check_fd(can, protocol)
     return tuple(each.node_id for each in commission(can, robot, plant))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from bus_schema.can.frame import CanFrame
-from funnel_hil_example.protocol import REST, SAMPLE, STATE, TORQUE
+from funnel_hil_example.protocol import REST, STATE, TORQUE
 from plant_emulator.drives.drive import (
     AT_REST,
     Drive,
@@ -21,8 +21,8 @@ class ToyDrive(Drive):
 
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         super().__init__(settings, send)
-        self._node_id = settings.node_id
-        self.identifiers = (SAMPLE, TORQUE + self._node_id, REST)
+        self._node_id, self._sample = settings.node_id, settings.own.sample_identifier
+        self.identifiers = (self._sample, TORQUE + self._node_id, REST)
         self._torque_nm: float | None = None
 
     @property
@@ -30,7 +30,7 @@ class ToyDrive(Drive):
         return "at rest" if self._torque_nm is None else "following"
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
-        if frame.identifier == SAMPLE:
+        if frame.identifier == self._sample:
             self.samplings += 1
             data = struct.pack("<ff", self._reading.position_rad, self._reading.velocity_rad_s)
             self._send(CanFrame(STATE + self._node_id, data))

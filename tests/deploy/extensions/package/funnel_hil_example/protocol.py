@@ -7,30 +7,34 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from typing import Annotated
+
+from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.master import CanMaster
 from bus_schema.can.protocol import DriveProtocol
+from bus_schema.configuration import StrictModel, Whole
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 
-SAMPLE, STATE, TORQUE, REST = 0x010, 0x100, 0x200, 0x300
+STATE, TORQUE, REST = 0x100, 0x200, 0x300
 
 
 class ToyCodec:
     cycle = CycleFrames((0,), (8, 4), "sample + {n} × (state 8 bytes + torque 4 bytes)")
 
-    def __init__(self, node_ids: Sequence[int]) -> None:
-        self._node_ids = node_ids
+    def __init__(self, node_ids: Sequence[int], sample_identifier: int) -> None:
+        self._node_ids, self._sample = node_ids, CanFrame(sample_identifier)
 
     def sampling_frames(self) -> Sequence[CanFrame]:
-        return [CanFrame(SAMPLE)]
+        return [self._sample]
 
     def is_sampling(self, frame: CanFrame) -> bool:
-        return frame.identifier == SAMPLE
+        return frame.identifier == self._sample.identifier
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint(frame, STATE)
@@ -73,12 +77,25 @@ class ToyMaster(CanMaster):
         self._send([CanFrame(REST)])
 
 
+class ToySettings(StrictModel):
+    """The section ``link.can.settings``."""
+
+    sample_identifier: Annotated[Whole, Field(ge=1, le=0xFF)] = 0x010
+
+
 class ToyProtocol(DriveProtocol):
     title = "Toy"
     largest_node_id = 9
     master = ToyMaster
+    settings_type = ToySettings
 
     def codec(
         self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains | None = None
     ) -> ToyCodec:
-        return ToyCodec(self.node_ids(can, robot.joints))
+        sample_identifier = self.settings(can).sample_identifier
+        return ToyCodec(self.node_ids(can, robot.joints), sample_identifier)
+
+    def own_settings(
+        self, can: CanConfiguration, robot: RobotDescription
+    ) -> tuple[ToySettings, ...]:
+        return (self.settings(can),) * robot.joints
