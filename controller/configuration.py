@@ -70,6 +70,11 @@ def is_program(name: str) -> bool:
     return name == EXTERNAL or name.startswith(f"{PROCESS}: ")
 
 
+def is_law_name(name: str) -> bool:
+    """Whether ``controller.law`` may have this value: a law, a custom one, or a process."""
+    return name in LAWS or name == PROCESS or is_custom(name)
+
+
 def _to_word(value: Any) -> Any:
     """Convert a number, as YAML reads it, to a word of a command line."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -219,7 +224,7 @@ class ControllerConfiguration(StrictModel):
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS and law != PROCESS and not is_custom(law):
+        if not is_law_name(law):
             raise ValueError(
                 f"one of {', '.join(LAWS)}, module:Class for your own law, or {EXTERNAL} for your"
                 f" own program{likely_law(law)}"

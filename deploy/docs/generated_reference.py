@@ -102,6 +102,7 @@ def sections_in(hint: Any) -> Iterator[type]:
 
 def scenario() -> str:
     """Every key of a scenario, a table for each section."""
+    import deploy.scenario.checking.checks  # noqa: F401  (creates all registries)
     from deploy.scenario.definition import ScenarioConfiguration
 
     return "\n".join(_section(ScenarioConfiguration, "", {}))
