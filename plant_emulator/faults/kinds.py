@@ -56,10 +56,10 @@ def parse_fault(values: Any) -> Fault:
         ValueError: its kind cannot be loaded.
     """
     kind = values.get("kind") if isinstance(values, dict) else None
-    is_known = isinstance(kind, str) and kind in FAULT_KINDS
-    if is_known and (problem := FAULT_KINDS.problem(kind)):
+    named = [kind] if isinstance(kind, str) and kind in FAULT_KINDS else None
+    for problem in filter(None, map(FAULT_KINDS.problem, named or ())):
         raise ValueError(f"of a kind that can be used: {problem}")
-    fault: Fault = _adapter(_classes([kind] if is_known else None)).validate_python(values)
+    fault: Fault = _adapter(_classes(named)).validate_python(values)
     return fault
 
 

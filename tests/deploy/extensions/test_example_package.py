@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -18,6 +22,7 @@ from plant_emulator.drives.commissioning import DRIVES
 from tests.controller.compensation.prediction_bench import Bench, compensation_of
 
 SHORT = "duration_s=0.2"
+EXAMPLE = Path(__file__).with_name("package")
 COMPENSATED = "controller.delay_compensation={enabled: true, predictor: constant_velocity}"
 SCALED = "faults=[{kind: encoder_scaled, joint: elbow, factor: 1.01, at_s: 0.1}]"
 FLYWHEELS = "plant.physics.engine=flywheels"
@@ -95,6 +100,19 @@ def test_manifest_and_provenance_name_the_packages_that_a_run_uses():
     without = load_setup("paper_arm", [SHORT])
     assert "extensions" not in manifest_of([without])
     assert "funnel-hil-example" not in provenance_of(without, confirm=False, read={})
+
+
+def test_study_refuses_to_continue_after_an_edit_of_a_package(add_package, funnel_hil, tmp_path):
+    shutil.copytree(EXAMPLE, tmp_path / "mine")
+    add_package(
+        tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"], tmp_path / "mine"
+    )
+    words = ("compare", "paper_arm", "--laws", "impedance", "--set", "duration_s=0.05")
+    funnel_hil.output(*words, "--out", tmp_path / "out")
+    with (tmp_path / "mine/funnel_hil_example/law.py").open("a") as law:
+        law.write("# edited\n")
+    output = funnel_hil.output(*words, "--out", tmp_path / "out", code=2)
+    assert "mine/funnel_hil_example/law.py" in output
 
 
 @pytest.mark.usefixtures("example_package")
