@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import did_you_mean
@@ -25,7 +26,8 @@ from controller.laws.super_twisting import SuperTwisting, SuperTwistingGains
 from controller.laws.time_delay_control import TimeDelayControl, TimeDelayControlGains
 
 
-class LawEntry(NamedTuple):
+@dataclass(frozen=True)
+class LawEntry:
     """One entry of `LAWS`.
 
     Attributes:
@@ -34,11 +36,18 @@ class LawEntry(NamedTuple):
         gains: the type of its gains: a NamedTuple of values as `bus_schema.configuration` has them,
             which can derive itself by `from_inertia`.
         settling_bound_s: bound on the settling time, s; only for laws that have one.
+
+    Raises:
+        TypeError: the gains are no such type.
     """
 
     build: Callable[[Any, Dynamics, Vector], ControlLaw]
     gains: Any
     settling_bound_s: Callable[[Any, LargestInertia], float] | None = None
+
+    def __post_init__(self) -> None:
+        if not (hasattr(self.gains, "_fields") and hasattr(self.gains, "from_inertia")):
+            raise TypeError("gains must be a NamedTuple with a method from_inertia")
 
 
 _SHIPPED = {

@@ -17,8 +17,8 @@ from plant_emulator.faults.fault import Fault, FaultContext
 
 def kind_of(fault: type[Fault]) -> str:
     """Return the name that a class of faults declares, as a literal, for its key ``kind``."""
-    (kind,) = get_args(fault.model_fields["kind"].annotation) or ("",)
-    return str(kind)
+    kinds = get_args(fault.model_fields["kind"].annotation)
+    return str(kinds[0]) if len(kinds) == 1 else ""
 
 
 _SHIPPED: list[type[Fault]] = [
@@ -57,18 +57,22 @@ def parse_fault(values: Any) -> Fault:
     """
     kind = values.get("kind") if isinstance(values, dict) else None
     named = [kind] if isinstance(kind, str) and kind in FAULT_KINDS else None
-    for problem in filter(None, map(FAULT_KINDS.problem, named or ())):
+    for problem in filter(None, map(_problem, named or ())):
         raise ValueError(f"of a kind that can be used: {problem}")
     fault: Fault = _adapter(_classes(named)).validate_python(values)
     return fault
 
 
+def _problem(kind: str) -> str:
+    """Return the reason why a known kind of fault cannot be used; empty for none."""
+    if (problem := FAULT_KINDS.problem(kind)) or kind_of(FAULT_KINDS[kind]) == kind:
+        return problem
+    return f"{FAULT_KINDS.extension(kind)}: its class must declare kind: Literal[{kind!r}]"
+
+
 def _classes(only: Collection[str] | None = None) -> tuple[type[Fault], ...]:
     """Return the classes that ship and those of these extensions; None for all extensions."""
-    found: dict[str, type[Fault]] = {}
-    for each in FAULT_KINDS.usable(only).values():
-        found.setdefault(kind_of(each), each)
-    return tuple(found.values())
+    return tuple(each for kind, each in FAULT_KINDS.usable(only).items() if kind_of(each) == kind)
 
 
 @cache

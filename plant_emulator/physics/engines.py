@@ -48,8 +48,16 @@ class PhysicsEngine:
 
     @property
     def arm_type(self) -> type[ArmPhysics]:
-        """Class of its arms."""
-        return cast("type[ArmPhysics]", resolve_name(self.place))
+        """Class of its arms.
+
+        Raises:
+            ConfigurationError: it cannot be imported.
+        """
+        try:
+            return cast("type[ArmPhysics]", resolve_name(self.place))
+        except (ImportError, AttributeError) as error:
+            allowed = f"{self.place} cannot be loaded: {type(error).__name__}: {error}"
+            raise ConfigurationError(_KEY, self.title, allowed) from error
 
 
 _SHIPPED = {

@@ -175,6 +175,37 @@ def test_broken_extension_is_refused_by_package_and_group_and_disturbs_nothing_e
     load_setup("paper_arm", ["controller.gains.pid.proportional=1"])  # another law's gains
 
 
+SOURCES = {
+    "law without gains": (
+        "laws", "controller.law=new", "a NamedTuple with a method from_inertia",
+        "from controller.laws import LawEntry\nNEW = LawEntry(print, dict)",
+    ),
+    "fault without its kind": (
+        "faults", "faults=[{kind: new, at_s: 0}]", "must declare kind: Literal['new']",
+        "from plant_emulator.faults.fault import Fault\nclass NEW(Fault): kind: str",
+    ),
+    "engine without its class": (
+        "physics_engines", "plant.physics.engine=new", "no_such_module:Arm cannot be loaded",
+        "from plant_emulator.physics.engines import PhysicsEngine\n"
+        "NEW = PhysicsEngine('New', 'json', 'no_such_module:Arm', ('semi_implicit_euler',))",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SOURCES)
+def test_entry_that_is_incomplete_is_refused_with_what_it_lacks(
+    case, add_package, funnel_hil, tmp_path
+):
+    group, override, reason, source = SOURCES[case]
+    module = f"incomplete_{group}"
+    (tmp_path / f"{module}.py").write_text(f"{source}\n")
+    add_package(project(group=group, new=f"{module}:NEW"), tmp_path)
+    output = funnel_hil.output("simulate", "paper_arm", "--set", override, code=2)
+    assert reason in output
+    with pytest.raises(ScenarioError, match="encoder_stuck"):  # other refusals go on working
+        load_setup("paper_arm", ["faults=[{kind: encoder_stick, joint: elbow, at_s: 0}]"])
+
+
 def test_name_that_two_packages_or_funnel_hil_have_is_refused(add_package, funnel_hil):
     add_package(project("funnel-hil-one", same="json:dumps", smc="json:dumps"))
     add_package(project("funnel-hil-two", same="json:dumps"))
