@@ -1,12 +1,11 @@
-"""Building blocks of validated configuration, shared by every room, and registries of classes."""
+"""Building blocks of validated configuration, shared by every room."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Annotated, Any, Generic, TypeVar, cast
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -20,7 +19,7 @@ from pydantic import (
 )
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import BusError, did_you_mean
+from bus_schema.errors import BusError
 
 
 class ConfigurationError(BusError, ValueError):
@@ -117,7 +116,6 @@ PowerAboveOne = Annotated[Number, Field(gt=1)]
 PowerBelowOne = Annotated[Number, Field(gt=0, lt=1)]
 
 Gains = TypeVar("Gains", bound=tuple[Any, ...])
-T = TypeVar("T")
 
 
 def expand(value: Vector, joints: int, key: str) -> Vector:
@@ -151,54 +149,3 @@ def shown(value: Any) -> str:
 def shortened(text: str, longest: int = 120) -> str:
     """Shorten a long text."""
     return text if len(text) <= longest else text[: longest - 3] + "..."
-
-
-class Registry(Generic[T]):
-    """Classes by the names in a scenario, each imported when first needed.
-
-    Args:
-        key: dotted key of the scenario whose value is one of the names.
-        places: see below.
-
-    Attributes:
-        places: location of each name's class, as ``module:class``. A new entry registers a class of
-            any module.
-    """
-
-    def __init__(self, key: str, places: Mapping[str, str]) -> None:
-        self._key = key
-        self.places = dict(places)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All names, in the order of the table."""
-        return tuple(self.places)
-
-    def check(self, name: str) -> None:
-        """Check that a name is registered.
-
-        Raises:
-            ConfigurationError: it is not.
-        """
-        if name not in self.places:
-            *others, last = (repr(each) for each in self.names)
-            allowed = f"must be {', '.join(others)} or {last}"
-            raise ConfigurationError(self._key, name, allowed + did_you_mean(name, self.names))
-
-    def load(self, name: str) -> type[T]:
-        """Return the class behind a name.
-
-        Raises:
-            ConfigurationError: there is no such name.
-        """
-        self.check(name)
-        module, attribute = self.places[name].split(":")
-        return cast(type[T], getattr(import_module(module), attribute))
-
-    def build(self, name: str) -> T:
-        """Return an instance of the class behind a name, made without arguments.
-
-        Raises:
-            ConfigurationError: there is no such name.
-        """
-        return self.load(name)()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from functools import cache
 from pathlib import PurePath
 from typing import Annotated, Any
@@ -34,6 +35,7 @@ from bus_schema.configuration import (
 )
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import did_you_mean
+from bus_schema.registry import NameIn
 from bus_schema.robot_description import RobotDescription
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
@@ -68,6 +70,11 @@ def is_program(name: str) -> bool:
     return name == EXTERNAL or name.startswith(f"{PROCESS}: ")
 
 
+def is_law_name(name: str) -> bool:
+    """Whether ``controller.law`` may have this value: a law, a custom one, or a process."""
+    return name in LAWS or name == PROCESS or is_custom(name)
+
+
 def _to_word(value: Any) -> Any:
     """Convert a number, as YAML reads it, to a word of a command line."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -98,7 +105,7 @@ class DelayCompensationConfiguration(StrictModel):
     """
 
     enabled: bool = False
-    predictor: str = ADAPTIVE
+    predictor: Annotated[str, NameIn("predictors")] = ADAPTIVE
     observer_bandwidth_rad_s: Positive = 60.0
     learn_friction: bool = True
     identify_model: bool = True
@@ -137,13 +144,17 @@ class DriveFeedbackConfiguration(StrictModel):
 
 
 def _check_gains(given: Any) -> dict[str, Any]:
-    """Validate gains by law, for the laws registered by now."""
-    checked = _section_now().model_validate(given)
+    """Validate gains by law; of the extensions, those named are loaded."""
+    named = [law for law in given if isinstance(law, str)] if isinstance(given, dict) else []
+    checked = _section_now(named).model_validate(given)
     return {law: gains for law, gains in checked if gains is not None}
 
 
-def _section_now() -> type[StrictModel]:
-    return _gains_section(tuple((law, entry.gains) for law, entry in LAWS.items()))
+def _section_now(only: Collection[str] | None = None) -> type[StrictModel]:
+    """Return the section of gains, with the extensions of these names; None for all usable ones."""
+    entries = LAWS.usable(only)
+    unusable = [(law, dict[str, Any]) for law in only or () if law in LAWS and law not in entries]
+    return _gains_section((*((law, entry.gains) for law, entry in entries.items()), *unusable))
 
 
 @cache  # creating it takes 15 ms, each time a scenario is read
@@ -187,7 +198,7 @@ class ControllerConfiguration(StrictModel):
             ``linear``: continue at their velocity.
     """
 
-    law: str = "fixed_time_adaptive"
+    law: Annotated[str, NameIn("laws")] = "fixed_time_adaptive"
     process: Annotated[tuple[Word, ...] | None, Field(min_length=1, validate_default=True)] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     external: ExternalLawConfiguration | None = None
@@ -213,7 +224,7 @@ class ControllerConfiguration(StrictModel):
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS and law != PROCESS and not is_custom(law):
+        if not is_law_name(law):
             raise ValueError(
                 f"one of {', '.join(LAWS)}, module:Class for your own law, or {EXTERNAL} for your"
                 f" own program{likely_law(law)}"
@@ -286,15 +297,16 @@ class ControllerConfiguration(StrictModel):
                 that the scenario does not give.
 
         Raises:
-            ConfigurationError: the number of a gain's values does not fit the arm.
+            ConfigurationError: the number of a gain's values does not fit the arm, or the law
+                cannot be loaded.
         """
         if self.law in (EXTERNAL, PROCESS):
             return {}
         if self.law not in LAWS:
             return self.gains["custom"]
-        gains = self.gains.get(self.law)
+        entry, gains = LAWS[self.law], self.gains.get(self.law)
         if gains is None:
-            gains = LAWS[self.law].gains.from_inertia(inertia_kg_m2)
+            gains = entry.gains.from_inertia(inertia_kg_m2)
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 
     def build_law(

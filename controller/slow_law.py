@@ -22,7 +22,7 @@ _MOST_STRETCHES = 1000
 
 @dataclass(frozen=True)
 class AnswerTiming:
-    """When a law is asked, and when its answers act.
+    """Times at which a law is asked and its answers act.
 
     Attributes:
         every: the law is asked at every so many states.
@@ -45,7 +45,7 @@ class AnswerTiming:
 
 @dataclass(frozen=True)
 class _Answer:
-    """What a law answered: torques of shape (rows, joints), targets of shape (rows, 2, joints)."""
+    """Answer of a law: torques of shape (rows, joints), targets of shape (rows, 2, joints)."""
 
     asked_s: float
     ready_s: float
@@ -55,7 +55,7 @@ class _Answer:
 
 @dataclass
 class Starvation:
-    """When the chunk in force had no row left, and the next one was not there yet.
+    """Counter of ticks at which the chunk in force had no row left, and the next one was missing.
 
     Attributes:
         ticks: states in that situation.

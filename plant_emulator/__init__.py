@@ -1,1 +1,1 @@
-"""The plant emulator: an arm in pybullet with the hardware around it."""
+"""The plant emulator: an arm in a physics engine, with the hardware around it."""

@@ -20,6 +20,7 @@ from bus_schema.configuration import (
     expand,
 )
 from bus_schema.drive_feedback import DriveGains
+from bus_schema.registry import NameIn
 
 
 def _zero() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -243,7 +244,7 @@ class PhysicsConfiguration(StrictModel):
             ``runge_kutta_4`` those of elastic gears and cogging in mid-step. MuJoCo has both.
     """
 
-    engine: Literal["bullet", "mujoco"] | None = None
+    engine: Annotated[str, NameIn("physics_engines")] | None = None
     integrator: Integrator = "semi_implicit_euler"
 
 

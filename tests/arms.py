@@ -24,7 +24,7 @@ PYBULLET_DATA = next(iter(pybullet_data()), Path("pybullet_data"))
 needs_pybullet_data = pytest.mark.skipif(
     not pybullet_data(), reason="pybullet_data is not installed: pip install 'funnel-hil[bullet]'"
 )
-INSTALLED = [name for name, engine in ENGINES.items() if engine.is_installed]
+INSTALLED = [name for name, engine in ENGINES.usable().items() if engine.is_installed]
 """Names of the physics engines that this Python has."""
 needs_bullet = pytest.mark.skipif(
     "bullet" not in INSTALLED, reason="needs Bullet: pip install 'funnel-hil[bullet]'"

@@ -1,4 +1,4 @@
-"""How many bits CAN frames have, and whether those of a control cycle fit into its period.
+"""Durations of CAN frames, and a check that those of a control cycle fit into its period.
 
 Frames are rows of a table, for compiled code. The frame formats are those of ISO 11898-1, stuff
 bits counted. What a frame occupies reaches from its start-of-frame bit to the end of the interframe
@@ -71,7 +71,7 @@ class WireBits(NamedTuple):
     fast: int
 
     def duration_ns(self, bitrate: int, data_bitrate: int) -> int:
-        """How long the frame occupies the bus."""
+        """Time for which the frame occupies the bus, ns."""
         return round(1e9 * (self.nominal / bitrate + self.fast / data_bitrate))
 
     def words(self, can: CanConfiguration) -> str:
@@ -170,7 +170,7 @@ def frame_table(frames: Sequence[CanFrame]) -> FrameTable:
 
 
 class FrameBits(NamedTuple):
-    """What frames are on the wire; all of shape (frames,).
+    """Frames as they are on the wire; all of shape (frames,).
 
     Attributes:
         nominal: bits at the nominal rate.

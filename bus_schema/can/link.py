@@ -36,7 +36,7 @@ _REALTIME_PATIENCE = 0.8
 
 @dataclass(frozen=True)
 class CanRun:
-    """What both sides of a run over CAN must know of it.
+    """Settings of a run over CAN, for both of its sides.
 
     Attributes:
         joint_names: names of the joints, in the order of the drives.
@@ -218,7 +218,7 @@ class CanControllerLink(ControllerLink):
         return True
 
     def _patience_s(self, tick: int) -> float:
-        """How long states may still take at this tick, in real time."""
+        """Return the longest wait for the states of this tick in real time."""
         grid = self._run.grid
         due_ns = grid.tick_ns(tick) + int(_REALTIME_PATIENCE * grid.period_ns)
         return max(0.0, (due_ns - self._clock.now_ns()) * 1e-9)

@@ -178,7 +178,7 @@ class CanMedium:
     def _ends_ns(
         self, ready_ns: NDArray[np.int64], durations_ns: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """When each frame is through: it begins when it is ready and all before it are."""
+        """Return the end of each frame: it begins when it is ready and all before it have ended."""
         through_ns = np.cumsum(durations_ns)
         idle_ns = np.maximum.accumulate(ready_ns - (through_ns - durations_ns))
         return np.asarray(through_ns + np.maximum(idle_ns, self.free_ns))

@@ -185,7 +185,7 @@ def _sender(family: int, place: tuple[str, int], hop_limit: int) -> socket.socke
 
 
 def dropped_by_socket(descriptor: int) -> int:
-    """How many were lost since the socket was opened, as its owner read too slowly.
+    """Number lost since the socket was opened, as its owner read too slowly.
 
     Those that a filter of the socket keeps out count too.
 

@@ -6,13 +6,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
+
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
-from bus_schema.configuration import ConfigurationError, Registry
+from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 
 
@@ -25,6 +28,7 @@ class DriveProtocol(ABC):
         has_fd_process_data: its cyclic frames can be those of CAN FD.
         takes_targets: its drives close loops around targets that come with the torques.
         answers_torques: its drives send their states in answer to torques, too.
+        settings_type: keys of ``link.can.settings``, for protocols of packages; None for no keys.
         master: master of drives that speak it; the arguments are those of `CanMaster`.
     """
 
@@ -33,6 +37,7 @@ class DriveProtocol(ABC):
     has_fd_process_data = False
     takes_targets = False
     answers_torques = False
+    settings_type: type[BaseModel] | None = None
     master: type[CanMaster]
 
     @abstractmethod
@@ -66,12 +71,31 @@ class DriveProtocol(ABC):
                 ["link.can.protocol"],
             )  # fmt: skip
 
+    def settings(self, can: CanConfiguration) -> Any:
+        """Return the section ``link.can.settings`` as `settings_type`; None where that is None.
+
+        Raises:
+            ConfigurationError: it has wrong keys or values.
+        """
+        key = "link.can.settings"
+        if self.settings_type is None and can.settings is not None:
+            allowed = f"must be left out with {self.title}, which has no such settings"
+            raise ConfigurationError(key, can.settings, allowed, ["link.can.protocol"])
+        if self.settings_type is None:
+            return None
+        try:
+            return self.settings_type.model_validate(can.settings or {})
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+            name = ".".join([key, *map(str, wrong["loc"])])
+            raise ConfigurationError(name, wrong["input"], f"invalid: {wrong['msg']}") from error
+
     def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
         """Frames that a drive answers and that change nothing; none if there are no such frames."""
         return ()
 
     def answer(self, frame: CanFrame) -> tuple[int, str, float] | None:  # noqa: ARG002
-        """Who has answered a question: address, name and value; None if it is no answer."""
+        """Return the answer to a question: address, name and value; None if it is no answer."""
         return None
 
     def expected_answers(
@@ -79,7 +103,7 @@ class DriveProtocol(ABC):
         can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
         robot: RobotDescription,
     ) -> Sequence[Mapping[str, float]]:
-        """What the drive of each joint must answer, as far as the scenario says so."""
+        """Return the answers required of each joint's drive, as far as the scenario gives them."""
         return [{}] * robot.joints
 
     def oddities(
@@ -96,6 +120,18 @@ class DriveProtocol(ABC):
             most_nm: the largest torques that drives may be commanded, N m, shape (joints,).
         """
         return []
+
+    def largest_torques_nm(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (for protocols whose numbers depend on it)
+        robot: RobotDescription,
+    ) -> Vector:
+        """Return the largest torque of each joint's drive, N m, shape (joints,).
+
+        Raises:
+            ConfigurationError: a value does not fit the robot.
+        """
+        return robot.effort_limits_nm
 
     def own_settings(
         self,
@@ -124,8 +160,10 @@ class DriveProtocol(ABC):
         return node_ids
 
 
-PROTOCOLS: Registry[DriveProtocol] = Registry(
+PROTOCOLS: Registry[type[DriveProtocol]] = Registry(
+    "drive_protocols",
     "link.can.protocol",
+    DriveProtocol,
     {
         "cia402": "bus_schema.can.cia402.protocol:Cia402Protocol",
         "cansimple": "bus_schema.can.cansimple.protocol:CanSimpleProtocol",
@@ -134,4 +172,4 @@ PROTOCOLS: Registry[DriveProtocol] = Registry(
         "moteus": "bus_schema.can.moteus.protocol:MoteusProtocol",
     },
 )
-"""A new protocol is one line here, and one in `plant_emulator.drives.commissioning.DRIVES`."""
+"""The drives of each are in `plant_emulator.drives.commissioning.DRIVES`."""

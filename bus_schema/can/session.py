@@ -186,7 +186,7 @@ def _require_up(channel: str) -> None:
 
 
 def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
-    """What this interface wants to know; the bit rate of socketcan is a matter of ``ip link``."""
+    """Return the arguments of this interface; ``ip link`` sets the bit rate of socketcan."""
     rates: dict[str, Any] = {"bitrate": configuration.bitrate}
     if configuration.fd:
         rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
@@ -203,7 +203,7 @@ def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
 
 
 def _explained(error: Exception, configuration: CanConfiguration) -> ConfigurationError:
-    """What is wrong with a bus that cannot be joined, and what to do about it."""
+    """Explain why a bus cannot be joined, and name the remedy."""
     cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
     interface, channel = configuration.interface, configuration.resolved_channel
     key: str = "link.can.channel"

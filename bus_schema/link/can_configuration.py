@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -18,6 +18,7 @@ from bus_schema.configuration import (
     StrictModel,
     Whole,
 )
+from bus_schema.registry import NameIn
 
 _DESCRIPTIONS = Path(str(resources.files("bus_schema").joinpath("can")))
 CIA402_EDS = _DESCRIPTIONS / "cia402/cia402_drive.eds"
@@ -131,8 +132,8 @@ class CanConfiguration(StrictModel):
         data_bitrate: bit rate of the data phase of FD frames.
         fd_process_data: with ``cia402``, states, torques and all other process data go in FD
             frames, with ``damiao`` all frames; `fd` has to be true.
-        protocol: ``cia402`` on CANopen, ODrive's ``cansimple``, the mini-cheetah's ``mit``, or
-            ``damiao``, the protocol of OpenArm's motors.
+        protocol: ``cia402`` on CANopen, ODrive's ``cansimple``, the mini-cheetah's ``mit``,
+            ``damiao``, the protocol of OpenArm's motors, or mjbots' ``moteus``.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
@@ -145,6 +146,7 @@ class CanConfiguration(StrictModel):
         damiao: the motors of protocol ``damiao``.
         cansimple: the axes of protocol ``cansimple``.
         answer_timeout_s: wall time that the master waits for the answer to a request.
+        settings: keys of a protocol that a package adds, if it has any.
         faults: faults of an emulated bus and of the drives on it.
     """
 
@@ -156,7 +158,7 @@ class CanConfiguration(StrictModel):
     fd: bool = False
     data_bitrate: Annotated[Whole, Field(ge=125_000, le=8_000_000)] | None = None
     fd_process_data: bool = False
-    protocol: Annotated[str, BeforeValidator(str)] = "cia402"
+    protocol: Annotated[str, BeforeValidator(str), NameIn("drive_protocols")] = "cia402"
     node_ids: Annotated[tuple[NodeId, ...], AfterValidator(_check_node_ids)] | None = None
     eds: str | None = None
     encoder_bits: Annotated[Whole, Field(ge=8, le=24)] = 20
@@ -168,6 +170,7 @@ class CanConfiguration(StrictModel):
     mit: MitConfiguration = MitConfiguration()
     damiao: DamiaoConfiguration = DamiaoConfiguration()
     cansimple: CanSimpleConfiguration = CanSimpleConfiguration()
+    settings: dict[str, Any] | None = None
     faults: CanFaults = CanFaults()
 
     @property

@@ -137,7 +137,7 @@ class TraceConfiguration(StrictModel):
 
 
 class PatternConfiguration(StrictModel):
-    """How the delay of a direction varies with the run's time; ``delay_ms`` is the largest one.
+    """Pattern of a direction's delay over the run's time; ``delay_ms`` is the largest one.
 
     Attributes:
         shape: ``square``: the smallest delay, then the largest for the last part of a period;

@@ -13,6 +13,7 @@ from bus_schema.configuration import NonNegative, Positive, StrictModel, Whole
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.messages.topics import Role
+from bus_schema.registry import NameIn
 
 AUTO: Final = "auto"
 """Play-out time that the controller chooses, and says with each command."""
@@ -110,8 +111,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     Attributes:
         kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
-            joint states and torques on a CAN bus (telemetry still goes over Zenoh), or another
-            entry of `LINK_KINDS`.
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh).
         domain: ROS domain, the first part of every key.
         security: keys and certificates; if enabled, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
@@ -135,7 +135,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 
-    kind: Annotated[str, BeforeValidator(str)] = "zenoh"  # the table of kinds says which there are
+    kind: Annotated[str, BeforeValidator(str), NameIn("link_kinds")] = "zenoh"
     domain: Annotated[Whole, Field(ge=0, le=232)] = 0
     security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
@@ -168,7 +168,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         return endpoint
 
     def listen_endpoint(self, role: Role) -> str:
-        """Where plant or controller listen; recorders connect to both, and do not listen."""
+        """Return where plant or controller listen; recorders connect to both, and do not."""
         return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
 
     @property
@@ -183,7 +183,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     @property
     def emulated_round_trip_ns(self) -> int:
-        """What ``delay_ms`` of both directions come to, without jitter."""
+        """Sum of ``delay_ms`` of both directions, ns, without jitter."""
         return self.uplink.delay_ns + self.downlink.delay_ns
 
     def deadline_ns(self, period_ns: int, mean_round_trip_ns: int) -> int:

@@ -18,7 +18,7 @@ class Role(StrEnum):
 
 
 class Rate(StrEnum):
-    """When a topic is sent."""
+    """Occasion at which a topic is sent."""
 
     TICK = "every tick"
     PICTURE = "as often as a viewer draws"

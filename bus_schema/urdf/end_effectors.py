@@ -82,7 +82,7 @@ def no_arm_joints(
 
 
 class _Parts:
-    """What joints of a robot move.
+    """Links that the joints of a robot move.
 
     Args:
         root: the URDF.

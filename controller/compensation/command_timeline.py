@@ -32,7 +32,7 @@ _SHRINKS_IN_NS = 5e9
 
 
 class HorizonSettings(NamedTuple):
-    """How a controller chooses the horizon of a command: the time from a state until it acts.
+    """Settings of the horizon of commands: the time from a state until its command acts.
 
     Attributes:
         least_ns: the plant's own play-out time, if it has one.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
+from bus_schema.registry import Registry
 from bus_schema.runtime.compiled import bind
 from controller.compensation.arm_belief import NominalArm, first_belief, forget
 from controller.compensation.bridge import filling
@@ -40,12 +41,15 @@ _LARGEST_NUMBER = 2**62
 
 ADAPTIVE, HOLD_PREDICTION = "adaptive", "hold_prediction"
 COMMUNICATION_DISTURBANCE_OBSERVER = "communication_disturbance_observer"
-PREDICTORS: dict[str, Callable[..., float]] = {
+_SHIPPED = {
     ADAPTIVE: foresee,
     HOLD_PREDICTION: foresee,
     "smith": foresee_smith,
     COMMUNICATION_DISTURBANCE_OBSERVER: foresee_network,
 }
+PREDICTORS: Registry[Callable[..., float]] = Registry(
+    "predictors", "controller.delay_compensation.predictor", type(foresee), _SHIPPED
+)
 """Compiled functions by predictor. `HOLD_PREDICTION` is the default one that learns nothing."""
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import did_you_mean
+from bus_schema.registry import Registry
 from controller.control_law import ControlLaw, Dynamics
 from controller.laws.computed_torque import ComputedTorque, ComputedTorqueGains
 from controller.laws.disturbance_observer import DisturbanceObserver, DisturbanceObserverGains
@@ -24,8 +26,9 @@ from controller.laws.super_twisting import SuperTwisting, SuperTwistingGains
 from controller.laws.time_delay_control import TimeDelayControl, TimeDelayControlGains
 
 
-class LawEntry(NamedTuple):
-    """One line of the table of laws.
+@dataclass(frozen=True)
+class LawEntry:
+    """One entry of `LAWS`.
 
     Attributes:
         build: returns a new law from its gains, a nominal model, which model-free laws ignore, and
@@ -33,14 +36,21 @@ class LawEntry(NamedTuple):
         gains: the type of its gains: a NamedTuple of values as `bus_schema.configuration` has them,
             which can derive itself by `from_inertia`.
         settling_bound_s: bound on the settling time, s; only for laws that have one.
+
+    Raises:
+        TypeError: the gains are no such type.
     """
 
     build: Callable[[Any, Dynamics, Vector], ControlLaw]
     gains: Any
     settling_bound_s: Callable[[Any, LargestInertia], float] | None = None
 
+    def __post_init__(self) -> None:
+        if not (hasattr(self.gains, "_fields") and hasattr(self.gains, "from_inertia")):
+            raise TypeError("gains must be a NamedTuple with a method from_inertia")
 
-LAWS = {
+
+_SHIPPED = {
     "fixed_time_neural": LawEntry(FixedTimeNeural, FixedTimeNeuralGains, settling_bound_s),
     "fixed_time_model_based": LawEntry(
         FixedTimeModelBased, FixedTimeModelBasedGains, settling_bound_s
@@ -60,6 +70,7 @@ LAWS = {
     "funnel_control": LawEntry(FunnelControl, FunnelControlGains),
     "ppc_delay": LawEntry(PpcDelay, PpcDelayGains),
 }
+LAWS: Registry[LawEntry] = Registry("laws", "controller.law", LawEntry, _SHIPPED)
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
 
 COMPARED_LAWS = [

@@ -6,12 +6,11 @@ r of the error transformation, so that s = q̇ − q̇_r for a reference velocit
     τ = −Ŵᵀ Φ(z) − K₁ sig(s)^γ₁ − K₂ sig(s)^γ₂ − K₃ s,
     dŴ/dt = Γ (Φ(z) s − κ₁ sig(Ŵ)^γ₁ − κ₂ sig(Ŵ)^γ₂),   z = (tanh ε, tanh 0.1 ε̇).
 
-The radial basis function network that stands in for the arm's unknown dynamics.
-
-After section 4 of the paper: inputs are the *transformed* errors, so they stay in a known range for
-errors of any size, and the adaptation itself converges in fixed time. Placement and width of the
-nodes are ours: each joint has its own grid over its own two inputs, so that the network neither
-grows with the square of the joints nor depends on their order.
+A network of radial basis functions, Φ, replaces the arm's unknown dynamics. Its inputs z are the
+*transformed* errors, so they stay in a known range for errors of any size, and the adaptation
+itself converges in fixed time. Placement and width of the nodes are ours: each joint has its own
+grid over its own two inputs, so that the network neither grows with the square of the joints nor
+depends on their order.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def _engines(scenario: str, seconds: float, repetitions: int) -> Section:
         f"{scenario} on {engine.title}": load_setup(
             scenario, [*_in_lockstep(seconds), f"plant.physics.engine={name}"]
         )
-        for name, engine in ENGINES.items()
+        for name, engine in ENGINES.usable().items()
         if engine.is_installed
     }
     candidates: dict[str, Callable[[], float]] = {}
@@ -141,7 +141,7 @@ def measure_control_steps(steps: int, repetitions: int) -> Section:
         joints = f"{setup.robot.joints} joints"
         physics = f"step of physics, {joints}"
         candidates[physics] = partial(physics_us, setup, 1, steps)
-        for law in LAWS:
+        for law in LAWS.usable():
             step = _control_step(load_setup(scenario, [f"controller.law={law}"]))
             candidates[f"{law}, {joints}"] = partial(cost_us, step, steps)
             pairs.append((f"{law}, {joints}", physics))

@@ -14,7 +14,7 @@ from bus_schema.configuration import shown
 from bus_schema.errors import Stopped
 from bus_schema.foreign_text import say
 from bus_schema.recording.atomic_files import write_json
-from controller.configuration import PROCESS
+from controller.configuration import PROCESS, is_law_name
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.options import GateOptions, OneRunOptions
@@ -59,7 +59,7 @@ def parse_laws(text: str | None, option: str = "--laws") -> list[str] | None:
     if not named:
         raise ScenarioError(f"{option} {text!r}: must name one or more of {', '.join(LAWS)}")
     for law in named:
-        if law not in LAWS and law != PROCESS and not is_custom(law):
+        if not is_law_name(law):
             allowed = f"{', '.join(LAWS)}, {PROCESS}, module:Class for your own law, or {EXTERNAL}"
             raise ScenarioError(f"{option} {shown(law)}: must be one of {allowed}{likely_law(law)}")
     return named

@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated
@@ -21,9 +22,11 @@ import typer
 import bus_schema.runtime.compiled  # noqa: F401  (chooses where kernels are kept)
 import controller.external
 from bus_schema.arrays import Vector
+from bus_schema.registry import REGISTRIES
 from bus_schema.runtime import kernel_cache, realtime
 from bus_schema.runtime.child import last_line
 from bus_schema.runtime.clock import MonotonicClock
+from bus_schema.runtime.extensions import PREFIX, installed
 from bus_schema.safe_path import safe_path
 from controller.laws.custom import custom_laws_left_out
 from deploy.cli.findings import Finding, Status, show
@@ -91,7 +94,7 @@ def examine() -> list[Finding]:
     """Examine this machine. It takes a few seconds and changes no setting."""
     return [
         _python(),
-        *map(_engine, ENGINES),
+        *map(_engine, ENGINES.usable()),
         _package("pinocchio", "pin", "pinocchio", "laws that use a model of the arm cannot run"),
         _package("Zenoh", "eclipse-zenoh", "zenoh", "no run over Zenoh; simulate still works"),
         _loopback(),
@@ -103,6 +106,7 @@ def examine() -> list[Finding]:
         _sleep_lateness(),
         _socketcan(),
         _display(),
+        *_extensions(),
     ]
 
 
@@ -140,6 +144,22 @@ def _engine(name: str) -> Finding:
             f" engine of scenarios that name none is {engine_name(PlantConfiguration())}",
         )  # fmt: skip
     return _package(engine.title, engine.distribution, engine.distribution, cost)
+
+
+def _extensions() -> Iterator[Finding]:
+    """Load all that installed packages add to funnel-hil."""
+    import plant_emulator.drives.commissioning  # noqa: F401  (the registry of drives)
+
+    for kind, names in installed().items():
+        registry, groups = REGISTRIES.get(kind), [f"{PREFIX}{each}" for each in REGISTRIES]
+        for name, extensions in names.items():
+            if registry is None:
+                wrong, cost = f"no such group; there are {', '.join(groups)}", "nothing reads it"
+            else:
+                wrong, cost = registry.problem(name), f"no run with {registry.key}={name}"
+            for each in extensions:
+                found = f"{each}: {wrong}" if wrong else str(each)
+                yield Finding(f"extension {name}", "limited" if wrong else "ok", found, cost)
 
 
 def _loopback() -> Finding:

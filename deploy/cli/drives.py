@@ -77,7 +77,7 @@ def drives(
 def _require_empty(bus: CanBus, setup: Setup) -> None:
     can = setup.scenario.link.can
     try:
-        require_no_others(bus, PROTOCOLS.build(can.protocol), can, ())
+        require_no_others(bus, PROTOCOLS[can.protocol](), can, ())
     except BusError as error:
         raise ScenarioError(str(error)) from error
 

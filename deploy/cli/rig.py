@@ -21,7 +21,7 @@ _SILENT = "check its power, its wiring, its address, and whether it is set to CA
 def examine_rig(setup: Setup) -> list[Finding]:
     """Query every address on a scenario's bus, without enabling a drive or sending a torque."""
     can, robot = setup.scenario.link.can, setup.robot
-    protocol = PROTOCOLS.build(can.protocol)
+    protocol = PROTOCOLS[can.protocol]()
     node_ids = check_drives(can, robot, setup.scenario.plant, takes_targets=setup.drive.is_active)
     place = f"{can.interface} {can.resolved_channel}"
     try:

@@ -292,7 +292,7 @@ def _table(title: str, headings: list[str], rows: Sequence[Sequence[Value]]) -> 
 
 
 def _funnel_line(setup: Setup) -> str:
-    """How wide the funnel starts and ends, in words."""
+    """Return the width of the funnel at start and end, in words."""
     funnel = setup.funnel
     ends = sorted({number(float(value)) for value in funnel.final_rad})
     starts = sorted({number(float(value)) for value in funnel.initial_upper_rad})

@@ -132,7 +132,7 @@ def _cells(each: IndexedResults) -> list[str]:
 
 
 def _first_sentence(file: Path) -> str:
-    """What a shipped file says of itself first, in the comment at its top."""
+    """Return the first sentence of the comment at the top of a shipped file."""
     lines = []
     for line in file.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):

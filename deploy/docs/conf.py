@@ -1,4 +1,4 @@
-"""How Sphinx builds the site; `scripts/docs` calls it."""
+"""Settings of Sphinx for the site; `scripts/docs` builds it."""
 
 import sys
 from importlib.metadata import version as version_of

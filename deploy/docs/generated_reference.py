@@ -27,6 +27,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from bus_schema.configuration import Sections
 from bus_schema.foreign_text import markdown_table
+from bus_schema.registry import REGISTRIES, NameIn
 from bus_schema.units import split_unit
 
 PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything",
@@ -48,7 +49,7 @@ def table(header: list[str], rows: list[list[str]]) -> str:
 
 
 def attributes_of(section: type) -> dict[str, str]:
-    """What the docstrings of a class and its bases say of each key."""
+    """Return the meaning of each key, from the docstrings of a class and its bases."""
     found: dict[str, str] = {}
     for each in reversed(section.__mro__):
         text = inspect.cleandoc(each.__doc__ or "").partition("Attributes:")[2]
@@ -57,9 +58,11 @@ def attributes_of(section: type) -> dict[str, str]:
 
 
 def values_of(hint: Any) -> str:
-    """Which values a type allows, in words."""
+    """Return the values that a type allows, in words."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
+        if named := [each for each in parts if isinstance(each, NameIn)]:
+            return ", ".join(f"`{name}`" for name in REGISTRIES[named[0].kind].usable())
         return values_of(parts[0]) + "".join(_limits(each) for each in parts[1:])
     if origin is Literal:
         return ", ".join(f"`{each}`" for each in parts)
@@ -75,7 +78,7 @@ def values_of(hint: Any) -> str:
 
 
 def _limits(metadata: Any) -> str:
-    """What one entry of `Annotated` adds: a range, or that of the numbers for all joints."""
+    """Return the range that one entry of `Annotated` adds, also for the numbers of all joints."""
     inner = getattr(metadata, "metadata", [metadata])
     function = getattr(metadata, "func", None)
     ranges = [
@@ -99,6 +102,7 @@ def sections_in(hint: Any) -> Iterator[type]:
 
 def scenario() -> str:
     """Every key of a scenario, a table for each section."""
+    import deploy.scenario.checking.checks  # noqa: F401  (creates all registries)
     from deploy.scenario.definition import ScenarioConfiguration
 
     return "\n".join(_section(ScenarioConfiguration, "", {}))
@@ -141,13 +145,13 @@ def _section(section: type, path: str, seen: dict[type, str]) -> Iterator[str]:
 
 
 def _place(section: type, key: str) -> str:
-    """Where a section is: beside its key stands its kind, where there are several."""
+    """Return the place of a section: its key, with its kind where there are several."""
     kind = get_args(get_type_hints(section, include_extras=True).get("kind"))
     return f"{key} ({kind[0]})" if len(kind) == 1 else key
 
 
 def _kind(place: str) -> str:
-    """How links call a section: by its kind, if it has one."""
+    """Return the name of a section in links: its kind, if it has one."""
     return re.sub(r"[^(]*\((\w+)\)$", r"\1", place)
 
 
@@ -193,7 +197,7 @@ def _command(command: Any, name: str) -> Iterator[str]:
 
 @cache
 def meanings() -> dict[str, dict[str, str]]:
-    """What cannot be read from the code: the words for keys of results and for exit codes."""
+    """Return the words that the code does not have: for keys of results and for exit codes."""
     found: dict[str, dict[str, str]] = yaml.safe_load(
         Path(__file__).with_name("meanings.yaml").read_text(encoding="utf-8")
     )

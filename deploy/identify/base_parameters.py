@@ -22,7 +22,7 @@ Z_95 = 1.96
 
 
 class Grouping(NamedTuple):
-    """How base parameters follow from those of the bodies.
+    """Base parameters as combinations of the bodies' parameters.
 
     Attributes:
         names: of each, after the first parameter in it, as ``shoulder: mx``.

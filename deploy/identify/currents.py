@@ -34,7 +34,7 @@ class Constants(NamedTuple):
 
 
 class Payload(NamedTuple):
-    """What a log carries beyond another one.
+    """Payload of a log beyond that of another one.
 
     Attributes:
         kg: mass, and half of its 95 % interval.

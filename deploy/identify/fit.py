@@ -42,7 +42,7 @@ _PLAIN = (COULOMB, VISCOUS, OFFSET)
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed before the log.
+    """Belief about parameters before the log.
 
     Attributes:
         bodies: coordinates, shape (bodies, 10), and their standard deviations.

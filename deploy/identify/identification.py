@@ -34,7 +34,7 @@ _LONGEST_S = 0.3
 
 @dataclass(frozen=True)
 class Wishes:
-    """How to identify.
+    """Options of an identification.
 
     Attributes:
         columns: as `read_robot_log` takes them.

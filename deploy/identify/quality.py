@@ -1,4 +1,4 @@
-"""How good an identified arm is: errors on data it has not seen, and what its residuals show."""
+"""Quality of an identified arm: errors on data it has not seen, and findings in its residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an identified arm leaves: URDF, scenario, ranges from the posterior, and summary."""
+"""Files of an identified arm: URDF, scenario, ranges from the posterior, and summary."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ PATTERNS = {
 
 @dataclass(frozen=True)
 class RobotLog:
-    """What a log holds, as recorded; joints in the order of the robot's file.
+    """Content of a log, as recorded; joints in the order of the robot's file.
 
     Attributes:
         path: the file.

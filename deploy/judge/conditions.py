@@ -42,6 +42,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         "seeds": str(scenario.seed),
         "set": _UNKNOWN if manifest.get("set") is None else ", ".join(manifest["set"]) or "nothing",
         **host_of(manifest),
+        **_extensions_of(manifest),
         **_warnings_of(manifest),
     }
 
@@ -97,6 +98,13 @@ def _warnings_of(manifest: Mapping[str, Any]) -> Conditions:
     """Return warnings about missing or suspicious contents of the arm's file."""
     known = manifest.get("warnings")
     return {"warnings": "; ".join(map(str, known))} if known and isinstance(known, list) else {}
+
+
+def _extensions_of(manifest: Mapping[str, Any]) -> Conditions:
+    """Return the entries of installed packages that the runs used."""
+    known = manifest.get("extensions")
+    is_list = isinstance(known, list) and known
+    return {"extensions": ", ".join(map(str, known or ()))} if is_list else {}
 
 
 def host_of(manifest: Mapping[str, Any]) -> Conditions:

@@ -74,7 +74,7 @@ class Gauged:
 
 @dataclass(frozen=True)
 class Gate:
-    """What the numbers of a result must reach.
+    """Thresholds that the numbers of a result must reach.
 
     Attributes:
         at_least: the smallest allowed value; None for any.
@@ -105,7 +105,7 @@ class Gate:
         return {name: failure for name, failure in sentences.items() if failure} | missing
 
     def _failure(self, found: Gauged) -> str:
-        """Why a number fell too low, or was not tested; empty if neither."""
+        """Explain why a number fell too low, or was not tested; empty if neither."""
         if found.doubt and self.is_given:
             return f"{found.name}: {found.text}, not tested: {found.doubt}"
         if self.at_least is not None and found.is_below(self.at_least):
@@ -247,7 +247,7 @@ def entry_of(found: Sequence[Gauged]) -> Entry:
 
 
 def since_when(entries: Sequence[Entry], gauge: Gauged) -> str:
-    """What a number was when it was last better, and at which commit it fell; empty if never."""
+    """Return a number's last better value, and the commit at which it fell; empty if never."""
     fell = ""
     for entry in reversed(entries):
         value = entry.values.get(gauge.name)

@@ -39,7 +39,7 @@ _HALVINGS, _FINEST_RATIO = 8, 1e-4
 
 @dataclass(frozen=True)
 class Latency:
-    """What a system does to its commands; each value with half of its 95 % interval.
+    """Effects of a system on its commands; each value with half of its 95 % interval.
 
     Attributes:
         dead_time_s: before anything happens.

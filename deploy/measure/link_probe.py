@@ -27,7 +27,7 @@ Progress = Callable[[float, Vector, int], None]
 
 @dataclass(frozen=True)
 class ProbeTimes:
-    """When frames were where, ns on the monotonic clock of that side, 0 for never; shape (frames,).
+    """Times of frames, ns on the monotonic clock of each side, 0 for never; shape (frames,).
 
     Attributes:
         sent_ns: sent by this side.
@@ -53,7 +53,7 @@ class ProbeTimes:
 
 @dataclass(frozen=True)
 class MeasuredLink:
-    """What was measured of a link.
+    """Measurements of a link.
 
     Attributes:
         there: frames on their way there.
@@ -185,7 +185,7 @@ def evaluate(times: ProbeTimes) -> MeasuredLink:
 def clock_offset_ns(
     elapsed_s: Vector, raw_there_ns: NDArray[np.int64], raw_back_ns: NDArray[np.int64]
 ) -> tuple[Vector, float]:
-    """How far the other clock is ahead, as a line over time, and its uncertainty, ns.
+    """Return the offset of the other clock, as a line over time, and its uncertainty, ns.
 
     In each window the least apparent delays there and back are taken for equal, as those of a link
     without queues are (least-delay filter). The uncertainty is half of their sum, as neither is
@@ -220,7 +220,7 @@ def clock_offset_ns(
 
 
 def _reordered(arrivals_ns: NDArray[np.int64]) -> int:
-    """How many arrived after one that was sent after them."""
+    """Return the number that arrived after one that was sent after them."""
     if arrivals_ns.size < 2:
         return 0
     earliest_after = np.minimum.accumulate(arrivals_ns[::-1])[::-1]

@@ -140,7 +140,7 @@ def from_csv(
 
 
 def from_mcap(file: Path, topic: str, answer: str | None) -> MeasuredDelays:
-    """How long messages of an MCAP file took, by the stamps in their headers.
+    """Return the delays of messages in an MCAP file, by the stamps in their headers.
 
     Args:
         file: with messages in CDR that begin with a ROS header.

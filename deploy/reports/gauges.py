@@ -45,7 +45,7 @@ class GaugedSummary(_Part, ABC):
 
     @property
     def compared_as(self) -> str:
-        """What can be compared with these results, as by `compared_with`."""
+        """Quantity by which these results can be compared, as by `compared_with`."""
         return self.group
 
     @classmethod

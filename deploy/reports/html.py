@@ -81,7 +81,7 @@ def share_library(folder: Path) -> None:
 
 
 def library_address(report: Path) -> str:
-    """Where a report finds a shared library: beside it or one folder up; "" where there is none."""
+    """Return the address of a shared library: beside the report or one folder up; "" for none."""
     if _has_library(report.parent):
         return LIBRARY_FILE
     return f"../{LIBRARY_FILE}" if _has_library(report.parent.parent) else ""

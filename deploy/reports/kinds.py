@@ -69,7 +69,7 @@ def _worst_law(summary: Summary) -> str:
 
 @dataclass(frozen=True)
 class ResultKind:
-    """What is particular to a kind of result.
+    """A kind of result: its page and its numbers.
 
     What is heavy to import is named as ``module:name``, and imported when it is first needed.
 

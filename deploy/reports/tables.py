@@ -86,7 +86,7 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Column:
-    """What a column of a table holds.
+    """A column of a table.
 
     Attributes:
         heading: in a report.

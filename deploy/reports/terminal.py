@@ -126,7 +126,7 @@ def _shortened(text: str, longest: int | None) -> str:
 
 
 def _width(console: Console, table: rich_table.Table) -> int:
-    """How wide it would like to be."""
+    """Return the preferred width."""
     return console.measure(table, options=console.options.update(width=_WIDEST)).maximum
 
 

@@ -144,7 +144,7 @@ def _sentences_on_ranges(summary: Mapping[str, Any]) -> list[str]:
 
 
 def damaged(damage: Sequence[str]) -> str:
-    """What to say of a damaged recording."""
+    """Describe a damaged recording."""
     return f"The recording is damaged: {'; '.join(damage)}."
 
 
@@ -191,7 +191,7 @@ def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -
 
 
 def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
-    """What missing ticks mean for numbers that rest on neighbouring ones."""
+    """Explain the effect of missing ticks on numbers that rest on neighbouring ones."""
     recording = summary["recording"]
     left_out_s = recording["torque_left_out_s"]
     pairs = zip(summary["tracking"]["joint_names"], recording["settling_is_latest"], strict=True)
@@ -202,7 +202,7 @@ def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
 
 
 def missing_ticks_sentence(known: KnownTicks) -> str:
-    """What to say of ticks that are not in a recording."""
+    """Describe the ticks that are not in a recording."""
     return (
         f"The true motion is known at {known.known:,} of {known.ticks:,} ticks; those at"
         f" {known.gaps_text} are missing."
@@ -210,7 +210,7 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
 
 
 def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) -> str:
-    """Where the error was by its bounds, at the ticks that are known."""
+    """Describe the error within its bounds, at the ticks that are known."""
     bounds, damage = summary["bounds"], summary["recording"]["damage"]
     is_all = not known.missing and not damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
@@ -247,7 +247,7 @@ def loss_words(loss: Mapping[str, Any]) -> str:
 
 
 def _loss_text(loss: Mapping[str, Any] | None) -> str:
-    """Why a run left its funnel, as a part of a sentence."""
+    """Return the reason why a run left its funnel, as a part of a sentence."""
     return "" if loss is None else f" ({loss['joint']}, {loss_words(loss)})"
 
 
@@ -278,7 +278,7 @@ def settling_sentence(test: SettlingTest) -> str:
 
 
 def verdict_on_runs(compared: RecordedRuns) -> ReportHead:
-    """What is the same in recorded runs and what is not, in words."""
+    """Return the head of a report on recorded runs: whether they are equal, and where they part."""
     runs, keys = compared.runs, len(compared.differing)
     has_gaps = any(known_ticks(run.data).missing for run in runs)
     every = "every tick that is known of both" if has_gaps else "every tick"
@@ -319,7 +319,7 @@ def _is_sound(run: JudgedRun) -> bool:
 
 
 def bounds_sentence(run: JudgedRun) -> str:
-    """What became of a law's bounds, or of the law."""
+    """Say whether a law kept its bounds, or how it failed."""
     faults, known = run.summary["faults"], known_ticks(run.data)
     if faults:
         return "; ".join(faults[:_SHOWN_FAULTS])
@@ -336,7 +336,7 @@ def bounds_sentence(run: JudgedRun) -> str:
 
 
 def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
-    """What the recordings of runs lack, each with its law, as far as they lack anything."""
+    """Describe what the recordings of runs lack, each with its law."""
     found = []
     for run in runs:
         if damage := run.summary["recording"]["damage"]:
@@ -347,7 +347,7 @@ def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
 
 
 def _ranking(comparison: ComparedRuns) -> list[str]:
-    """Who of those that kept their bounds is most precise, joint by joint, and who smoothest."""
+    """Name the most precise law that kept its bounds, joint by joint, and the smoothest."""
     kept = [run for run in comparison.runs if run.kept_bounds]
     sentences = []
     for what, section, key in (
@@ -362,7 +362,7 @@ def _ranking(comparison: ComparedRuns) -> list[str]:
 
 
 def _winners(competing: dict[str, list[float]], kept: list[JudgedRun]) -> str:
-    """Who has the smallest number on which joints, and how much less than the next best."""
+    """Name the smallest number on each joint, and its distance from the next best."""
     names = kept[0].summary["tracking"]["joint_names"]
     won: dict[str, dict[str, float]] = {}
     for joint, name in enumerate(names):

@@ -63,7 +63,7 @@ def check_confirmable(setup: Setup) -> None:
     if not others:
         raise ScenarioError(
             "--confirm: no other physics engine is installed: pip install "
-            + " ".join(engine.distribution for engine in ENGINES.values())
+            + " ".join(engine.distribution for engine in ENGINES.usable().values())
         )
 
 
@@ -104,7 +104,7 @@ def other_physics(setup: Setup) -> dict[str, Setup]:
     """Return the scenario on every other installed physics, by the name of that physics."""
     own, found = physics_text(setup.scenario.plant), {}
     needs_rotors = setup.scenario.plant.actuator.has_rotors
-    for name, engine in ENGINES.items():
+    for name, engine in ENGINES.usable().items():
         is_able = engine.is_installed and (engine.has_rotors or not needs_rotors)
         for integrator in engine.integrators if is_able else ():
             physics = PhysicsConfiguration.model_validate(

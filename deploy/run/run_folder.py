@@ -23,6 +23,7 @@ from bus_schema.configuration import shown
 from bus_schema.errors import InputError
 from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.registry import extensions_in
 from bus_schema.user_files import read_text
 from controller.laws.custom import custom_laws_left_out
 from deploy.judge.arithmetic import libm_fingerprint
@@ -260,13 +261,16 @@ def manifest_of(
         setups: the scenario, with each of its laws.
         grants: real-time setup, by role.
     """
+    scenario = plain(setups[0].scenario)
+    used = {each for setup in setups for each in extensions_in(plain(setup.scenario))}
     return {
         **provenance(),
+        **({"extensions": sorted(map(str, used))} if used else {}),
         "realtime": dict(grants),
         "warnings": all_warnings(setups),
         "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
         "gains": {setup.scenario.controller.name: plain(setup.gains) for setup in setups},
-        "scenario": plain(setups[0].scenario),
+        "scenario": scenario,
     }
 
 

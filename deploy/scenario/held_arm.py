@@ -1,4 +1,4 @@
-"""How long an arm may be held at its start before its error leaves the funnel."""
+"""Longest time for which an arm may be held at its start before its error leaves the funnel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the plant counts by itself at each tick: whether its arm is within the funnel."""
+"""Counter in the plant of the ticks at which its arm is outside the funnel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When commands act: on arrival, after a fixed play-out time, or when they say so."""
+"""Play-out: commands act on arrival, after a fixed time, or when they say so."""
 
 from __future__ import annotations
 

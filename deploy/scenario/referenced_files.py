@@ -42,7 +42,7 @@ _PYBULLET_DATA = "pybullet_data:"
 
 
 def folders_of(key: str, origin: Origin) -> tuple[Path, Path]:
-    """Where a relative path of a scenario may start, the likelier folder first.
+    """Return the folders where a relative path of a scenario may start, the likelier first.
 
     That of the scenario's file, or the current one for what was set beside the file.
     """

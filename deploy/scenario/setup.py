@@ -176,7 +176,7 @@ class Setup:
 
     @cached_property
     def horizon(self) -> HorizonSettings:
-        """How a controller with delay compensation chooses when its commands act."""
+        """Settings by which a controller with delay compensation chooses when its commands act."""
         return horizon_settings(self)
 
     def layouts(self) -> dict[str, MessageLayout]:
@@ -193,7 +193,7 @@ class Setup:
     @property
     def link_kind(self) -> LinkKind[Any]:
         """The scenario's kind of link."""
-        return LINK_KINDS.build(self.scenario.link.kind)
+        return LINK_KINDS[self.scenario.link.kind]()
 
     def link_run(
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None

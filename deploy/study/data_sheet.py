@@ -34,7 +34,7 @@ _SHARES_OF_MARGIN = (0.25, 0.5, 0.75, 1.0)
 
 @dataclass(frozen=True)
 class DataSheet:
-    """What a data sheet is about.
+    """Settings of a data sheet.
 
     Attributes:
         arm: a scenario, or the file of an arm.

@@ -1,4 +1,4 @@
-"""Why the runs of a study do not show a margin."""
+"""Reasons why the runs of a study do not show a margin."""
 
 from __future__ import annotations
 

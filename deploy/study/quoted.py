@@ -10,7 +10,7 @@ Found = Mapping[str, Any]
 
 
 class Because(StrEnum):
-    """Why a number is the one to quote: what knows of no larger one."""
+    """Reason why a number is the one to quote: the test that supports no larger one."""
 
     HELD = "held"
     THEORY = "theory"

@@ -228,7 +228,7 @@ class StudyOfRuns(ABC):
         source: that file, or a name for messages; paths of scenarios start beside it.
 
     Attributes:
-        kind: ``sweep`` or ``margin``.
+        kind: ``kind`` of its summary, such as ``sweep`` or ``margin``.
         definition: its definition, with scenarios named by `scenario_name`.
         columns: names and Parquet types of varied values.
         bases: the scenarios that it varies.

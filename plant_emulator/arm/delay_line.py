@@ -12,7 +12,7 @@ NEVER = 2**62
 
 
 class DriveCommand(NamedTuple):
-    """What the drives of an arm are told.
+    """Command to the drives of an arm.
 
     Attributes:
         torque_nm: shape (joints,).

@@ -1,4 +1,4 @@
-"""Which delays a direction of the link is configured to have, before any message is sent."""
+"""Range of the delays that a direction of the link is configured to have."""
 
 from __future__ import annotations
 

@@ -5,23 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.can.protocol import PROTOCOLS
-from bus_schema.configuration import Registry, expand
+from bus_schema.configuration import expand
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cascade import UNTUNED, CascadeGains
 from plant_emulator.drives.drive import Drive, DriveSettings, Send
 
-_LARGEST_PER_MILLE = 32_767
-
-DRIVES: Registry[Drive[Any]] = Registry(
+DRIVES: Registry[type[Drive[Any]]] = Registry(
+    "drives",
     "link.can.protocol",
+    Drive,
     {
         "cia402": "plant_emulator.drives.cia402.drive:Cia402Drive",
         "cansimple": "plant_emulator.drives.cansimple.drive:CanSimpleDrive",
@@ -45,10 +43,8 @@ def commission(
         ConfigurationError: a value does not fit the robot.
     """
     damping = expand(plant.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
-    rated = rated_torque_nm(can, robot)
-    # The joint's limit, or what a 16-bit torque can say if that is less.
-    largest = np.minimum(robot.effort_limits_nm, rated * _LARGEST_PER_MILLE / 1000.0)
-    protocol = PROTOCOLS.build(can.protocol)
+    protocol = PROTOCOLS[can.protocol]()
+    largest = protocol.largest_torques_nm(can, robot)
     node_ids = protocol.node_ids(can, robot.joints)
     own = protocol.own_settings(can, robot)
     return tuple(
@@ -104,4 +100,4 @@ def build_bank(
         settings = tuple(replace(each, is_polled=True) for each in settings)
     elif "command_timeout_ms" not in can.model_fields_set:
         settings = tuple(replace(each, watchdog_ms=0.0) for each in settings)
-    return DriveBank(DRIVES.load(can.protocol), settings, send)
+    return DriveBank(DRIVES[can.protocol], settings, send)

@@ -283,7 +283,7 @@ class Drive(ABC, Generic[Own]):
 
     @property
     def _lasting_fault(self) -> DriveFault | None:
-        """What a reset cannot remove yet; None if nothing."""
+        """Fault that a reset cannot remove yet; None for none."""
         return next((fault for fault in _LASTING if fault in self._causes), None)
 
     @abstractmethod

@@ -16,7 +16,7 @@ from plant_emulator.faults.fault import Fault, FaultContext, FaultScheduler, Sch
 
 
 class ArmHardware(Protocol):
-    """What faults change of the arm as a whole: `plant_emulator.physics.engine.ArmPhysics`."""
+    """The arm as a whole, as faults change it: `plant_emulator.physics.engine.ArmPhysics`."""
 
     payload_kg: float
 

@@ -1,19 +1,27 @@
-"""The table of faults: its classes are the kinds of faults that scenarios can schedule."""
+"""The kinds of faults that scenarios can schedule."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache, reduce
 from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
 
 from bus_schema.configuration import Sections
+from bus_schema.registry import Registry
 from plant_emulator.faults import arm_faults, message_faults, process_faults
 from plant_emulator.faults.fault import Fault, FaultContext
 
-FAULT_KINDS: list[type[Fault]] = [
+
+def kind_of(fault: type[Fault]) -> str:
+    """Return the name that a class of faults declares, as a literal, for its key ``kind``."""
+    kinds = get_args(fault.model_fields["kind"].annotation)
+    return str(kinds[0]) if len(kinds) == 1 else ""
+
+
+_SHIPPED: list[type[Fault]] = [
     arm_faults.EncoderStuck,
     arm_faults.EncoderBiased,
     arm_faults.EncoderNoisy,
@@ -34,6 +42,9 @@ FAULT_KINDS: list[type[Fault]] = [
     process_faults.ProcessFrozen,
     process_faults.ProcessRestarted,
 ]
+FAULT_KINDS: Registry[type[Fault]] = Registry(
+    "faults", "faults.kind", Fault, {kind_of(each): each for each in _SHIPPED}
+)
 """Each class declares its ``kind`` as a literal, its keys, and its effect."""
 
 
@@ -41,10 +52,27 @@ def parse_fault(values: Any) -> Fault:
     """Return the fault that an entry of a scenario describes.
 
     Raises:
-        ValidationError: its kind is not in the table, or its keys are wrong.
+        ValidationError: its kind is unknown, or its keys are wrong.
+        ValueError: its kind cannot be loaded.
     """
-    fault: Fault = _adapter(tuple(FAULT_KINDS)).validate_python(values)
+    kind = values.get("kind") if isinstance(values, dict) else None
+    named = [kind] if isinstance(kind, str) and kind in FAULT_KINDS else None
+    for problem in filter(None, map(_problem, named or ())):
+        raise ValueError(f"of a kind that can be used: {problem}")
+    fault: Fault = _adapter(_classes(named)).validate_python(values)
     return fault
+
+
+def _problem(kind: str) -> str:
+    """Return the reason why a known kind of fault cannot be used; empty for none."""
+    if (problem := FAULT_KINDS.problem(kind)) or kind_of(FAULT_KINDS[kind]) == kind:
+        return problem
+    return f"{FAULT_KINDS.extension(kind)}: its class must declare kind: Literal[{kind!r}]"
+
+
+def _classes(only: Collection[str] | None = None) -> tuple[type[Fault], ...]:
+    """Return the classes that ship and those of these extensions; None for all extensions."""
+    return tuple(each for kind, each in FAULT_KINDS.usable(only).items() if kind_of(each) == kind)
 
 
 @cache
@@ -53,10 +81,8 @@ def _adapter(kinds: tuple[type[Fault], ...]) -> TypeAdapter[Any]:
     return TypeAdapter(union)
 
 
-ScheduledFault = Annotated[
-    SerializeAsAny[Fault], PlainValidator(parse_fault), Sections(lambda: FAULT_KINDS)
-]
-"""An entry of the section ``faults``; the table is read when a scenario is read."""
+ScheduledFault = Annotated[SerializeAsAny[Fault], PlainValidator(parse_fault), Sections(_classes)]
+"""An entry of the section ``faults``; the kinds are those installed when a scenario is read."""
 
 
 def check_faults(faults: Sequence[Fault], context: FaultContext) -> None:

@@ -1,18 +1,16 @@
-"""The table of physics engines.
-
-A new engine needs a class that implements `ArmPhysics`, one line here, and its name in
-`PhysicsConfiguration.engine`. It is imported when a scenario uses it.
-"""
+"""The physics engines: classes that implement `ArmPhysics`, imported when a scenario uses them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module, metadata
+from importlib import metadata
 from importlib.util import find_spec
+from pkgutil import resolve_name
 from typing import cast
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.registry import Registry
 from plant_emulator.configuration import Integrator, PlantConfiguration
 from plant_emulator.physics.engine import ArmPhysics
 
@@ -50,12 +48,19 @@ class PhysicsEngine:
 
     @property
     def arm_type(self) -> type[ArmPhysics]:
-        """Class of its arms."""
-        module, name = self.place.split(":")
-        return cast("type[ArmPhysics]", getattr(import_module(module), name))
+        """Class of its arms.
+
+        Raises:
+            ConfigurationError: it cannot be imported.
+        """
+        try:
+            return cast("type[ArmPhysics]", resolve_name(self.place))
+        except (ImportError, AttributeError) as error:
+            allowed = f"{self.place} cannot be loaded: {type(error).__name__}: {error}"
+            raise ConfigurationError(_KEY, self.title, allowed) from error
 
 
-ENGINES = {
+_SHIPPED = {
     "bullet": PhysicsEngine(
         "Bullet", "pybullet", "plant_emulator.physics.bullet.arm:BulletArm",
         ("semi_implicit_euler",), has_window=True,
@@ -65,6 +70,7 @@ ENGINES = {
         ("semi_implicit_euler", "runge_kutta_4"), has_rotors=True,
     ),
 }  # fmt: skip
+ENGINES: Registry[PhysicsEngine] = Registry("physics_engines", _KEY, PhysicsEngine, _SHIPPED)
 DEFAULT_ENGINE = "bullet"
 
 
@@ -109,14 +115,15 @@ def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
     name = engine_name(plant)
     engine, integrator = ENGINES[name], plant.physics.integrator
     if not engine.is_installed:
-        installed = [other for other, each in ENGINES.items() if each.is_installed]
+        installed = [other for other, each in ENGINES.usable().items() if each.is_installed]
         allowed = (
             f"{engine.title} is not installed (pip install {engine.distribution}); installed:"
             f" {', '.join(installed) or 'no engine'}"
         )
         raise ConfigurationError(_KEY, name, allowed)
     if integrator not in engine.integrators:
-        others = [key for key, each in ENGINES.items() if integrator in each.integrators]
+        engines = ENGINES.usable().items()
+        others = [key for key, each in engines if integrator in each.integrators]
         allowed = (
             f"must be {' or '.join(engine.integrators)} with {engine.title};"
             f" {_KEY}={' or '.join(others)} has it"

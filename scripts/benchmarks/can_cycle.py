@@ -1,4 +1,4 @@
-"""What a control cycle over CAN costs the master and the drives, beside python-can's bare calls.
+"""Cost of a control cycle over CAN for master and drives, beside python-can's bare calls.
 
 Master and drives of CiA 402 are on one bus in one thread, which takes their turns: no side waits,
 so what is measured is work. The bare calls make the messages of the same frames, send and

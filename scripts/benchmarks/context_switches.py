@@ -1,4 +1,4 @@
-"""What an exchange costs in context switches, thread by thread, which no neighbour's load changes.
+"""Context switches of an exchange, thread by thread, which no neighbour's load changes.
 
 ``python -m scripts.benchmarks.context_switches``. Linux only.
 """
@@ -24,7 +24,7 @@ _TRANSPORTS: dict[str, type[Transport]] = {
 def switches_per_exchange(
     transport: type[Transport], exchanges: int
 ) -> dict[str, dict[str, float]]:
-    """How often each thread gave its CPU up to wait.
+    """Return the number of times that each thread gave its CPU up to wait.
 
     Args:
         transport: what carries the messages.

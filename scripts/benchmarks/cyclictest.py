@@ -19,7 +19,7 @@ _OVERFLOWS = re.compile(r"^# Histogram Overflows:\s*(\d+)", re.MULTILINE)
 
 
 def why_not() -> str | None:
-    """Why `cyclictest` cannot be had here; None if it can."""
+    """Return the reason why `cyclictest` is not available; None if it is."""
     if shutil.which("cyclictest") is None:
         return "cyclictest is not installed (package rt-tests): no comparison of wake-up lateness"
     try:

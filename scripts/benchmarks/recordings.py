@@ -1,4 +1,4 @@
-"""What a recording costs: a message written, all of it read, and its report drawn.
+"""Cost of a recording: a message written, all of it read, and its report drawn.
 
 `python -m scripts.benchmarks.recordings`.
 """

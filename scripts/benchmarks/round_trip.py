@@ -98,7 +98,7 @@ def measure_lockstep(scenario: str, seconds: float, repetitions: int) -> Section
 
 
 def _kernel_us(period_us: int, seconds: float) -> dict[str, float]:
-    """What a run of `cyclictest` finds."""
+    """Return the latencies that a run of `cyclictest` finds."""
     lateness_us = cyclictest.run_cyclictest(period_us, seconds)
     return {KERNEL_P50: lateness_us["p50"], KERNEL_P99: lateness_us["p99"]}
 

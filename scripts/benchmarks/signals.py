@@ -112,7 +112,7 @@ def _hit(case: Case, mark: str) -> str:
 
 
 def _name(line: str) -> str:
-    """What a process is, from its command line."""
+    """Return the role of a process, from its command line."""
     for word in (
         "fork_server",
         " plant ",
@@ -137,7 +137,7 @@ def _left(mark: str, temporary: Path) -> list[str]:
 
 
 def _told(code: int, hit: str, result: Path) -> list[str]:
-    """What exit code, recording and verdict say that is not so."""
+    """Return the contradictions between exit code, recording and verdict."""
     wrong = [] if code in (0, 1, 130, -signal.SIGKILL) else [f"exit code {code}"]
     if hit == "run" and code == -signal.SIGTERM:  # before Python has begun, no handler is there
         wrong.clear()

@@ -150,7 +150,7 @@ def starter(arm: str) -> tuple[RobotDescription, dict[str, Any]]:
 
 
 def result(case: Case, more: tuple[str, ...] = ()) -> dict[str, Any]:
-    """What came of a simulation."""
+    """Return the result of a simulation."""
     summary = execute(setup_of(case, more)).summary
     bounds, rms = summary["bounds"], summary["tracking"]["rms_rad"]
     return {
@@ -262,14 +262,14 @@ def _is_random(case: Case) -> bool:
 
 
 def _read(file: Path) -> dict[Case, dict[str, Any]]:
-    """What a file has, by case."""
+    """Return the content of a file, by case."""
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     found = (json.loads(line) for line in lines)
     return {Case(*(each[name] for name in Case._fields)): each for each in found}
 
 
 def _folders() -> list[Path]:
-    """Where the packages keep their arms."""
+    """Return the folders of the packages' arms."""
     inside = Path("cmeel.prefix/share/example-robot-data/robots")
     return [*(Path(path) / inside for path in sys.path), *pybullet_data()]
 

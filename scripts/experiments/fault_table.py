@@ -38,7 +38,7 @@ _TICKS_OF_GRACE = 2
 
 
 class Outcome(NamedTuple):
-    """What a fault did to a run.
+    """Outcome of a run with a fault.
 
     Attributes:
         code: exit code of the run.

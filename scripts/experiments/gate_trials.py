@@ -1,4 +1,4 @@
-"""How often a gate on the delay margin raises a false alarm, and which regressions it misses.
+"""Rates of false alarms and missed regressions of a gate on the delay margin.
 
 ``python -m scripts.experiments.gate_trials [REPETITIONS]`` prints both counts. A repetition takes
 another seed of the encoders' noise; a regression draws other gains for the law.

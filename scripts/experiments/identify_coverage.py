@@ -1,4 +1,4 @@
-"""How often true parameters lie within their 95 % intervals, on logs of virtual robots.
+"""Coverage of the 95 % intervals of identified parameters, on logs of virtual robots.
 
     python -m scripts.experiments.identify_coverage [--arm NAME ...] [--correlation S ...]
         [--draws N] [--seed N] [--seconds S] [--noise SHARE] [--each]

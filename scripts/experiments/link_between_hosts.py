@@ -1,4 +1,4 @@
-"""What `funnel-hil link` measures between two network namespaces, beside what a relay injects.
+"""Measurements of `funnel-hil link` between two network namespaces, beside the injected delays.
 
 ``python -m scripts.experiments.link_between_hosts`` prints a table. Root is needed.
 """
@@ -28,7 +28,7 @@ _DURATION_S = 6.0
 
 
 class Found(NamedTuple):
-    """What was measured of one direction.
+    """Measurements of one direction.
 
     Attributes:
         delays_ms: of messages that arrived.

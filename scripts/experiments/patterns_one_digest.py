@@ -103,7 +103,7 @@ SETTINGS = (
 
 
 class Outcome(NamedTuple):
-    """What a run under one pattern did.
+    """Outcome of a run under one pattern.
 
     Attributes:
         setting: number of the setting.

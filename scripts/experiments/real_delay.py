@@ -37,7 +37,7 @@ _SETTLED_S = 0.5
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one run.
+    """Outcome of one run.
 
     Attributes:
         kept: it came to its end, and its errors stayed inside the funnel.
@@ -74,7 +74,7 @@ class Row:
 
 
 def outcome_of(judged: JudgedRun) -> Outcome:
-    """What the table has of a run."""
+    """Return the outcome of a run for the table."""
     run, summary = judged.data, judged.summary
     bounds, timing = summary["bounds"], summary["timing"]
     status = run.tables[topics.CONTROL_STATUS.name]

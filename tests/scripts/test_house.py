@@ -10,6 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("bus_schema", "controller", "plant_emulator", "deploy")
 MOST_PARAMETERS, MOST_PRIVATE_NAMES = 8, 5
+QUESTION_WORDS = {"How", "What", "When", "Where", "Which", "Who", "Whose", "Why"}
 
 
 @cache
@@ -68,3 +69,15 @@ def test_few_private_names_of_libraries_are_used() -> None:
     found = {name for tree in sources().values() for name in private_names(tree)}
     found -= {"os._exit", "__future__.annotations"}  # documented
     assert len(found) <= MOST_PRIVATE_NAMES, found
+
+
+def test_docstrings_begin_with_a_noun_or_a_verb_and_not_with_a_question_word() -> None:
+    """A docstring says what a thing is or does; the help of the program may ask its question."""
+    found = {
+        f"{file}: {getattr(node, 'name', 'module')}": text.partition("\n")[0]
+        for file, tree in sources().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and (text := ast.get_docstring(node) or "").split(" ")[0] in QUESTION_WORDS
+    }
+    assert {name: text for name, text in found.items() if not text.endswith("?")} == {}

@@ -32,7 +32,7 @@ _WORD = np.iinfo(np.int16)
 
 
 class CommandId(IntEnum):
-    """What a message says: the lowest bits of its identifier."""
+    """Kind of a message: the lowest bits of its identifier."""
 
     HEARTBEAT = 0x01
     SET_AXIS_STATE = 0x07
@@ -57,7 +57,7 @@ PASSTHROUGH = 1
 
 
 class CanSimpleMode(NamedTuple):
-    """What an axis is to control, and by which frames.
+    """Quantity that an axis controls, with the frames of a cycle.
 
     Attributes:
         control: the control mode.

@@ -1,4 +1,4 @@
-"""What both sides need of canopen: descriptions of devices, and a network on a bus of ours."""
+"""Adapter to canopen for both sides: descriptions of devices, and a network on a bus of ours."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def check_eds(eds: str, *, takes_targets: bool) -> None:
 def _difference(
     theirs: ObjectDictionary, ours: ObjectDictionary, index: int, subindex: int
 ) -> str | None:
-    """What is wrong with an object; None if nothing is."""
+    """Return the error in an object; None for none."""
     found, wanted = theirs.get_variable(index, subindex), ours.get_variable(index, subindex)
     name = f"0x{index:04X}" + f":{subindex:02X}" * bool(subindex)
     if found is None or wanted is None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from bus_schema.arrays import Vector
 from bus_schema.can.cia402.canopen_adapter import check_eds
 from bus_schema.can.cia402.codec import Cia402Codec, Cia402Settings, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
@@ -14,6 +17,7 @@ from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 
+_MOST_PER_MILLE = 32_767
 _SDO = struct.Struct("<BHBI")
 _UPLOAD, _TO_NODE, _FROM_NODE = 0x40, 0x600, 0x580
 _ASKED = {
@@ -55,6 +59,10 @@ class Cia402Protocol(DriveProtocol):
         rated, turn = _ASKED.values()
         torques_mnm = self.codec(can, robot).rated_mnm.tolist()
         return [{rated: torque_mnm, turn: can.counts_per_turn} for torque_mnm in torques_mnm]
+
+    def largest_torques_nm(self, can: CanConfiguration, robot: RobotDescription) -> Vector:
+        most_nm = rated_torque_nm(can, robot) * _MOST_PER_MILLE / 1000.0  # of 16 bits
+        return np.asarray(np.minimum(robot.effort_limits_nm, most_nm))
 
     def own_settings(
         self, can: CanConfiguration, robot: RobotDescription

@@ -47,7 +47,7 @@ class DamiaoMode(IntEnum):
 
     @property
     def offset(self) -> int:
-        """What is added to the motor's address for commands of this mode."""
+        """Offset of the identifier of this mode's commands from the motor's address."""
         return (self - 1) << 8
 
 
@@ -98,7 +98,7 @@ def packed_target(mode: DamiaoMode, target: Target) -> bytes:
 
 
 def target_of(mode: DamiaoMode, data: bytes) -> Target | None:
-    """What a frame of a mode other than MIT commands; None if it is no command."""
+    """Return the command in a frame of a mode other than MIT; None if it is no command."""
     if len(data) not in (_VEL_BYTES if mode is DamiaoMode.VEL else (COMMAND_BYTES,)):
         return None
     if mode is DamiaoMode.VEL:
@@ -131,7 +131,7 @@ _HEAD = struct.Struct("<HBB")
 
 
 class Request(IntEnum):
-    """What a frame to identifier 0x7FF asks for."""
+    """Request in a frame to identifier 0x7FF."""
 
     READ = 0x33
     WRITE = 0x55
@@ -195,7 +195,7 @@ class RegisterFrame(NamedTuple):
 
 
 def register_frame(data: bytes) -> RegisterFrame:
-    """What eight bytes say."""
+    """Return the request or answer in eight bytes."""
     node_id, request, register = _HEAD.unpack_from(data)
     form = "<I" if register in _WHOLE else "<f"
     (value,) = struct.unpack_from(form, data, _HEAD.size)

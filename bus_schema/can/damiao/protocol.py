@@ -128,7 +128,7 @@ _FEEDBACK_OFFSET = 0x10
 
 
 class DamiaoSettings(NamedTuple):
-    """What both sides must agree on of one motor.
+    """Settings of one motor that both sides must share.
 
     Attributes:
         motor: its kind.

@@ -61,7 +61,7 @@ class MitRanges(NamedTuple):
 
 
 class MitCommand(NamedTuple):
-    """What a drive is to do: torque + stiffness (position - q) + damping (velocity - q')."""
+    """Command of a drive: torque + stiffness (position - q) + damping (velocity - q')."""
 
     position_rad: float = 0.0
     velocity_rad_s: float = 0.0
@@ -86,7 +86,7 @@ def special_of(data: bytes) -> Special | None:
 
 
 class _Number(NamedTuple):
-    """How a number is written.
+    """Encoding of a number.
 
     Attributes:
         name: attribute of its range, and of what it is part of.
@@ -117,7 +117,7 @@ def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:
 
 
 def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
-    """What eight bytes that have no `ending_of` a special frame command."""
+    """Return the command in eight bytes that have no `ending_of` a special frame."""
     return MitCommand(*_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
 
 
@@ -129,7 +129,7 @@ def packed_reply(reply: AxisState, ranges: MitRanges, reply_bytes: int) -> bytes
 
 
 def reply_of(data: bytes, ranges: MitRanges) -> AxisState:
-    """What six or eight bytes report."""
+    """Return the reply in six or eight bytes."""
     packed = int.from_bytes(data[: REPLY_BYTES[0]], "big")
     position, velocity, torque = _unpacked(packed, _STATE, ranges)
     reply = AxisState(data[0], position, velocity, torque)

@@ -30,7 +30,7 @@ class MitMaster(RequestMaster):
 
 
 class MitSettings(NamedTuple):
-    """What both sides must agree on of one drive.
+    """Settings of one drive that both sides must share.
 
     Attributes:
         ranges: of the numbers in its frames.

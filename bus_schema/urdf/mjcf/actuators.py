@@ -1,4 +1,4 @@
-"""What the actuators of a compiled MJCF model do at their joints.
+"""Effects of a compiled MJCF model's actuators at their joints.
 
 An actuator has its joint's position and speed times the gear, and its joint the force times that.
 So stiffness, damping and inertia have the gear squared at the joint.

@@ -1,4 +1,4 @@
-"""What came of runs: numbers, arrays, data frames and figures."""
+"""Results of runs: numbers, arrays, data frames and figures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class _Drawn:
-    """What has the figures of a report.
+    """Base of results that have the figures of a report.
 
     Args:
         panels: the figures.
@@ -129,7 +129,7 @@ class Run(_Drawn):
 
     @property
     def faults(self) -> list[str]:
-        """What went wrong, a sentence each."""
+        """Faults of the run, a sentence each."""
         return list(self.summary["faults"])
 
     @property
@@ -228,7 +228,7 @@ class Diff(_SideBySide):
 
 
 class Study(_Table):
-    """What came of a sweep or of margins.
+    """Result of a sweep or of margins.
 
     Attributes:
         summary: what ``summary.json`` says.

@@ -130,7 +130,7 @@ def diff(*runs: Run | str | Path, out: str | Path | None = None, overwrite: bool
 
 
 def _recording(run: Run | str | Path) -> Path:
-    """Where a run was recorded."""
+    """Return the recording of a run."""
     place = run.path if isinstance(run, Run) else run
     if not isinstance(place, str | Path):
         raise InputError(

@@ -88,7 +88,7 @@ class Scenario:
 
     @cached_property
     def setup(self) -> Setup:
-        """What the program makes of it."""
+        """The scenario, loaded and checked."""
         with self.laws():
             return build_setup(self._values, self._file, self.overrides, "changes")
 
@@ -109,7 +109,7 @@ class Scenario:
         return effective_values(self.setup)
 
     def to_yaml(self) -> str:
-        """What it says, as a scenario file with absolute paths; nothing that is derived from it."""
+        """Return it as a scenario file with absolute paths, without derived values."""
         values = given_values(self._values, self._file, self.overrides)
         set_value(values, "robot.urdf", str(self.setup.robot.path))
         for key, file in data_files(self.setup.scenario).items():

@@ -91,7 +91,7 @@ def latency(
 
 
 class _Read(NamedTuple):
-    """What a file says.
+    """Commands and responses read from a file.
 
     Attributes:
         rows: times, commands and responses, with commands held and with commands on lines.

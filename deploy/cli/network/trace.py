@@ -21,7 +21,7 @@ app = typer.Typer(help=__doc__, no_args_is_help=True)
 
 
 class Kind(StrEnum):
-    """What a file may be."""
+    """Format of a file of delays."""
 
     PING = "ping"
     CANDUMP = "candump"
@@ -113,7 +113,7 @@ def import_trace(
 
 
 class _Names(NamedTuple):
-    """What the user calls requests, answers and delays: identifiers, columns or topics."""
+    """The user's names of requests, answers and delays: identifiers, columns or topics."""
 
     sent: str | None
     received: str | None

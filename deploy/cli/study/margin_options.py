@@ -83,7 +83,7 @@ class StudyOptions(WorkerOptions):
     ] = None
 
     def definition(self) -> dict[str, Any]:
-        """What is given of a study's definition, but for what ``--set`` gives."""
+        """Return the given part of a study's definition, without values from ``--set``."""
         given = {
             "plants": self.plants, "plant_seed": self.plant_seed, "uncertainty": self.uncertainty,
         }  # fmt: skip

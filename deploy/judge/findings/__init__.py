@@ -1,1 +1,1 @@
-"""What a judged run shows beside its bounds: chattering, growth, stalls, delays, a loss."""
+"""Findings in a judged run beside its bounds: chattering, growth, stalls, delays, a loss."""

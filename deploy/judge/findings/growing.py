@@ -46,7 +46,7 @@ class Growth:
 
 @dataclass(frozen=True)
 class Growths:
-    """How the errors of a run grow, and what the run is too short to show.
+    """Growth of a run's errors, and growth that the run is too short to show.
 
     Attributes:
         joints: growth of each joint's error; None for none.

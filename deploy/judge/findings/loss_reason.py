@@ -1,4 +1,4 @@
-"""Why a run left its funnel, from the time just before and after."""
+"""Reason why a run left its funnel, from the time just before and after."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _PERIODS_WITHOUT_DELAY = 1.5
 
 
 class LossReason(NamedTuple):
-    """Why a run left its funnel.
+    """Reason why a run left its funnel.
 
     Attributes:
         reason: see `Reason`.
@@ -178,7 +178,7 @@ class _Loss:
 
     @cached_property
     def sides(self) -> Vector:
-        """Where the joint's torque is at a limit, by its sign."""
+        """Sign of the joint's torque at ticks where it is at a limit; 0 at others."""
         limits, torques = self.run.setup.largest_torques_nm, self.truth["torque"]
         return np.asarray(at_limits(torques, self.truth["saturated"], limits)[:, self.joint])
 

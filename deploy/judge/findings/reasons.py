@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """Why a run left its funnel, or does not hold although it kept it.
+    """Reason why a run left its funnel, or does not hold although it kept it.
 
     Attributes:
         words: how the error left the funnel, as the end of a sentence about it.

@@ -34,7 +34,7 @@ _FILLED, _BONE_PX, _JOINT_PX = 0.8, 16, 14
 
 
 def arm_pictures(run: RunData) -> Callable[[], list[Picture] | None] | None:
-    """What gives the arm at the start, in the middle and at the end of a run by one camera.
+    """Start drawing the arm at start, middle and end of a run; return what waits for the pictures.
 
     A process of its own draws it from now on. None if nothing was recorded, or Bullet is not
     installed, or cannot draw this arm.
@@ -80,7 +80,7 @@ def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
 
 
 def _pixels(rendering: Rendering) -> NDArray[np.uint8]:
-    """What Bullet renders; for an arm without shapes that it can draw, a skeleton of the arm."""
+    """Render by Bullet; an arm without shapes that it can draw becomes a skeleton."""
     rendered = rendering.pictures()
     if (rendered < 255).any():
         return rendered

@@ -81,7 +81,7 @@ def error_envelopes(runs: ComparedRuns) -> go.Figure | None:
 
 
 def positions_apart(runs: ComparedRuns) -> go.Figure | None:
-    """How far each run's positions are from those of the first, at the same instant."""
+    """Return the distance of each run's positions from those of the first, at the same instant."""
     first = runs.runs[0].data
     own = first.tables[_TRUTH.name]["position"]
     figure = with_runs(style.joint_rows(first.setup.robot.joint_names, "mrad"), runs)

@@ -1,4 +1,4 @@
-"""What delay compensation and neural networks learned over a run, beside the truth.
+"""Parameters that delay compensation and networks learned over a run, beside the truth.
 
 Functions that draw give None where a run learned nothing of the kind.
 """

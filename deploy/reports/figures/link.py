@@ -1,4 +1,4 @@
-"""What the emulated link did to messages, beside what the traces that it replays say."""
+"""Delays and losses of the emulated link, beside those of the traces that it replays."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def trace_percentiles(run: RunData) -> go.Figure | None:
 
 
 def trace_autocorrelation(run: RunData) -> go.Figure | None:
-    """How far delays resemble those of later messages; None where there is no trace."""
+    """Draw the autocorrelation of delays; None where there is no trace."""
     lines = list(_lines(run, "autocorrelation"))
     if not lines:
         return None
@@ -52,7 +52,7 @@ def arrivals(run: RunData) -> tuple[Vector, Vector]:
 
 
 def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
-    """How late commands arrived and acted, and which one acted when bounds were left.
+    """Draw the delays at which commands arrived and acted, and the one in force at the loss.
 
     None where the delay was always the same and the bounds were kept.
     """

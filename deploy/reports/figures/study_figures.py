@@ -52,7 +52,7 @@ class DrawnStudy(NamedTuple):
 
 @dataclass(frozen=True)
 class StudyQuantity:
-    """What is drawn of several runs.
+    """Quantity that is drawn of several runs.
 
     Attributes:
         key: of its spread in what `spread_of_runs` says.

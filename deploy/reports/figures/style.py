@@ -111,7 +111,7 @@ def joint_rows(names: tuple[str, ...], unit: str) -> go.Figure:
 
 @lru_cache(maxsize=1)
 def _empty_joint_rows(names: tuple[str, ...]) -> go.Figure:
-    """What is to be copied: Plotly copies such a figure in a fraction of the time it makes one."""
+    """Return a template to copy: Plotly copies a figure in a fraction of the time it makes one."""
     rows = len(names)
     row_px = float(np.clip(520 / rows, 100, 170))
     plot_px = rows * row_px + (rows - 1) * _ROW_GAP_PX

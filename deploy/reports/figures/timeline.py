@@ -1,4 +1,4 @@
-"""What happened when and how well time was kept: modes, scheduled faults, times, deadlines.
+"""Timeline of a run: modes, scheduled faults, times, deadlines.
 
 Functions that draw give None where a run has nothing to draw.
 """

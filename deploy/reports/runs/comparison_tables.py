@@ -69,7 +69,7 @@ def status_cell(run: JudgedRun) -> Cell:
 
 
 def recorded_table(compared: RecordedRuns) -> Table:
-    """What each recorded run was, and what became of it."""
+    """Return the table of recorded runs: settings and outcome of each."""
     runs, summaries = compared.runs, [run.summary for run in compared.runs]
     rows: list[Row] = [
         [key.capitalize(), *(summary[key] for summary in summaries)]

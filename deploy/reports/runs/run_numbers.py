@@ -87,7 +87,7 @@ def margin_place(bounds: Mapping[str, Any]) -> str:
 
 
 def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
-    """What the initial offset left of the bounds, and what is left once they have narrowed."""
+    """Return the margins at the start, after the initial offset, and once bounds have narrowed."""
     margins = {
         "at the start": bounds["margin_start"],
         f"from {from_s:g} s on": bounds["margin_steady"],

@@ -111,7 +111,7 @@ _PLAYOUT = {
 
 
 def transport_table(summary: dict[str, Any]) -> Table:
-    """What became of the messages, a column per direction."""
+    """Return the table of messages, a column per direction."""
     channels = [summary["transport"][name] for name in ("uplink", "downlink")]
     rows: list[list[Value]] = [
         [title, *(_value(channel, key) for channel in channels)]
@@ -190,5 +190,5 @@ def _value(values: dict[str, Any], dotted_key: str) -> float | None:
 
 
 def _detail(event: RunEvent) -> str:
-    """What an event says: its sentence, or its values as words."""
+    """Return an event's sentence, or its values as words."""
     return in_words(event.values()) or event.detail

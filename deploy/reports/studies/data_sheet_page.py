@@ -105,7 +105,7 @@ def _quoted_sentence(summary: Summary, margin: Summary) -> str:
 
 
 def _best_case_sentence(margin: Summary, on: Summary) -> str:
-    """What the exact arm keeps with compensation, which is the best case."""
+    """Name the delay of the exact arm with compensation, which is the best case."""
     any_ms = any_pattern_ms(on)
     if any_ms is None:
         return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
@@ -120,7 +120,7 @@ def _best_case_sentence(margin: Summary, on: Summary) -> str:
 
 
 def _network_sentence(summary: Summary, points: list[Summary]) -> str:
-    """How many windows of the network were lost, and with what equipment more are kept."""
+    """Count the lost windows of the network, and name the equipment that keeps more."""
 
     def kept(one: Summary) -> str:
         return f"{one['runs_kept']} of {one['runs']}"

@@ -27,7 +27,7 @@ _OPTIONAL: list[TableColumn] = [
 
 
 def _case_columns(summary: Summary) -> list[TableColumn]:
-    """What a case is; some only where one of the cases has something to say in it."""
+    """Return the columns that describe a case, without those that are empty for all."""
     return [
         (Column("Arm", is_text=True), lambda case: case["arm"]),
         (Column("Law", is_text=True), lambda case: case["law"]),
@@ -109,7 +109,7 @@ def margin_table(summary: Summary) -> Table:
 
 
 def help_tables(summary: Summary, folder: str = "") -> list[Table]:
-    """What was tried at the first failure of each case, with the command that repeats it.
+    """Return tables of the changes tried at the first failure of each case, with their commands.
 
     Args:
         summary: of margins.
@@ -222,12 +222,12 @@ def margins_by_law(summary: Summary) -> Table:
 
 
 def robustness_table(summary: Summary) -> Table:
-    """How many plants were kept at each value, a row for each case."""
+    """Return the number of plants kept at each value, a row for each case."""
     plants = summary["plants"]
     share = f"{100 * summary['kept_share']:g} % of {plants}"
 
     def kept_at(place: int, value: float) -> TableColumn:
-        """How many were kept; of how many where not all are judged yet."""
+        """Return the number kept, and the number judged where that is not all."""
 
         def count(case: Summary) -> Value:
             found = case["values"][place]

@@ -1,4 +1,4 @@
-"""What the cases and values of sweeps and margins are called, and their results in words."""
+"""Names of the cases and values of sweeps and margins, and their results in words."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def equipment_text(case: Summary) -> str:
 
 
 def case_name(case: Summary) -> str:
-    """What a margin is of: the law, and with what."""
+    """Return the name of a margin's case: the law and its equipment."""
     return f"{case['law']} {setting_text(case)}".rstrip()
 
 
@@ -52,7 +52,7 @@ def value_text(value: float, summary: Summary) -> str:
 
 
 def value_title(summary: Summary) -> str:
-    """What grows, with its unit."""
+    """Return the name of the growing quantity, with its unit."""
     return Column(summary["title"], summary["unit"]).title
 
 
@@ -66,7 +66,7 @@ def interval_text(share: Summary) -> str:
 
 
 def share_text(share: Summary) -> str:
-    """How many of how many were kept."""
+    """Return the number kept of the number judged."""
     return f"{share['kept']} of {share['total']}" if share["total"] else ABSENT
 
 
@@ -102,7 +102,7 @@ def quoted_or_none(case: Summary) -> float | None:
 
 
 def because_text(case: Summary) -> str:
-    """Why a smaller number than the held one is quoted; empty if the held one is."""
+    """Explain why a smaller number than the held one is quoted; empty if the held one is."""
     because = case.get("quoted_because")
     if because == Because.THEORY and case["quoted"] is None:
         return "unstable without a delay, in theory"
@@ -132,7 +132,7 @@ def theory_text(case: Summary) -> str | None:
 
 
 def unknowns_text(summary: Summary) -> str:
-    """What is not known of an arm and was tried at its worst; empty for nothing."""
+    """Name the unknowns of an arm that were tried at their worst; empty for none."""
     (case, *_) = summary["cases"]
     errors = [each["change"] for each in case.get("model_errors") or ()]
     rotors = ["a tenth of the estimated rotors"] if case.get("smaller_rotors") else []
@@ -156,7 +156,7 @@ def rotors_text(case: Summary, summary: Summary) -> str | None:
 
 
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
-    """What is known of a case under delays that vary."""
+    """Describe a case under delays that vary."""
     if case.get("guaranteed"):
         playout, remedy = _playout_texts(case)
         return (
@@ -186,7 +186,7 @@ def _playout_texts(case: Summary) -> tuple[str, str]:
 
 
 def probe_at(case: Summary, value: float | None) -> Summary | None:
-    """What became of a value that was tried."""
+    """Return the result at a value that was tried."""
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
 
 
@@ -218,7 +218,7 @@ def setting_and_reason(case: Summary) -> str:
 
 
 def model_text(cases: list[Summary]) -> str:
-    """How far the model that compensation predicts with is that of the arm."""
+    """Describe how the model that compensation predicts with differs from the arm."""
     compensated = (case for case in cases if case["compensation"])
     scales = {case["model_scale"] for case in compensated if "model_scale" in case}
     if scales <= {1.0}:
@@ -270,7 +270,7 @@ _NOT_WORTH_A_WORD = 0.995
 
 
 def _saved(summary: Summary) -> list[str]:
-    """How many runs, and how much simulated time, were enough; nothing if that was all."""
+    """Name the runs and the simulated time that were enough; nothing if that was all."""
     saved = summary.get("saved")
     if not saved or saved["simulated_s"] >= _NOT_WORTH_A_WORD * saved["planned_s"]:
         return []
@@ -283,7 +283,7 @@ def _saved(summary: Summary) -> list[str]:
 
 
 def _test(test: Summary) -> str:
-    """How surely a sequential test decides."""
+    """Name the errors with which a sequential test decides."""
     poor, passes, good, fails = (f"{100 * value:.1f} %" for value in test.values())
     return (
         f"Sequential test at each value: if {poor} of all plants were kept, the value would count"
@@ -292,7 +292,7 @@ def _test(test: Summary) -> str:
 
 
 def _headlines(summary: Summary) -> list[str]:
-    """Who takes the most on each arm: first of loops that run, then of those that start so."""
+    """Name the best case on each arm: first of loops that run, then of those that start so."""
     arms = dict.fromkeys(case["arm"] for case in summary["cases"])
     return [
         _best(summary, own, arm)
@@ -303,7 +303,7 @@ def _headlines(summary: Summary) -> list[str]:
 
 
 def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
-    """Who takes the most of the cases of an arm."""
+    """Name the case of an arm that takes the most."""
     known = [case for case in cases if quoted_or_none(case) is not None]
     where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
     if not known:
@@ -365,13 +365,13 @@ def _flawed(summary: Summary) -> list[str]:
 
 
 def losses_text(runs: Summary) -> str:
-    """Why runs left their funnel, the most frequent reason first, and most often which joint."""
+    """Explain why runs left their funnel, the most frequent reason first, with their joint."""
     losses, joints = (Counter(runs.get(key) or {}) for key in ("losses", "loss_joints"))
     return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
 
 
 def loss_text(case: Summary) -> str:
-    """Why runs at the first failure left their funnel, and most often which joint."""
+    """Explain why runs at the first failure left their funnel, and most often which joint."""
     named = losses_text(probe_at(case, case["first_failure"]) or {})
     return f"{named}, already without it" if named and case["margin"] is None else named or ABSENT
 
@@ -419,7 +419,7 @@ def _too_slow(summary: Summary) -> list[str]:
 
 
 def _gaps(summary: Summary) -> list[str]:
-    """How far apart the tried values are, where theory knows no window of instability."""
+    """Name the widest gap between tried values, where theory knows no window of instability."""
     gaps = [case.get("widest_gap", 0.0) for case in _without_theory(summary)]
     if max(gaps, default=0.0) <= summary["resolution"]:
         return []
@@ -463,7 +463,7 @@ def _windows(unstable_ms: list[list[float | None]]) -> str:
 
 
 def furthest(summary: Summary) -> str:
-    """What a margin is of the values that held: the largest, or where values shrink the least."""
+    """Return the superlative of a margin: largest, or smallest where values shrink."""
     return "smallest" if any(case["growth"] < 0 for case in summary["cases"]) else "largest"
 
 

@@ -128,13 +128,13 @@ def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
 
 
 def _quantities(summary: Summary) -> list[StudyQuantity]:
-    """What is drawn, each as curves and as heat maps; last what is zero at all points."""
+    """Return the quantities to draw as curves and heat maps; those that are all zero last."""
     found = [*([study_figures.PLANTS_KEPT] if summary["plants"] else []), *QUANTITIES]
     return sorted(found, key=lambda each: not any(each.value(p, "mean") for p in summary["points"]))
 
 
 def _given(summary: Summary, point: Summary, axes: Iterable[int]) -> str:
-    """What a point has on some axes, each value with its keys."""
+    """Return the values of a point on some axes, each with its keys."""
     places = list(axes)
     return ", ".join(_named(summary, places, [point["values"][axis] for axis in places]))
 

@@ -91,7 +91,7 @@ class LinkRelay:
             each.close()
 
     def counts(self) -> dict[str, Any]:
-        """What became of chunks in both directions; percentiles of how much later than due, µs."""
+        """Counts of chunks in both directions; percentiles of their lateness, µs."""
         late: Counter[int] = sum((way.lateness_us for way in self._directions), Counter())
         values, counts = np.array(sorted(late.items()), dtype=np.int64).reshape(-1, 2).T
         channels = {
@@ -136,7 +136,7 @@ class LinkRelay:
                     way.channel.send(Chunk(out, data), self._now_ns(), len(data))
 
     def _sink_of(self, address: Address) -> DatagramSink | None:
-        """What sends on for a peer: from a socket of its own, to which its answers come."""
+        """Return the sink of a peer: a socket of its own, to which its answers come."""
         if address not in self._peers:
             if len(self._peers) >= _MOST_PEERS:
                 return None

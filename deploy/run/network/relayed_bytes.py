@@ -24,7 +24,7 @@ _DUPLICATE_ANSWERS = 3
 
 
 class Sink(Protocol):
-    """Where bytes leave."""
+    """Destination of bytes."""
 
     def pass_on(self, chunk: Chunk, now_ns: int) -> None:
         """Send what is due now."""
@@ -67,7 +67,7 @@ class Direction:
 
 
 class DatagramSink:
-    """Where datagrams leave to; an address of None is the one that the socket is connected to."""
+    """Destination of datagrams; an address of None is the one that the socket is connected to."""
 
     def __init__(self, sink: socket.socket, address: tuple[str, int] | None) -> None:
         self._sink, self._address = sink, address
@@ -116,7 +116,7 @@ class RelayedStream:
 
     @property
     def resend_ns(self) -> int:
-        """When a chunk that was lost is sent again; `NEVER_NS` if none was."""
+        """Time at which a lost chunk is sent again; `NEVER_NS` if none was lost."""
         return min((due_ns for due_ns, _ in self._lost.values()), default=NEVER_NS)
 
     def take_in(self, now_ns: int) -> None:

@@ -104,7 +104,7 @@ class Recorder:
 
     @property
     def failure(self) -> OSError | None:
-        """What ended the recording early, if anything did."""
+        """Reason why the recording ended early; None if it did not."""
         return self._log.failure
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:

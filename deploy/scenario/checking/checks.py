@@ -35,6 +35,7 @@ from deploy.scenario.yaml_files import naming, plain
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import check_faults
+from plant_emulator.physics.engines import ENGINES
 
 _CHECKED_PER_SECOND = 100
 _MOST_SECONDS = 200
@@ -62,8 +63,10 @@ def check(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
 
 
 def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
-    link_kind = LINK_KINDS.build(scenario.link.kind)
+    link_kind = LINK_KINDS[scenario.link.kind]()
     PROTOCOLS.check(scenario.link.can.protocol)
+    if (engine := scenario.plant.physics.engine) is not None:
+        _ = ENGINES[engine]
     given = scenario.robot
     folders = folders_of("robot.urdf", origin)
     robot = load_robot(find_urdf(given.urdf, *folders), **reading(given, folders[0]))

@@ -57,7 +57,7 @@ class CanKind(LinkKind[DrivenArm]):
 
     def check(self, run: LinkRun) -> None:
         can, robot = run.link.can, run.robot
-        protocol = PROTOCOLS.build(can.protocol)
+        protocol = PROTOCOLS[can.protocol]()
         node_ids = check_drives(can, robot, run.plant, takes_targets=run.takes_targets)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
@@ -76,7 +76,7 @@ class CanKind(LinkKind[DrivenArm]):
 
     def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:
         can = run.link.can
-        return PROTOCOLS.build(can.protocol).oddities(can, run.robot, most_nm)
+        return PROTOCOLS[can.protocol]().oddities(can, run.robot, most_nm)
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if link.can.interface == "virtual" and not one_process:
@@ -113,7 +113,7 @@ class CanKind(LinkKind[DrivenArm]):
 
     def open_controller(self, run: LinkRun) -> ControllerLink:
         can, bus, telemetry = run.link.can, _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
-        protocol = PROTOCOLS.build(can.protocol)
+        protocol = PROTOCOLS[can.protocol]()
         node_ids = protocol.node_ids(can, run.robot.joints)
         if may_have_others(can):
             require_no_others(bus, protocol, can, node_ids)
@@ -132,14 +132,15 @@ def check_drives(
     Raises:
         ConfigurationError: the drives do not fit their protocol or the robot.
     """
-    protocol = PROTOCOLS.build(can.protocol)
+    protocol = PROTOCOLS[can.protocol]()
     protocol.check(can, takes_targets=takes_targets)
+    protocol.settings(can)
     _check_fd(can, protocol)
     return tuple(each.node_id for each in commission(can, robot, plant))
 
 
 def _codec(run: LinkRun) -> CanCodec:
-    protocol = PROTOCOLS.build(run.link.can.protocol)
+    protocol = PROTOCOLS[run.link.can.protocol]()
     return protocol.codec(run.link.can, run.robot, run.drive)
 
 

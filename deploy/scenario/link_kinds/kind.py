@@ -10,12 +10,13 @@ from typing import Any, Generic, TypeVar
 
 from bus_schema.arrays import Vector
 from bus_schema.can.exchange import FrameExchange
-from bus_schema.configuration import ConfigurationError, Registry
+from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import ControllerLink, PlantLink
+from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import Clock, TickGrid
 from plant_emulator.arm_plant import ArmPlant
@@ -157,7 +158,7 @@ class InProcessKind(LinkKind[ArmPlant]):
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if not one_process:
-            others = " or ".join(name for name in LINK_KINDS.names if name != self.name)
+            others = " or ".join(name for name in LINK_KINDS if name != self.name)
             allowed = f"must be {others} for run; simulate runs in one process"
             raise ConfigurationError("link.kind", link.kind, allowed)
 
@@ -197,12 +198,14 @@ def shared_bus(run: LinkRun) -> InProcessBus:
     return run.bus
 
 
-LINK_KINDS: Registry[LinkKind[Any]] = Registry(
+LINK_KINDS: Registry[type[LinkKind[Any]]] = Registry(
+    "link_kinds",
     "link.kind",
+    LinkKind,
     {
         "zenoh": "deploy.scenario.link_kinds.kind:ZenohKind",
         "in_process": "deploy.scenario.link_kinds.kind:InProcessKind",
         "can": "deploy.scenario.link_kinds.can:CanKind",
     },
 )
-"""Each is imported when a scenario names it, as CAN's libraries are slow. Add new kinds here."""
+"""Each is imported when a scenario names it, as CAN's libraries are slow."""

@@ -15,7 +15,7 @@ from deploy.study.study import StudyOfRuns
 
 @dataclass
 class Conducted:
-    """How the runs of a study ended.
+    """Outcome of the runs of a study.
 
     Attributes:
         folder: folder of the rows.

@@ -91,7 +91,7 @@ class StudyFolder(run_folder.ResultFolder):
 
     @property
     def note(self) -> str:
-        """How many rows an earlier command made, and whether inputs changed while rows were made.
+        """Sentence on rows of earlier commands, and on inputs that changed while rows were made.
 
         Empty if neither.
         """

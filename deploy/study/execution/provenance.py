@@ -1,4 +1,4 @@
-"""What made a row: versions, arithmetic, and every file that its run and its law have read.
+"""Provenance of a row: versions, arithmetic, and every file that its run and its law have read.
 
 A provenance has a value by part: a version, or the digest of a file. A row is valid as long as all
 of its parts have the same values.
@@ -14,6 +14,8 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from bus_schema.registry import extensions_in
+from bus_schema.runtime.extensions import Extension
 from bus_schema.user_files import is_file
 from controller.configuration import is_program
 from controller.laws.custom import find_law, is_custom, is_given, read_by_imports
@@ -54,8 +56,10 @@ def provenance_of(setup: Setup, confirm: bool, read: Mapping[str, str]) -> Prove
     """
     setups = [setup, *(other_physics(setup).values() if confirm else ())]
     engines = [ENGINES[engine_name(each.scenario.plant)].distribution for each in setups]
-    files = {str(setup.robot.path.resolve()), *_named_files(setup)}
-    parts = current([_OURS, _LIBM, *_COMPUTING, *engines, *files])
+    added = extensions_in(plain(setup.scenario))
+    packages = [*engines, *(each.distribution for each in added)]
+    files = {str(setup.robot.path.resolve()), *_named_files(setup), *_files_of(added)}
+    parts = current([_OURS, _LIBM, *_COMPUTING, *packages, *files])
     return {**parts, **read}
 
 
@@ -138,6 +142,15 @@ def _named_files(setup: Setup) -> Iterator[str]:
     for command in (controller.process, external):
         if command and (program := shutil.which(command[0])):
             yield str(Path(program).resolve())
+
+
+def _files_of(extensions: Iterable[Extension]) -> Iterator[str]:
+    """Return the loaded source files of packages, whose versions say too little after an edit."""
+    for extension in extensions:
+        package = extension.entry.module.partition(".")[0]
+        for name, module in list(sys.modules.items()):
+            if name.partition(".")[0] == package and (file := getattr(module, "__file__", None)):
+                yield str(Path(file).resolve())
 
 
 def _files_named(texts: Iterable[str], folder: Path) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What no play-out levels: messages that are lost, late or overtaken, with a bridge and without."""
+"""Disturbances that no play-out levels: lost, late or overtaken messages, also with a bridge."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BRIDGE, _BRIDGED = "controller.delay_compensation.bridge_ms", ", bridge"
 
 
 class DisturbanceSizes(StrictModel):
-    """How much is lost or late; in both directions, in turn every 0.1 s.
+    """Sizes of losses and lateness; in both directions, in turn every 0.1 s.
 
     Attributes:
         lost_in_a_row: most messages lost in a row: first this number, then one less, and so on

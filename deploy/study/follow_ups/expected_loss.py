@@ -1,4 +1,4 @@
-"""What theory says about the quantity of a setting, and where the search looks for it."""
+"""Margin expected by theory, and the first values that the search for it tries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What helps at the value at which a case fails."""
+"""Remedies at the value at which a case fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is not known of an arm, and may make its margin smaller: rotors, and the model's error."""
+"""Unknowns of an arm that may make its margin smaller: rotors, and the model's error."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _UNKNOWN = 0, math.inf
 
 
 class _Known(NamedTuple):
-    """What the rows of a trial show.
+    """State of a trial, from its rows.
 
     Attributes:
         outcome: whether the value is tolerated; None if that is not decided.

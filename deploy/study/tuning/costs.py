@@ -1,4 +1,4 @@
-"""What a trial of gains is worth: error and smoothness, or the delay that is survived."""
+"""Cost of a trial of gains: error and smoothness, or the delay that is survived."""
 
 from __future__ import annotations
 

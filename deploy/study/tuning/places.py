@@ -1,4 +1,4 @@
-"""Where laws are tuned, and where they are judged: never on the same runs."""
+"""Runs on which laws are tuned, and those on which they are judged: never the same."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ _ERRORS = {
 
 
 class ProcedureResult(IntEnum):
-    """How the last request for a state ended."""
+    """Result of the last request for a state."""
 
     SUCCESS = 0
     DISARMED = 3

@@ -36,7 +36,7 @@ Writer = Callable[[int, int], None]
 
 
 class Abort(IntEnum):
-    """Why an SDO transfer was refused (abort codes of CiA 301, table 22 of 7.2.4.3.17)."""
+    """Reason why an SDO transfer was refused (abort codes of CiA 301, table 22 of 7.2.4.3.17)."""
 
     UNKNOWN_COMMAND = 0x0504_0001
     OUT_OF_MEMORY = 0x0504_0005

@@ -1,1 +1,1 @@
-"""What can carry bytes beside Zenoh, each a `Transport` in a module of its own, named `Near`."""
+"""Carriers of bytes beside Zenoh, each a `Transport` in a module of its own, named `Near`."""

@@ -1,4 +1,4 @@
-"""What carries bytes between two processes: raw UDP, and Zenoh as the real loop uses it."""
+"""Bare carriers of bytes between two processes: raw UDP, and Zenoh as the real loop uses it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What callbacks cost: as `zenoh`, but for them, and for a status and a state on their own."""
+"""Zenoh with callbacks: as `zenoh`, but for them, and for a status and a state on their own."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_other_drives_on_the_bus_are_refused():
     first = started(*place)
     try:
         with closing(bus_of(place)) as bus:
-            protocol = PROTOCOLS.build("cia402")
+            protocol = PROTOCOLS["cia402"]()
             await_true(lambda: ask_drives(bus, protocol, CanConfiguration(), (1, 2, 3)))
         second = started(*place, "--duration", "1")
         output, _ = second.communicate()

@@ -6,6 +6,8 @@ import json
 
 import pytest
 
+from bus_schema.can.protocol import PROTOCOLS
+
 ARM = """
 <robot name="one">
   <link name="base"/>
@@ -58,6 +60,31 @@ def test_limits_of_the_scenario_take_the_place_of_missing_ones(here, funnel_hil)
     limits = ["--set", "limits.torque_nm=5", "--set", "limits.velocity_rad_s=3"]
     output = funnel_hil.output(*COMMANDS["simulate"], "--out", here / "out", *limits)
     assert "UNLIMITED" not in output
+
+
+OVER_CAN = [
+    "--set",
+    "link.kind=can",
+    "--set",
+    "rate_hz=250",
+    "--set",
+    "link.can.rated_torque_nm=null",
+]
+
+
+@pytest.mark.parametrize("protocol", [name for name in PROTOCOLS if name != "cia402"])
+def test_only_drives_whose_unit_is_a_rated_torque_need_one(protocol, here, funnel_hil):
+    fd = ["link.can.fd=true", "link.can.fd_process_data=true"] if protocol == "moteus" else []
+    settings = [word for each in (f"link.can.protocol={protocol}", *fd) for word in ("--set", each)]
+    words = ["simulate", "arm.yaml", *OVER_CAN, *settings]
+    assert f"warning: {WARNING}" in funnel_hil.output(*words, "--out", here / "out")
+    summary = json.loads((here / "out" / "summary.json").read_text())
+    assert summary["verdict"] in ("kept", "lost")
+
+
+def test_cia_402_without_effort_limit_and_rated_torque_is_refused(here, funnel_hil):
+    output = funnel_hil.output("simulate", "arm.yaml", *OVER_CAN, code=2)
+    assert "link.can.rated_torque_nm = null: must be given" in output
 
 
 def test_drives_say_it_too(here, funnel_hil):

@@ -33,7 +33,7 @@ def master_at(place: dict, **given: object) -> Iterator[tuple[CanMaster, CanBus]
     robot = load_setup("openarm", []).robot
     values = load_setup("openarm", []).scenario.link.can.model_dump(exclude_unset=True)
     can = CanConfiguration.model_validate(values | place | given | {"answer_timeout_s": 0.2})
-    protocol, bus = PROTOCOLS.build("damiao"), open_can_bus(can)
+    protocol, bus = PROTOCOLS["damiao"](), open_can_bus(can)
     try:
         nodes = protocol.node_ids(can, robot.joints)
         yield protocol.master(bus, can, nodes, protocol.codec(can, robot)), bus

@@ -41,7 +41,7 @@ def rig_and_bus(protocol: str) -> Iterator[tuple[Rig, CanBus]]:
 
 @pytest.mark.parametrize("name", ASKED)
 def test_drives_are_found_and_none_moves(name: str) -> None:
-    protocol, can = PROTOCOLS.build(name), CanConfiguration(protocol=name)
+    protocol, can = PROTOCOLS[name](), CanConfiguration(protocol=name)
     with rig_and_bus(name) as (rig, bus):
         before = rig.bank.statuses
         found = ask_drives(bus, protocol, can, range(1, 11))
@@ -54,7 +54,7 @@ def test_drives_are_found_and_none_moves(name: str) -> None:
 
 @pytest.mark.parametrize("name", ASKED)
 def test_bus_with_drives_that_the_scenario_does_not_know_is_refused(name: str) -> None:
-    protocol, can = PROTOCOLS.build(name), CanConfiguration(protocol=name)
+    protocol, can = PROTOCOLS[name](), CanConfiguration(protocol=name)
     with rig_and_bus(name) as (_, bus):
         require_no_others(bus, protocol, can, (3, 5, 9))
         with pytest.raises(DriveError, match="drives with addresses 3, 9 answer on this bus"):
@@ -63,7 +63,7 @@ def test_bus_with_drives_that_the_scenario_does_not_know_is_refused(name: str) -
 
 def test_eds_explains_what_absent_nodes_are_asked() -> None:
     decoder = EdsDecoder(CIA402_EDS, (1, 2, 3), MASTER_NODE)
-    questions = PROTOCOLS.build("cia402").questions(CanConfiguration(), 4)
+    questions = PROTOCOLS["cia402"]().questions(CanConfiguration(), 4)
     names = [name for each in questions for name in decoder.decode(each.identifier, each.data)]
     assert names == ["Motor rated torque", "Encoder increments"]
     with pytest.raises(ValueError, match="knows no frame 584#"):  # no such node is there to answer

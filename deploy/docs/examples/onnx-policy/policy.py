@@ -11,7 +11,7 @@ NETWORK = Path(__file__).with_name("policy.onnx")
 
 
 def observation(reference_position, reference_velocity, error):
-    """What the network sees, shape (3 · joints,)."""
+    """Return the network's input, shape (3 · joints,)."""
     return np.concatenate([reference_position, reference_velocity, error], axis=-1)
 
 

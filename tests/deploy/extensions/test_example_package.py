@@ -1,0 +1,248 @@
+"""Extensions of an installed package: each kind runs, and is named where users look for it."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus_schema.messages import topics
+from bus_schema.registry import REGISTRIES
+from bus_schema.runtime.extensions import installed
+from deploy.run.run_folder import manifest_of
+from deploy.run.simulate import simulate
+from deploy.scenario.effective import effective_scenario
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.execution.provenance import provenance_of
+from plant_emulator.drives.commissioning import DRIVES
+from tests.controller.compensation.prediction_bench import Bench, compensation_of
+
+SHORT = "duration_s=0.2"
+EXAMPLE = Path(__file__).with_name("package")
+COMPENSATED = "controller.delay_compensation={enabled: true, predictor: constant_velocity}"
+SCALED = "faults=[{kind: encoder_scaled, joint: elbow, factor: 1.01, at_s: 0.1}]"
+FLYWHEELS = "plant.physics.engine=flywheels"
+
+
+def run(*overrides, duration="duration_s=0.2"):
+    return simulate(load_setup("paper_arm", [duration, *overrides])).data()
+
+
+@pytest.mark.usefixtures("example_package")
+def test_example_has_an_entry_of_each_kind():
+    assert DRIVES.extension("toy") is not None  # imported here, so that its registry exists
+    assert set(installed()) == {kind for kind, each in REGISTRIES.items() if each.shipped}
+
+
+@pytest.mark.usefixtures("example_package")
+def test_law_keeps_its_bounds_with_gains_of_the_scenario(tmp_path):
+    gains = "controller.gains.impedance={stiffness: [6000, 11000, 900], damping_ratio: 2}"
+    setup = load_setup("paper_arm", ["controller.law=impedance", gains, "duration_s=1"])
+    assert setup.gains.stiffness.tolist() == [6000.0, 11000.0, 900.0]
+    simulation = simulate(setup)
+    errors = simulation.data().true_errors_rad
+    assert np.abs(errors[-1]).max() < 0.05 < np.abs(errors[0]).max()
+    file = tmp_path / "effective.yaml"
+    file.write_text(effective_scenario(setup))
+    assert simulate(load_setup(str(file))).data().digest == simulation.data().digest
+
+
+@pytest.mark.usefixtures("example_package")
+def test_predictor_keeps_the_velocities_over_a_delay_of_8_ms():
+    bench = Bench(compensation_of(predictor="constant_velocity"))
+    bench.run(100, 8)
+    for tick in (20, 50, 99):
+        (position, velocity), (_, foreseen, foreseen_rate) = (
+            bench.truth[tick],
+            bench.predicted[tick],
+        )
+        np.testing.assert_allclose(foreseen, position + 0.008 * velocity, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(foreseen_rate, velocity)
+    data = run(COMPENSATED, "link.uplink.delay_ms=8", "controller.law=pid")
+    assert data.faults() == []
+
+
+@pytest.mark.usefixtures("example_package")
+def test_fault_changes_the_readings_from_its_start():
+    data = run(SCALED)
+    seen = data.tables[topics.JOINT_STATES.name]["position"][:200, 2]
+    true = data.tables[topics.PLANT_TRUTH.name]["position"][:200, 2]
+    np.testing.assert_allclose(seen[:100], true[:100], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(seen[100:], 1.01 * true[100:], rtol=1e-12)
+
+
+@pytest.mark.usefixtures("example_package")
+def test_flywheels_of_the_engine_gain_the_momentum_of_their_torques():
+    data = run(FLYWHEELS, "plant.friction.enabled=false", "plant.disturbance.enabled=false")
+    truth = data.tables[topics.PLANT_TRUTH.name]
+    gained = np.diff(truth["velocity"], axis=0)
+    # The torque that a row shows acted over the tick before it; of 1 kg m², for 1 ms.
+    np.testing.assert_allclose(gained, 1e-3 * truth["torque"][1:], rtol=0, atol=1e-12)
+    assert np.abs(gained).max() > 1e-4
+
+
+@pytest.mark.usefixtures("example_package")
+def test_manifest_and_provenance_name_the_packages_that_a_run_uses():
+    setup = load_setup("paper_arm", [SHORT, FLYWHEELS, SCALED])
+    assert manifest_of([setup])["extensions"] == [
+        "encoder_scaled (funnel_hil.faults) of funnel-hil-example 1.2",
+        "flywheels (funnel_hil.physics_engines) of funnel-hil-example 1.2",
+    ]
+    simulate(setup)
+    made_by = provenance_of(setup, confirm=False, read={})
+    assert made_by["funnel-hil-example"] == "1.2"
+    sources = {part.rpartition("/")[2] for part in made_by if "/package/" in part}
+    assert {"fault.py", "engine.py", "flywheels.py"} <= sources
+    without = load_setup("paper_arm", [SHORT])
+    assert "extensions" not in manifest_of([without])
+    assert "funnel-hil-example" not in provenance_of(without, confirm=False, read={})
+
+
+def test_study_refuses_to_continue_after_an_edit_of_a_package(add_package, funnel_hil, tmp_path):
+    shutil.copytree(EXAMPLE, tmp_path / "mine")
+    add_package(
+        tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"], tmp_path / "mine"
+    )
+    words = ("compare", "paper_arm", "--laws", "impedance", "--set", "duration_s=0.05")
+    funnel_hil.output(*words, "--out", tmp_path / "out")
+    with (tmp_path / "mine/funnel_hil_example/law.py").open("a") as law:
+        law.write("# edited\n")
+    output = funnel_hil.output(*words, "--out", tmp_path / "out", code=2)
+    assert "mine/funnel_hil_example/law.py" in output
+
+
+@pytest.mark.usefixtures("example_package")
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ("controller.law=imperance", "impedance"),
+        ("controller.gains.impedance.stiffness=-1", "stiffness"),
+        ("controller.delay_compensation.predictor=constant", "constant_velocity"),
+        ("faults=[{kind: encoder_scalled, joint: elbow, factor: 1, at_s: 0}]", "encoder_scaled"),
+        ("plant.physics.engine=flywheel", "flywheels"),
+        ("link.can.protocol=toi", "toy"),
+        ("link.kind=loop", "loopback"),
+    ],
+)
+def test_refusal_names_the_entries_of_packages(override, named):
+    with pytest.raises(ScenarioError, match=r"--set .*must be .*") as refused:
+        load_setup("paper_arm", [SHORT, override])
+    assert named in str(refused.value)
+
+
+@pytest.mark.usefixtures("example_package")
+def test_laws_of_packages_are_in_options_and_benchmark(funnel_hil):
+    from deploy.cli.study.benchmark_options import BenchmarkOptions
+
+    assert "impedance" in BenchmarkOptions().definition()["laws"]
+    output = funnel_hil.output("compare", "paper_arm", "--laws", "nolaw", code=2)
+    assert "impedance" in output
+
+
+def project(name="funnel-hil-broken", group="laws", **entries):
+    return {
+        "name": name, "version": "0.3", "entry-points": {f"funnel_hil.{group}": entries}
+    }  # fmt: skip
+
+
+BROKEN = {
+    "module is missing": ("laws", "controller.law=new", "no_such_module:LAW", "No module named"),
+    "attribute is missing": ("laws", "controller.law=new", "json:LAW", "has no attribute"),
+    "another type": ("laws", "controller.law=new", "json:dumps", "controller.laws.LawEntry"),
+    "predictor that is not compiled": (
+        "predictors", COMPENSATED.replace("constant_velocity", "new"), "json:dumps", "Dispatcher",
+    ),
+    "fault": ("faults", "faults=[{kind: new, at_s: 0}]", "no_such_module:F", "No module named"),
+    "engine": ("physics_engines", "plant.physics.engine=new", "no_such_module:E", "No module"),
+    "link": ("link_kinds", "link.kind=new", "no_such_module:L", "No module named"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_broken_extension_is_refused_by_package_and_group_and_disturbs_nothing_else(
+    case, add_package, funnel_hil, nothing_starts
+):
+    group, override, place, reason = BROKEN[case]
+    add_package(project(group=group, new=place))
+    output = funnel_hil.output("simulate", "paper_arm", "--set", override, code=2)
+    assert f"new (funnel_hil.{group}) of funnel-hil-broken 0.3" in output
+    assert reason in output
+    assert "Traceback" not in output
+    load_setup("paper_arm", ["controller.gains.pid.proportional=1"])  # another law's gains
+
+
+SOURCES = {
+    "law without gains": (
+        "laws", "controller.law=new", "a NamedTuple with a method from_inertia",
+        "from controller.laws import LawEntry\nNEW = LawEntry(print, dict)",
+    ),
+    "fault without its kind": (
+        "faults", "faults=[{kind: new, at_s: 0}]", "must declare kind: Literal['new']",
+        "from plant_emulator.faults.fault import Fault\nclass NEW(Fault): kind: str",
+    ),
+    "engine without its class": (
+        "physics_engines", "plant.physics.engine=new", "no_such_module:Arm cannot be loaded",
+        "from plant_emulator.physics.engines import PhysicsEngine\n"
+        "NEW = PhysicsEngine('New', 'json', 'no_such_module:Arm', ('semi_implicit_euler',))",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SOURCES)
+def test_entry_that_is_incomplete_is_refused_with_what_it_lacks(
+    case, add_package, funnel_hil, tmp_path
+):
+    group, override, reason, source = SOURCES[case]
+    module = f"incomplete_{group}"
+    (tmp_path / f"{module}.py").write_text(f"{source}\n")
+    add_package(project(group=group, new=f"{module}:NEW"), tmp_path)
+    output = funnel_hil.output("simulate", "paper_arm", "--set", override, code=2)
+    assert reason in output
+    with pytest.raises(ScenarioError, match="encoder_stuck"):  # other refusals go on working
+        load_setup("paper_arm", ["faults=[{kind: encoder_stick, joint: elbow, at_s: 0}]"])
+
+
+def test_name_that_two_packages_or_funnel_hil_have_is_refused(add_package, funnel_hil):
+    add_package(project("funnel-hil-one", same="json:dumps", smc="json:dumps"))
+    add_package(project("funnel-hil-two", same="json:dumps"))
+    for law, owners in {
+        "same": ["funnel-hil-one 0.3", "funnel-hil-two 0.3"],
+        "smc": ["funnel-hil itself", "funnel-hil-one 0.3"],
+    }.items():
+        words = ("simulate", "paper_arm", "--set", f"controller.law={law}")
+        output = funnel_hil.output(*words, code=2)
+        assert all(owner in output for owner in owners)
+    assert load_setup("paper_arm", ["controller.law=pid"]).scenario.controller.law == "pid"
+
+
+def test_doctor_lists_extensions_and_their_problems(add_package, example_package):
+    from deploy.cli.doctor import _extensions
+
+    add_package(project(new="no_such_module:LAW") | {"version": "0.3"})
+    add_package(project("funnel-hil-typing", group="lawz", mine="json:dumps"))
+    found = {each.name: each for each in _extensions()}
+    assert found["extension impedance"].status == found["extension toy"].status == "ok"
+    assert "No module named" in found["extension new"].found
+    assert "funnel_hil.laws" in found["extension mine"].found
+    assert {found[f"extension {name}"].status for name in ("new", "mine")} == {"limited"}
+
+
+def test_packages_are_not_imported_before_they_are_used(add_package, tmp_path):
+    (tmp_path / "loud_law.py").write_text("raise RuntimeError('imported')\n")
+    add_package(project(loud="loud_law:LAW"), tmp_path)
+    simulate(load_setup("paper_arm", ["duration_s=0.01"]))
+    with pytest.raises(ScenarioError, match="RuntimeError: imported"):
+        load_setup("paper_arm", ["controller.law=loud"])
+
+
+def test_same_package_twice_on_the_search_path_counts_once(add_package, tmp_path, monkeypatch):
+    from tests.deploy.extensions.conftest import install
+
+    install(project(one="json:dumps"), tmp_path / "elsewhere")
+    monkeypatch.syspath_prepend(str(tmp_path / "elsewhere"))
+    add_package(project(one="json:dumps"))
+    assert len(installed()["laws"]["one"]) == 1
