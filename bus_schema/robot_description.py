@@ -14,13 +14,16 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.urdf.chains import chain_warnings
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.drive_values import DriveValues, drive_values
+from bus_schema.urdf.end_effectors import OF_GRIPPERS
+from bus_schema.urdf.gyration import mend_gyration
 from bus_schema.urdf.held_pose import fix_held
 from bus_schema.urdf.implausible import mass_warnings
 from bus_schema.urdf.inertia import judge_inertias
 from bus_schema.urdf.inertia_estimate import estimate_inertias, estimated_links
-from bus_schema.urdf.joints import OF_GRIPPERS, Follower, HeldJoint, drop_empty_ranges, joint_roles
+from bus_schema.urdf.joints import Follower, HeldJoint, drop_empty_ranges, joint_roles
 from bus_schema.urdf.link_tree import LinkTree
 from bus_schema.urdf.resolved import (
     attach_mount,
@@ -205,10 +208,14 @@ def _described(
     roles = joint_roles(root, *wanted)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
     is_posed = fix_held(root, roles.held)
-    if estimate_inertias(root, path.parent, moving, include, mass_kg) or is_posed:
+    estimate_inertias(root, path.parent, moving, include, mass_kg)
+    warnings = mend_gyration(root, path.parent, moving, include, repair=repair)
+    if is_posed or estimated_links(root):
         text = ET.tostring(root, encoding="unicode")
-    warnings = judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
+    warnings += judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     warnings += [*mended, *mass_warnings(root, moving)]
+    if wanted[0] is None:
+        warnings += chain_warnings(root, roles.driven)
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
     _check_ranges(roles.driven, lower, upper)

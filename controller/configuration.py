@@ -36,7 +36,7 @@ from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import did_you_mean
 from bus_schema.robot_description import RobotDescription
 from controller.compensation.arm_belief import nominal_arm
-from controller.compensation.command_timeline import HorizonSettings
+from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
 from controller.compensation.delay_compensation import (
     ADAPTIVE,
     COMMUNICATION_DISTURBANCE_OBSERVER,
@@ -56,10 +56,16 @@ from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
 from controller.slow_law import AnswerTiming, BetweenAnswers, SlowLaw
 
+LONGEST_HORIZON_MS = 1e-6 * LONGEST_HORIZON_NS
 PROCESS = "process"
 """In place of a law's name: the controller is a user's own process on the bus."""
 _INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
 _PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
+
+
+def is_program(name: str) -> bool:
+    """Whether the controller of this name is a program: the law ``external``, or a process."""
+    return name == EXTERNAL or name.startswith(f"{PROCESS}: ")
 
 
 def _to_word(value: Any) -> Any:
@@ -85,7 +91,8 @@ class DelayCompensationConfiguration(StrictModel):
         identify_model: whether inertia, payload, viscous friction and actuator lag are identified
             while the arm moves (``adaptive`` only).
         expected_round_trip_ms: round trip to assume until the first command is in force; by default
-            what the sections of both directions say. An automatic play-out never is below it.
+            what the sections of both directions say. An automatic play-out is this long from the
+            start, and never shorter.
         bridge_ms: each command also holds predicted torques for this time after it acts; they act
             while later commands are lost. Needs an automatic play-out.
     """
@@ -95,7 +102,7 @@ class DelayCompensationConfiguration(StrictModel):
     observer_bandwidth_rad_s: Positive = 60.0
     learn_friction: bool = True
     identify_model: bool = True
-    expected_round_trip_ms: NonNegative | None = None
+    expected_round_trip_ms: Annotated[NonNegative, Field(le=LONGEST_HORIZON_MS)] | None = None
     bridge_ms: NonNegative = 0.0
 
     @field_validator("predictor")

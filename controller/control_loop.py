@@ -35,7 +35,7 @@ from controller.cycle_messages import CycleMessages
 from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.slow_law import checked_rows
+from controller.slow_law import SlowLaw, checked_rows
 from controller.torque_guard import TorqueGuard
 
 logger = logging.getLogger(__name__)
@@ -178,6 +178,8 @@ class ControlLoop:
             "limits": self._guard.counts.summary(), "kernel": own_kernel(),
             "newest_cycle_s": 1e-9 * self._status.cycle_started_ns, "seed_used": is_seed_used(),
         }  # fmt: skip
+        if isinstance(self._task.law, SlowLaw):
+            counts["starved"] = self._task.law.starvation.summary()
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()
         return counts
@@ -270,7 +272,7 @@ class ControlLoop:
             self._write_target(self._target)
         compensation = self._compensation
         if compensation is not None and compensation.announces:
-            self._command.acts_after_ns = compensation.horizon_ns
+            self._command.acts_after_ns = compensation.acts_after_ns
         if self._bridge is not None:
             self._bridge()
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())

@@ -177,10 +177,30 @@ class FunnelConfiguration(StrictModel):
                 f" is {near[joint]:.4g} rad there",
             )
         if np.any(far < final) or np.any(near < final):
-            raise ConfigurationError(
-                "funnel.final_rad", final.tolist(), "must not exceed the bounds at time zero"
-            )
+            raise ConfigurationError("funnel.final_rad", final.tolist(), self._least(size, final))
         above = initial_error_rad >= 0.0
         return Funnel(
             np.where(above, near, far), np.where(above, far, near), final, self.rate_per_s
         )
+
+    def _least(self, size: Vector, final: Vector) -> str:
+        """Return what the other keys must be at least for the final bounds.
+
+        Args:
+            size: of the initial errors, shape (joints,).
+            final: bounds in the long run, shape (joints,).
+        """
+        needed = {
+            "convergence_margin_rad": final - self.convergence_scale * size,
+            "overshoot_margin_rad": final - self.overshoot_scale * size,
+            "widest_rad": final,
+        }
+        raised = {
+            key: math.ceil(1e4 * float(least.max())) / 1e4
+            for key, least in needed.items()
+            if least.max() > getattr(self, key)
+        }
+        wishes = " and ".join(
+            f"funnel.{key} to at least {least:g}" for key, least in raised.items()
+        )
+        return f"must not exceed the bounds at time zero: lower it, or raise {wishes}"

@@ -233,6 +233,13 @@ class ManipulatorModel:
         )
         return self._places.torques(full)
 
+    def gravity_stiffness(self, position: Vector) -> Matrix:
+        """Return ∂G/∂q, shape (joints, joints), N m per rad."""
+        full = pinocchio.computeGeneralizedGravityDerivatives(
+            self._model, self._data, self._places.positions(position)
+        )
+        return self._places.symmetric(full)
+
     @property
     def moved_kg(self) -> float:
         """Mass of all moving links, kg."""
@@ -346,6 +353,32 @@ class ManipulatorModel:
         placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
         return np.array(placement.translation)
 
+    def tip_positions(self, positions: Matrix) -> Matrix:
+        """Return the tip's positions in the base frame, shape (postures, 3), m.
+
+        A point fixed to the tip is carried from each body's frame to that of its parent, for all
+        postures at once: pinocchio would need a call for each.
+
+        Args:
+            positions: of the driven joints, shape (postures, joints), rad.
+        """
+        bodies, frame = self._bodies, self._model.frames[self._tip]
+        point = np.repeat(frame.placement.translation[:, None], len(positions), axis=1)
+        joint = self._model.names[frame.parentJoint]
+        body = self._names.index(joint) if joint in self._names else -1
+        while body >= 0:
+            axis, rotation = bodies.axes[body][:, None], bodies.rotations[body]
+            moved = bodies.factors[body] * positions[:, bodies.leaders[body]] + bodies.offsets[body]
+            point = point + moved * axis if bodies.slides[body] else _turned(point, axis, moved)
+            x, y, z = rotation.T[:, :, None]  # not by @, which rounds as BLAS does on this CPU
+            point = x * point[0] + y * point[1] + z * point[2] + bodies.origins[body][:, None]
+            body = int(bodies.parents[body])
+        return np.asarray(point.T)
+
+    @cached_property
+    def _bodies(self) -> RigidBodies:
+        return self.rigid_bodies()
+
     def skeleton(self, position: Vector) -> NDArray[np.float64]:
         """Return the arm's bones in the base frame, shape (bones, 2, 3), m.
 
@@ -386,6 +419,23 @@ class ManipulatorModel:
     def _place(self, name: str) -> int:
         """Return the index of a joint in pinocchio's lists."""
         return int(self._model.joints[self._model.getJointId(name)].idx_v)
+
+
+def _turned(points: Matrix, axis: Matrix, angles: Vector) -> Matrix:
+    """Return points turned about a unit axis by angles, after Rodrigues.
+
+    Args:
+        points: shape (3, points).
+        axis: shape (3, 1).
+        angles: shape (points,), rad.
+    """
+    cosine, sine = np.cos(angles), np.sin(angles)
+    (x,), (y,), (z,) = axis
+    a, b, c = points
+    along = (x * a + y * b + z * c) * (1.0 - cosine)
+    across = (y * c - z * b, z * a - x * c, x * b - y * a)
+    rows = zip(points, across, (x, y, z), strict=True)
+    return np.array([cosine * own + sine * side + part * along for own, side, part in rows])
 
 
 def log_cholesky(parameters: Matrix) -> Matrix:

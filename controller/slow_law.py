@@ -6,7 +6,7 @@ force once its inference time is over. An answer may be a chunk: rows for the ne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from controller.control_law import ControlLaw, Tracking
 
 BetweenAnswers = Literal["hold", "linear"]
 _NEAR = 1e-6  # of a tick, as times are floating-point numbers
+_MOST_STRETCHES = 1000
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,33 @@ class _Answer:
     targets: Matrix
 
 
+@dataclass
+class Starvation:
+    """When the chunk in force had no row left, and the next one was not there yet.
+
+    Attributes:
+        ticks: states in that situation.
+        stretches_s: begin and end of each such time without a break, s.
+    """
+
+    ticks: int = 0
+    stretches_s: list[list[float]] = field(default_factory=list)
+    _is_starved: bool = False
+
+    def note(self, now_s: float, *, is_starved: bool) -> None:
+        """Note whether the law has nothing left to send at a state."""
+        if is_starved:
+            self.ticks += 1
+            if not self._is_starved:
+                self.stretches_s.append([now_s, now_s])
+            self.stretches_s[-1][1] = now_s
+        self._is_starved = is_starved
+
+    def summary(self) -> dict[str, object]:
+        """Return the ticks and the first stretches, ready for JSON."""
+        return {"ticks": self.ticks, "stretches_s": self.stretches_s[:_MOST_STRETCHES]}
+
+
 class SlowLaw:
     """A law of which one question at a time is open.
 
@@ -62,6 +90,9 @@ class SlowLaw:
             method ``target``, that gives positions and velocities for the drives, shape (2, joints)
             or (rows, 2, joints); the reference is their target otherwise.
         timing: when it is asked.
+
+    Attributes:
+        starvation: when it ran out of rows; answers of one row are meant to be held.
     """
 
     def __init__(self, law: ControlLaw, timing: AnswerTiming) -> None:
@@ -95,15 +126,19 @@ class SlowLaw:
             else:
                 self._coming = answer
         self._states += 1
-        assert self._in_force is not None
-        row: Vector = self._in_force.torques[self._row(now_s, len(self._in_force.torques))]
+        answer = self._in_force
+        assert answer is not None
+        ticks = self._ticks_since_asked(now_s)
+        rows = (len(answer.torques), len(answer.targets))
+        self.starvation.note(now_s, is_starved=any(1 < each <= ticks for each in rows))
+        row: Vector = answer.torques[min(ticks, rows[0] - 1)]
         return row
 
     def target(self, tracking: Tracking) -> Matrix:
         """Target of the drives at a state, shape (2, joints); to be called after `torque`."""
         assert self._in_force is not None
         targets, period_s = self._in_force.targets, self._timing.period_s
-        place = self._row(tracking.time_s, len(targets))
+        place = min(self._ticks_since_asked(tracking.time_s), len(targets) - 1)
         target: Matrix = targets[place].copy()
         if self._timing.between == "linear":
             target[0] += (tracking.time_s - self._in_force.asked_s - place * period_s) * target[1]
@@ -114,6 +149,7 @@ class SlowLaw:
     def _forget(self) -> None:
         self._random = plain_generator(self._timing.seed)
         self._states = self._asked = 0
+        self.starvation = Starvation()
         self._in_force = self._coming = None
 
     def _ask(self, tracking: Tracking) -> _Answer:
@@ -132,10 +168,9 @@ class SlowLaw:
         ready_s = tracking.time_s + max(0.0, inference_s + jitter_s)
         return _Answer(tracking.time_s, ready_s, torques, targets)
 
-    def _row(self, now_s: float, rows: int) -> int:
+    def _ticks_since_asked(self, now_s: float) -> int:
         assert self._in_force is not None
-        ticks = int((now_s - self._in_force.asked_s) / self._timing.period_s + _NEAR)
-        return min(ticks, rows - 1)
+        return int((now_s - self._in_force.asked_s) / self._timing.period_s + _NEAR)
 
 
 def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:

@@ -17,6 +17,7 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow
 from bus_schema.runtime.randomness import generator
+from plant_emulator.arm.delay_line import DelayLine, DriveCommand
 from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
@@ -72,6 +73,7 @@ class ArmPlant:
             adds_drive=not faults,
         )  # fmt: skip
         self._commanded: Vector = np.zeros(robot.joints)
+        self._line = DelayLine(configuration.actuator.delay_steps(grid.substep_s))
         self._grid = grid
         engine = engine_in_force(configuration)
         self.physics = physics_in_force(configuration)
@@ -135,7 +137,9 @@ class ArmPlant:
         self.mode = follow(self.mode, Trigger.BEGIN)
 
     def command(self, torque_nm: Vector, target: Matrix | None = None, stamp_ns: int = 0) -> None:
-        """Apply a torque; the first one releases the brakes. Ignored once stopping.
+        """Apply a torque after the actuators' dead time; ignored once stopping.
+
+        The first torque that acts releases the brakes.
 
         Args:
             torque_nm: shape (joints,).
@@ -144,13 +148,23 @@ class ArmPlant:
         """
         if self.mode not in COMMANDABLE:
             return
+        if self.mode is Mode.READY:
+            self.mode = follow(self.mode, Trigger.COMMAND)
+        command = DriveCommand(torque_nm, target, stamp_ns)
+        if self._line.substeps:
+            copied = None if target is None else target.copy()
+            self._line.put(DriveCommand(torque_nm.copy(), copied, stamp_ns))
+        else:
+            self._follow(command)
+
+    def _follow(self, command: DriveCommand) -> None:
+        """Let a command act: release the brakes, and give the drives its torque and target."""
         if self._is_braked:
             self._set_brakes(engaged=False)
-            self.mode = follow(self.mode, Trigger.COMMAND)
-        self._commanded[...] = torque_nm
-        drive = self.torques.drive
+        self._commanded[...] = command.torque_nm
+        drive, target = self.torques.drive, command.target
         if drive.gains.is_active:
-            drive.stamp_s[0] = stamp_ns * 1e-9 if target is not None else math.nan
+            drive.stamp_s[0] = command.stamp_ns * 1e-9 if target is not None else math.nan
             if target is not None:
                 drive.target[:] = target
 
@@ -184,6 +198,18 @@ class ArmPlant:
             first: number of the first substep in the run.
             end: number of the first substep to leave out.
         """
+        while first < end and self._line.substeps:
+            for command in self._line.take_due(first):
+                self._follow(command)
+            until = min(end, self._line.next_due)
+            self._advance(first, until)
+            self._line.pass_by(until)
+            first = until
+        if first < end:
+            self._advance(first, end)
+
+    def _advance(self, first: int, end: int) -> None:
+        """Advance by substeps between which no command begins to act."""
         if self._faults is None and self.mode in COMMANDABLE:
             self.torques.asked[:] = self._commanded
             self._go(first, end)
@@ -205,6 +231,7 @@ class ArmPlant:
 
     def _clear_command(self) -> None:
         """Clear torque and target, so that drives stop following it."""
+        self._line.clear()
         self._commanded[:] = 0.0
         self.torques.drive.stamp_s[0] = np.nan
 

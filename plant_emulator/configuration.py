@@ -148,6 +148,8 @@ class ActuatorConfiguration(StrictModel):
 
     Attributes:
         saturation_nm: largest torque; by default the URDF's effort limits.
+        delay_ms: dead time between a command's arrival and its effect, in whole physics steps; the
+            drives' own loops do not have it. Delay compensation knows it. Not over CAN.
         lag_ms: time constant of the torque loop; 0 for none.
         current_loop_hz: bandwidth f of the torque loop, another way to write lag_ms = 1 / (2π f).
         rated_speed_rad_s: up to this speed the largest torque is available; by default half of
@@ -169,9 +171,10 @@ class ActuatorConfiguration(StrictModel):
     """
 
     saturation_nm: PerJointPositive | None = None
+    delay_ms: Annotated[NonNegative, Field(le=1e3)] = 0.0
     lag_ms: NonNegative = 0.0
     current_loop_hz: Positive | None = None
-    rated_speed_rad_s: PerJointPositive | None = None
+    rated_speed_rad_s: PerJointNonNegative | None = None
     no_load_speed_rad_s: PerJointPositive | None = None
     rotor_inertia_kg_m2: PerJointNonNegative = Field(default_factory=_zero)
     gear_stiffness_nm_rad: PerJointPositive | None = None
@@ -203,6 +206,10 @@ class ActuatorConfiguration(StrictModel):
             return self.lag_ms * 1e-3
         return 1.0 / (2.0 * math.pi * self.current_loop_hz)
 
+    def delay_steps(self, substep_s: float) -> int:
+        """Return the dead time in whole physics steps."""
+        return round(1e-3 * self.delay_ms / substep_s)
+
     @property
     def has_rotors(self) -> bool:
         """Whether a feature is enabled that only an engine with rotors has."""
@@ -232,8 +239,8 @@ class PhysicsConfiguration(StrictModel):
 
     Attributes:
         engine: by default Bullet if it is installed, otherwise MuJoCo.
-        integrator: the rule over a physics step; torques are evaluated at its start. MuJoCo has
-            both.
+        integrator: the rule over a physics step; torques are evaluated at its start, with
+            ``runge_kutta_4`` those of elastic gears and cogging in mid-step. MuJoCo has both.
     """
 
     engine: Literal["bullet", "mujoco"] | None = None

@@ -66,7 +66,7 @@ class PlantLoop:
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
         mean_ns = states.mean_delay_ns + downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
-        self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
+        self._watchdog = Watchdog(timeout_ns, timeout_ns + max(round_trip_ns, task.expected_ns))
         answered_ns = task.answer_every * self._grid.period_ns
         self._telemetry = PlantTelemetry(
             names, arm, task.link.deadline_ns(answered_ns, round_trip_ns),
@@ -239,6 +239,10 @@ class PlantLoop:
     def _reach_next_tick(self) -> None:
         self.tick = self._supervisor.tick = self.tick + 1
         self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
+        if self._task.lockstep and self.tick < self._supervisor.end_tick:
+            # A command that acts at this very tick is in force when the joints are measured,
+            # however its round trip is split between the two directions.
+            self._uplink.deliver_due(now_ns)
         if self._downlink.next_due_ns <= now_ns:
             self._commands.put_into_force(now_ns)
         self._commands.play_row(now_ns)

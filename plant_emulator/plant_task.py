@@ -35,6 +35,8 @@ class PlantTask:
         grid: ticks and physics steps of the run.
         lockstep: wait for the reply to every state that is delivered.
         answer_every: the controller answers only every so many-th state.
+        expected_ns: time after the first state at which its answer will act, if the controller says
+            when its commands act; 0 if not.
         ticks: length of the run.
         seed: seed of everything random on the link.
         takes_targets: the drives close their own loop, around targets in the commands.
@@ -52,6 +54,7 @@ class PlantTask:
     seed: int
     takes_targets: bool = False
     answer_every: int = 1
+    expected_ns: int = 0
     faults: tuple[Fault, ...] = ()
     process_actions: tuple[ScheduledAction, ...] = ()
     watch: Callable[[Vector], TruthWatch] | None = None

@@ -46,8 +46,7 @@ class Uplink:
         now_ns, channel = measurement.stamp_ns, self.channel
         channel.send(measurement, now_ns, len(measurement.state) + len(measurement.status))
         if self._reply_timeout_s is None:
-            while channel.next_due_ns <= now_ns:
-                self._deliver_next()
+            self.deliver_due(now_ns)
 
     def deliver_until(self, until_ns: int) -> int:
         """Deliver states that are due before this instant, then wait for it.
@@ -59,6 +58,11 @@ class Uplink:
             self._deliver_next()
         self._telemetry.send(self._link)
         return self._link.wait_until(self._clock, until_ns)
+
+    def deliver_due(self, now_ns: int) -> None:
+        """Deliver states that are due, also those that are due just now."""
+        while self.channel.next_due_ns <= now_ns:
+            self._deliver_next()
 
     def _deliver_next(self) -> None:
         due_ns, measurement = self.channel.receive()

@@ -13,9 +13,12 @@ class Agreement:
 
     Args:
         values: text of each value, by the key under which a difference is reported.
+        run_key: random text with which the sessions of the run's recorders begin; empty if its
+            processes were started one by one.
     """
 
-    def __init__(self, values: Mapping[str, str]) -> None:
+    def __init__(self, values: Mapping[str, str], run_key: str = "") -> None:
+        self.run_key = run_key
         self._digests = {key: _digest(key, value) for key, value in values.items()}
 
     def encode(self) -> str:

@@ -27,8 +27,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 """Head of a message: channel, sequence number, log time, publish time."""
 _FOOTER_BYTES = 8 + 8 + _CRC.size
 _LARGEST_RECORD_BYTES = 1 << 28
-_LARGEST_CHUNK_BYTES = 1 << 28
-"""Uncompressed: many times what recorders write, and less than exhausts a machine's memory."""
+"""Also of an unpacked chunk: many times what recorders write, and less than exhausts a memory."""
 _DAMAGED = (
     McapError, EOFError, ValueError, LookupError, ArithmeticError, MemoryError, struct.error,
     zstandard.ZstdError,
@@ -44,6 +43,10 @@ _PARSERS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.STATISTICS: records.Statistics.read,
 }
 _CALLED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment"}
+
+
+class _TooLargeError(ValueError):
+    """A chunk is too large."""
 
 
 class _Raw(NamedTuple):
@@ -101,8 +104,11 @@ class CheckedRecords:
         start, crc = self._position, self._crc
         if self._size - start >= HEAD.size:
             opcode, length = HEAD.unpack(self._take(HEAD.size))
-            if opcode and length <= min(self._size - self._position, _LARGEST_RECORD_BYTES):
+            is_whole = opcode and length <= self._size - self._position
+            if is_whole and length <= _LARGEST_RECORD_BYTES:
                 return _Raw(start, opcode, self._take(length), crc)
+            if is_whole:
+                self.damage.append(f"the record at byte {start} {_too_large(length)}")
         self.cut_off_at = start
         return None
 
@@ -118,9 +124,10 @@ class CheckedRecords:
                 _check(raw.content[-_CRC.size :], zlib.crc32(raw.content[: -_CRC.size]))
             record = parse(_stream(raw.content))
             return _inner_records(record) if isinstance(record, records.Chunk) else [record]
-        except _DAMAGED:
+        except _DAMAGED as error:
             name = _CALLED.get(Opcode(raw.opcode), "record")
-            self.damage.append(f"the {name} at byte {raw.start} cannot be read")
+            why = error if isinstance(error, _TooLargeError) else "cannot be read"
+            self.damage.append(f"the {name} at byte {raw.start} {why}")
             return []
 
     def _end_data(self, raw: _Raw) -> None:
@@ -151,6 +158,10 @@ class CheckedRecords:
             self.damage.append(otherwise)
 
 
+def _too_large(size: int) -> str:
+    return f"has {size / 1e6:.6g} MB, and at most {_LARGEST_RECORD_BYTES / 1e6:.6g} MB are read"
+
+
 def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(content))
 
@@ -170,8 +181,8 @@ def _inner_records(chunk: records.Chunk) -> list[records.McapRecord]:
     size = chunk.uncompressed_size
     if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) not in (-1, size):
         raise ValueError("the size that it has packed and unpacked")
-    if size > _LARGEST_CHUNK_BYTES:
-        raise ValueError("larger than any chunk")
+    if size > _LARGEST_RECORD_BYTES:
+        raise _TooLargeError(_too_large(size))
     stream, unpacked = get_chunk_data_stream(chunk, validate_crc=True)
     return list(_records_in(stream.read(unpacked)))
 

@@ -151,6 +151,10 @@ class TickGrid:
         """Return the start of a physics step; steps are numbered through the whole run."""
         return number * self.period_ns // self.substeps
 
+    def next_substep_ns(self, instant_ns: int) -> int:
+        """Return the start of the first physics step at or after an instant."""
+        return self.substep_ns(-(-instant_ns * self.substeps // self.period_ns))
+
     def tick_at_or_before(self, instant_ns: int) -> int:
         return instant_ns // self.period_ns
 

@@ -1,4 +1,4 @@
-"""Work on untrusted files in another process: a crash or hang there becomes an error here."""
+"""Limits for work on untrusted files: in another process, or on the memory of this one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from bus_schema.runtime.child import how_it_ended
 
@@ -53,6 +56,27 @@ class LimitedProcess:
         if code := process.returncode:
             raise LimitedProcessError(how_it_ended(code))
         return answer
+
+
+@contextmanager
+def limited_memory(more_bytes: int) -> Iterator[None]:
+    """Let this process take only so much more memory while the context lasts.
+
+    Beyond it, allocations raise `MemoryError`. Without ``/proc`` there is no limit.
+    """
+    before, hard = resource.getrlimit(resource.RLIMIT_AS)
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    except OSError:
+        yield
+        return
+    known = [each for each in (before, hard) if each != resource.RLIM_INFINITY]
+    limit = min([pages * resource.getpagesize() + more_bytes, *known])
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (before, hard))
 
 
 def limit_this_process(cpu_s: int) -> None:

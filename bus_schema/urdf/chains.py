@@ -12,6 +12,7 @@ from bus_schema.errors import RobotDescriptionError, did_you_mean
 from bus_schema.urdf.checks import mass_of
 from bus_schema.urdf.link_tree import LinkTree
 
+_SHOWN = 8
 _ARM_JOINTS = 3
 """A branch with fewer joints, such as a finger or a head, is no arm beside another one."""
 
@@ -49,6 +50,23 @@ def chains_of(root: ET.Element, driven: Sequence[str]) -> list[Chain]:
             tips[way] = link
     ends = [way for way in tips if way and not any(o[: len(way)] == way for o in tips if o != way)]
     return [_chain(tree, tips[end], _own(end, ends)) for end in ends]
+
+
+def chain_warnings(root: ET.Element, driven: Sequence[str]) -> list[str]:
+    """Return a warning about driven joints that are several chains.
+
+    Args:
+        root: the URDF of a robot.
+        driven: names of its driven joints.
+    """
+    if len(chains := chains_of(root, driven)) < 2:
+        return []
+    tips = ", ".join(each.tip for each in chains[:_SHOWN]) + ", …" * (len(chains) > _SHOWN)
+    what = "an arm each, or legs, wheels or fingers? They are driven together"
+    return [
+        f"its driven joints are {len(chains)} chains side by side (tips {tips}), {what};"
+        " funnel-hil robot FILE --chain TIP drives one, and --scenario writes it to a file"
+    ]
 
 
 def chosen_joints(root: ET.Element, driven: Sequence[str], name: str) -> list[str]:

@@ -48,7 +48,7 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
         RobotDescriptionError: it is no number, or one that physics cannot use.
     """
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)  # Python alone reads 1_0 as 10
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -129,12 +129,22 @@ def _check_tree(root: ET.Element) -> None:
     if len(bases) != 1:
         shown = shortened(", ".join(bases)) or "none"
         raise RobotDescriptionError(f"one link must be the child of no joint, not {shown}")
-    reached = set(bases)
-    for _ in links:
-        reached |= {child for child, parent in carriers.items() if parent in reached}
-    if reached != links:
-        apart = shortened(", ".join(sorted(links - reached)))
-        raise RobotDescriptionError(f"the joints of {apart} form a circle")
+    if apart := links - _reached(bases[0], carriers):
+        shown = shortened(", ".join(sorted(apart)))
+        raise RobotDescriptionError(f"the joints of {shown} form a circle")
+
+
+def _reached(base: str, carriers: dict[str, str]) -> set[str]:
+    """Return the base and all links that it carries."""
+    carried: dict[str, list[str]] = {}
+    for child, parent in carriers.items():
+        carried.setdefault(parent, []).append(child)
+    reached, ends = {base}, [base]
+    while ends:
+        following = carried.get(ends.pop(), [])
+        reached.update(following)
+        ends += following
+    return reached
 
 
 def _check_joint(joint: ET.Element) -> None:
@@ -154,6 +164,21 @@ def _check_joint(joint: ET.Element) -> None:
         for name in ("lower", "upper", "effort", "velocity"):
             if name in limit.attrib:
                 finite_number(owner, name, limit.attrib[name])
+    for dynamics in joint.findall("dynamics"):
+        for name in ("damping", "friction"):
+            _check_resistance(owner, name, dynamics.get(name, ""))
+
+
+def _check_resistance(owner: str, name: str, text: str) -> None:
+    """Check friction; a word instead of a number means that it is unknown."""
+    try:
+        float(text)
+    except ValueError:
+        return
+    if finite_number(owner, name, text) < 0.0:
+        raise RobotDescriptionError(
+            f"{name}={shortened(text)!r} of {owner} must not be negative: it would drive the joint"
+        )
 
 
 def _check_inertial(link: ET.Element) -> None:

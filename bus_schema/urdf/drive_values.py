@@ -2,9 +2,9 @@
 
 ``<dynamics damping friction>`` of a joint, and in the ``<transmission>`` of one joint alone its
 ``<actuator>`` with rotor_inertia (value or text, kg m², in any namespace, such as Drake's) and, if
-that is of the motor's own shaft, gear_ratio or mechanicalReduction; and with stiffness and damping,
-which our conversion of MJCF writes there. Exporters write zero for unknown values; a text that is
-no number counts as unknown too.
+that is of the motor's own shaft, gear_ratio or mechanicalReduction; and with the other values of
+`MOTOR_VALUES`, which our conversion of MJCF writes there. Exporters write zero for unknown values,
+and a text that is no number counts as unknown too.
 """
 
 from __future__ import annotations
@@ -17,6 +17,20 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 
+MOTOR_VALUES = {
+    "rotor_inertia": "rotor_inertia_kg_m2",
+    "stiffness": "servo_stiffness_nm_rad",
+    "damping": "servo_damping_nm_s",
+    "delay": "delay_s",
+    "lag": "lag_s",
+    "rated_speed": "rated_speed_rad_s",
+    "no_load_speed": "no_load_speed_rad_s",
+    "cogging": "cogging_nm",
+    "cogging_periods": "cogging_periods",
+    "stribeck": "stribeck_nm",
+    "stribeck_velocity": "stribeck_velocity_rad_s",
+}
+"""Elements of an ``<actuator>``, and their fields in `DriveValues`."""
 _RATIOS = ("gear_ratio", "mechanicalReduction")
 _LARGEST = 1e6
 """Physics cannot be computed with values beyond this."""
@@ -26,18 +40,34 @@ class DriveValues(NamedTuple):
     """Drive values at each joint; shape (joints,), zero where the file says nothing.
 
     Attributes:
-        rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared.
         friction_nm: dry friction.
         damping_nm_s: viscous friction.
+        rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared.
         servo_stiffness_nm_rad: gain of the drive's own loop around a target position.
         servo_damping_nm_s: its gain around a target velocity.
+        delay_s: dead time of the actuator.
+        lag_s: its time constant.
+        rated_speed_rad_s: up to this speed the largest torque is available.
+        no_load_speed_rad_s: at this speed there is no torque.
+        cogging_nm: amplitude of the cogging torque.
+        cogging_periods: its periods per turn.
+        stribeck_nm: dry friction beyond `friction_nm` near standstill.
+        stribeck_velocity_rad_s: speed over which that decays.
     """
 
-    rotor_inertia_kg_m2: Vector
     friction_nm: Vector
     damping_nm_s: Vector
+    rotor_inertia_kg_m2: Vector
     servo_stiffness_nm_rad: Vector
     servo_damping_nm_s: Vector
+    delay_s: Vector
+    lag_s: Vector
+    rated_speed_rad_s: Vector
+    no_load_speed_rad_s: Vector
+    cogging_nm: Vector
+    cogging_periods: Vector
+    stribeck_nm: Vector
+    stribeck_velocity_rad_s: Vector
 
 
 def drive_values(root: ET.Element, joint_names: Sequence[str]) -> DriveValues:
@@ -52,10 +82,8 @@ def drive_values(root: ET.Element, joint_names: Sequence[str]) -> DriveValues:
     def motor(tag: str) -> Vector:
         return np.array([motors.get(name, {}).get(tag, 0.0) for name in joint_names])
 
-    return DriveValues(
-        motor("rotor_inertia"), dynamics("friction"), dynamics("damping"),
-        motor("stiffness"), motor("damping"),
-    )  # fmt: skip
+    of_motors = {field: motor(tag) for tag, field in MOTOR_VALUES.items()}
+    return DriveValues(dynamics("friction"), dynamics("damping"), **of_motors)
 
 
 def _motor(transmission: ET.Element) -> tuple[str | None, dict[str, float]]:

@@ -28,7 +28,9 @@ from bus_schema.runtime.limited_process import (
     LimitedProcessError,
     limit_this_process,
 )
+from bus_schema.urdf.drive_values import MOTOR_VALUES
 from bus_schema.urdf.held_pose import roll_pitch_yaw
+from bus_schema.urdf.mjcf_actuators import JointActuators
 from bus_schema.urdf.mjcf_files import (
     HINGE_AND_SLIDE,
     SHAPES,
@@ -38,7 +40,7 @@ from bus_schema.urdf.mjcf_files import (
     reason,
     reduce_spec,
 )
-from bus_schema.urdf.mjcf_joints import JointActuators, drives_of
+from bus_schema.urdf.mjcf_joints import drives_of
 
 _GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 _Frame = tuple[Vector, Vector]
@@ -103,7 +105,7 @@ def _specification(root: ET.Element, path: Path, include: Sequence[Path]) -> tup
     files.prepare(root, path.resolve().parent)
     with _of_mujoco(root):
         spec = mujoco.MjSpec.from_string(one_element_a_line(root))
-        return spec, reduce_spec(spec, files)
+        return spec, [*files.warnings, *reduce_spec(spec, files)]
 
 
 def _converted(
@@ -118,7 +120,7 @@ def _converted(
     origins = [np.zeros(3)]
     for body in range(1, model.nbody):  # each body after its parent
         origins.append(_write_body(urdf, model, body, origins, drives))
-    return urdf, [*held, *_left_out(model, drives)]
+    return urdf, [*held, *_left_out(model)]
 
 
 @contextmanager
@@ -133,12 +135,8 @@ def _of_mujoco(root: ET.Element) -> Iterator[None]:
         raise RobotDescriptionError(f"MuJoCo: {reason(error, root)}") from error
 
 
-def _left_out(model: Any, drives: Mapping[int, JointActuators]) -> Iterator[str]:
+def _left_out(model: Any) -> Iterator[str]:
     """Return warnings about elements that a URDF cannot represent."""
-    joints = [model.joint(joint) for joint in range(model.njnt)]
-    driven = [joint for joint in joints if joint.id in drives]
-    if any(joint.stiffness.any() for joint in driven):
-        yield "stiffness of its joints is left out"
     if names := ", ".join(f"body {model.body(i).name}" for i in model.body_gravcomp.nonzero()[0]):
         yield f"gravcomp of {names} is left out: gravity acts on the whole arm"
     if (gravity := model.opt.gravity.tolist()) != [0.0, 0.0, -9.81]:
@@ -204,16 +202,13 @@ def _write_joint(
     element = _connect(urdf, (joint.name, kind), ends, (at, turn))
     ET.SubElement(element, "axis", xyz=_text(joint.axis))
     ET.SubElement(element, "limit", {key: _text(value) for key, value in limit.items()})
-    friction = {"damping": joint.damping, "friction": joint.frictionloss}
+    friction = {"damping": drive.viscous, "friction": drive.coulomb}
     ET.SubElement(element, "dynamics", {key: _text(value) for key, value in friction.items()})
     transmission = ET.SubElement(urdf, "transmission")
     ET.SubElement(transmission, "joint", name=joint.name)
     actuator = ET.SubElement(transmission, "actuator")
-    motor = {
-        "rotor_inertia": joint.armature, "stiffness": drive.stiffness, "damping": drive.damping
-    }  # fmt: skip
-    for name, value in motor.items():
-        ET.SubElement(actuator, name, value=_text(value))
+    for name in MOTOR_VALUES:
+        ET.SubElement(actuator, name, value=_text(getattr(drive, name)))
 
 
 def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None:

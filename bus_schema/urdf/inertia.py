@@ -16,6 +16,8 @@ from bus_schema.urdf.link_tree import LinkTree, along, tensor_of
 _ROUNDING = 1e-3
 _SLIGHT = 0.15
 """Typical errors in real robots' files: few digits, or boxes fitted to meshes."""
+_LEAST_KG_M2, _LEAST_SHARE = 2e-14, 1e-12
+"""Least principal moment, and its share of the largest: MuJoCo takes no thinner needle."""
 _LARGEST_CHANGE = 0.05
 """Of a joint's inertia, by a replacement that the user did not ask for."""
 
@@ -47,7 +49,8 @@ def mend_inertias(root: ET.Element) -> None:
     """Replace impossible inertias by the nearest possible ones with the same largest moment."""
     for link in root.findall("link"):
         principal = _principal(link)
-        if _excess(principal) > 0.0:  # MuJoCo refuses the last digit of a rounded value
+        is_needle = principal[0] < _least(principal[2]) < principal[2]
+        if _excess(principal) > 0.0 or is_needle:  # MuJoCo refuses the last digit of a rounded one
             tensor, element = _mended(tensor_of(link)), link.find("inertial/inertia")
             assert element is not None
             places = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -98,10 +101,17 @@ def _mended(tensor: Matrix) -> Matrix:
     moments, axes = eigenvalues(tensor)
     ascending = np.argsort(moments, kind="stable")
     moments, axes = np.maximum(moments[ascending], 0.0), axes[:, ascending]
+    if (least := _least(moments[2])) < moments[2]:
+        moments = np.maximum(moments, least)
     lacking = moments[2] * (1.0 + 1e-9) - moments[0] - moments[1]
     if lacking > 0.0:
         moments[:2] += lacking / 2
     return np.asarray(((axes * moments)[:, None, :] * axes).sum(axis=2))
+
+
+def _least(largest: float) -> float:
+    """Return the least principal moment beside the largest, kg m²."""
+    return max(_LEAST_KG_M2, _LEAST_SHARE * largest)
 
 
 def _excess(principal: NDArray[np.floating]) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.runtime.limited_process import (
     LimitedProcess,
@@ -48,8 +48,8 @@ _AT_LINK: Frame = (np.zeros(3), np.eye(3))
 
 def estimate_inertias(
     root: ET.Element, base: Path, moving: set[str], include: Sequence[Path], mass_kg: float | None
-) -> bool:
-    """Write inertias for moved links that have none, and return whether there are any.
+) -> None:
+    """Write inertias for moved links that have none.
 
     Args:
         root: the URDF, which passed `check_urdf`.
@@ -76,7 +76,33 @@ def estimate_inertias(
             written += [] if solid is None else [_write(tree.links[name], solid, source)]
     if mass_kg is not None:
         _spread(written, sum(map(mass_of, tree.links.values())), mass_kg)
-    return bool(written)
+
+
+def likely_moments(
+    tree: LinkTree, names: Sequence[str], base: Path, moving: set[str], include: Sequence[Path]
+) -> dict[str, Matrix]:
+    """Return moments of inertia for each kg of some links, from their shapes or lengths, m².
+
+    Args:
+        tree: the URDF's links.
+        names: the links.
+        base: the URDF's folder.
+        moving: names of the joints that move.
+        include: folders with packages that the user names.
+
+    Returns:
+        Tensors about the centre of mass in the axes of each link, by its name.
+    """
+    shapes = {name: _shapes(tree, name, base, include) for name in names}
+    rods = {name: _rod(tree, [name], moving) for name in names}
+    solids = _solids([*_flat(shapes), *_flat(rods)])
+    found = {}
+    for name in names:
+        whole = _whole(shapes[name], solids)
+        whole = _whole(rods[name], solids) if whole is None else whole
+        if whole is not None:
+            found[name] = whole[4:].reshape(3, 3) / whole[0]
+    return found
 
 
 def estimated_links(root: ET.Element) -> str:

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
-from bus_schema.urdf.chains import chains_of
-from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, mass_of, shortened
-from bus_schema.urdf.link_tree import LinkTree
+from bus_schema.urdf.checks import MOVING_TYPES, finite_number, shortened
+from bus_schema.urdf.end_effectors import SLIDE, no_arm_joints, sliding_fingers
 
-_MIMICKED = "a gripper's: others mimic it (robot.joints may drive it)"
-_FINGER = "a finger: it branches off behind the arm, and is light (robot.joints may drive it)"
-_JAW = "a gripper's jaw: last, light, and opens to one side (robot.joints may drive it)"
-BESIDE = "beside the arm, such as a wheel, a leg or a head (robot.joints may drive it)"
-OF_GRIPPERS = (_MIMICKED, _FINGER, _JAW, BESIDE)
-"""Reasons to hold a joint that could be driven."""
-_ARM_JOINTS = 4
-"""So many joints in a row are an arm, which may carry a hand."""
-_LIGHT = 0.3
-"""Largest mass of a hand's moved parts, as a share of the arm's; of a jaw, of what is beside it."""
-_ONE_SIDED, _WIDEST_RAD = 0.15, 2.5
-"""How far a jaw turns to the other side, as a share of its range; and that range."""
+_SHOWN = 8
 
 
 @dataclass(frozen=True)
@@ -91,13 +78,8 @@ def joint_roles(
     positions = dict(hold)
     driven = tuple(name for name in moving if name not in mimics and name not in reasons)
     if wanted is None and hold_grippers:
-        grippers = dict.fromkeys(_grippers(root, driven, mimics), _MIMICKED)
-        grippers |= _hands(root, [name for name in driven if name not in grippers])
-        own = [name for name in driven if name not in grippers]
-        grippers |= dict.fromkeys(_beside_arms(root, own), BESIDE)
-        if grippers.keys() < set(driven):
-            reasons |= grippers
-            driven = tuple(name for name in driven if name not in grippers)
+        reasons |= no_arm_joints(root, driven, {each.name: each.leader for each in mimics.values()})
+        driven = tuple(name for name in driven if name not in reasons)
     followers = []
     for mimic in mimics.values():
         first = _first_leader(mimic, mimics, moving)
@@ -110,8 +92,7 @@ def joint_roles(
             at = first.multiplier * positions.get(first.leader, 0.0) + first.offset
             positions[mimic.name] = at
     if not driven:
-        held_joints = ", ".join(f"{name} is held: {why}" for name, why in reasons.items())
-        raise RobotDescriptionError(f"has no joint to drive; {shortened(held_joints)}")
+        raise RobotDescriptionError(f"has no joint to drive: {_all_held(reasons)}")
     held = tuple(
         HeldJoint(name, joint.get("type", ""), reasons[name], positions.get(name, 0.0))
         for name, joint in joints.items()
@@ -147,8 +128,7 @@ def _held(
     joints: dict[str, ET.Element], mimics: dict[str, Follower], wanted: Sequence[str] | None
 ) -> dict[str, str]:
     """Return the reasons to hold joints that mimic no other, by name."""
-    beside = Counter(joint_ends(j)[0] for j in joints.values() if j.get("type") in MOVING_TYPES)
-    reasons = {}
+    reasons, fingers = {}, sliding_fingers(joints, mimics)
     for name, joint in joints.items():
         kind = joint.get("type", "")
         if kind == "fixed" or name in mimics:
@@ -159,63 +139,19 @@ def _held(
             reasons[name] = "not among robot.joints"
         elif wanted is None and kind != "continuous" and _stands(joint):
             reasons[name] = "its range is 0 … 0"
-        elif wanted is None and kind == "prismatic" and beside[joint_ends(joint)[0]] > 1:
-            reasons[name] = (
-                "a gripper's finger: slides beside another joint (robot.joints may drive it)"
-            )
+        elif wanted is None and name in fingers:
+            reasons[name] = SLIDE
     return reasons
 
 
-def _grippers(root: ET.Element, driven: Sequence[str], mimics: dict[str, Follower]) -> set[str]:
-    """Return joints that others mimic, where neither carries any other joint to drive."""
-    tree, found = LinkTree(root), set()
-    for leader in {mimic.leader for mimic in mimics.values()}.intersection(driven):
-        group = {leader, *(each.name for each in mimics.values() if each.leader == leader)}
-        others = [link for link, joint in tree.joints.items() if joint.get("name") in driven]
-        carried = [link for link in others if tree.mover(joint_ends(tree.joints[link])[0], group)]
-        if not carried:
-            found.add(leader)
-    return found
-
-
-def _hands(root: ET.Element, driven: Sequence[str]) -> dict[str, str]:
-    """Return the joints of fingers and jaws behind an arm, and what they are."""
-    tree, found = LinkTree(root), dict[str, str]()
-    links = {joint.get("name", ""): link for link, joint in tree.joints.items()}
-
-    def moved_kg(names: set[str]) -> float:
-        return sum(mass_of(link) for name, link in tree.links.items() if tree.mover(name, names))
-
-    above = {name: [joint.get("name", "") for joint in tree.above(links[name])] for name in driven}
-    ways = {name: [each for each in above[name][1:] if each in driven] for name in driven}
-    for name, way in ways.items():
-        beside = {each for each, other in ways.items() if way and way[:1] == other[:1]}
-        if len(way) < _ARM_JOINTS or name in found:
-            continue
-        behind = {each for each, other in ways.items() if way[0] in other}
-        moved = moved_kg(behind)
-        if len(beside) > 1 and moved <= _LIGHT * moved_kg({way[-1]}):
-            found |= dict.fromkeys(behind, _FINGER)
-        is_light = moved <= _LIGHT * (moved_kg({way[0]}) - moved)
-        if behind == {name} and is_light and _opens(tree.joints[links[name]]):
-            found[name] = _JAW
-    return found
-
-
-def _beside_arms(root: ET.Element, driven: Sequence[str]) -> list[str]:
-    """Return the joints of branches that are too short for an arm, if there is an arm."""
-    chains = chains_of(root, driven)
-    short = [each for each in chains if len(each.joints) < _ARM_JOINTS]
-    return [name for each in short for name in each.joints] if len(short) < len(chains) else []
-
-
-def _opens(joint: ET.Element) -> bool:
-    """Whether a joint turns to one side only, as a jaw does."""
-    limit = joint.find("limit")
-    if joint.get("type") != "revolute" or limit is None:
-        return False
-    low, high = (float(limit.get(end, "inf")) for end in ("lower", "upper"))
-    return high - low <= _WIDEST_RAD and min(abs(low), abs(high)) <= _ONE_SIDED * (high - low)
+def _all_held(reasons: Mapping[str, str]) -> str:
+    """Describe why all joints are held, and how to drive some."""
+    groups = {why: [name for name in reasons if reasons[name] == why] for why in reasons.values()}
+    parts = [
+        f"{', '.join(names[:_SHOWN])}{' and others' * (len(names) > _SHOWN)}: {why.split(' (')[0]}"
+        for why, names in groups.items()
+    ]
+    return f"{'; '.join(parts)}. --joints NAME,… (robot.joints) drives those that it names"
 
 
 def _held_at(joint: ET.Element, position: float) -> str:

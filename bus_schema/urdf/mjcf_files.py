@@ -24,7 +24,8 @@ from bus_schema.user_files import read_text
 
 _DEEPEST = 200
 _MOST_ELEMENTS = 5000  # MuJoCo's time grows with the square of their number: 1.5 s for 5000 bodies
-_MOST_FILES, _MOST_BYTES = 50, 100_000_000
+_MOST_FILES, _MOST_BYTES = 2000, 500_000_000
+_OPTIONS = ("gravity", "timestep", "actuatorgroupdisable")
 _NO_TREE = ("deformable", "extension")
 _MACROS = ("composite", "flexcomp", "replicate")
 _ONLY_SEEN = {
@@ -53,35 +54,41 @@ class MjcfFiles:
     Args:
         path: the first one.
         include: folders that may be read, besides its own and the one around it.
+
+    Attributes:
+        warnings: about parts that are left out.
     """
 
     def __init__(self, path: Path, include: Sequence[Path]) -> None:
+        self.warnings: list[str] = []
         folder = path.resolve().parent
         around = [each for each in (folder.parent, *repository_of(path)) if each.parent != each]
         self._folders = [folder, *around, *include]
-        self._read = 0
+        self._read = self._read_bytes = 0
 
-    def prepare(self, root: ET.Element, folder: Path) -> None:
+    def prepare(self, root: ET.Element, folder: Path, within: tuple[Path, ...] = ()) -> None:
         """Write the contents of included files into a model, and absolute paths of others.
 
         Args:
             root: the root element of a file; it is modified.
             folder: its folder.
+            within: the attached models that this one is in, and itself.
 
         Raises:
             RobotDescriptionError: it opens other files, or multiplies elements.
         """
-        self._include(root, folder)
+        self._include(root, folder, ())
         for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
             raise RobotDescriptionError(
                 f"{_shown(found)}: must be left out, because only a tree of bodies can be emulated"
             )
+        self.warnings += _sensor_delays(root)
         for parent in list(root.iter()):
             for child in list(parent):
                 if child.tag in _ONLY_SEEN:
                     parent.remove(child)
         for option in root.findall("option"):  # old files have some that current MuJoCo refuses
-            option.attrib = {key: text for key, text in option.attrib.items() if key == "gravity"}
+            option.attrib = {key: text for key, text in option.attrib.items() if key in _OPTIONS}
         elements = list(root.iter())
         if len(elements) > _MOST_ELEMENTS:
             raise RobotDescriptionError(f"has {len(elements)} elements: at most {_MOST_ELEMENTS}")
@@ -100,17 +107,27 @@ class MjcfFiles:
                 element.set("name", element.get("name") or Path(element.get("file", "")).stem)
                 element.set("file", str(meshes / element.get("file", "")))
             elif element.tag == "model":
-                file = self.allowed(element, folder)
-                self.prepare(parsed(file), file.parent)  # it is checked alone, MuJoCo reads it
+                if (file := self.allowed(element, folder)) in within:
+                    raise RobotDescriptionError(f"{_shown(element)}: {file.name} attaches itself")
+                # It is checked alone, MuJoCo reads it.
+                self.prepare(parsed(file), file.parent, (*within, file))
                 element.set("file", str(file))
 
-    def _include(self, parent: ET.Element, folder: Path) -> None:
-        """Replace elements that include a file by its contents."""
+    def _include(self, parent: ET.Element, folder: Path, within: tuple[Path, ...]) -> None:
+        """Replace elements that include a file by its contents.
+
+        Args:
+            parent: the root element of a file.
+            folder: the model's folder.
+            within: the included files that this one is in, and itself.
+        """
         check_depth(parent, _DEEPEST)
         for place in list(parent.iter()):
             for found in place.findall("include"):
-                content = parsed(self.allowed(found, folder))
-                self._include(content, folder)
+                if (file := self.allowed(found, folder)) in within:
+                    raise RobotDescriptionError(f"{_shown(found)}: {file.name} includes itself")
+                content = parsed(file)
+                self._include(content, folder, (*within, file))
                 at = list(place).index(found)
                 place[at : at + 1] = list(content)
 
@@ -121,16 +138,30 @@ class MjcfFiles:
             RobotDescriptionError: it must not be read, or is too large.
         """
         file = (folder / element.get("file", "")).resolve()
-        self._read += 1
-        if file.suffix.lower() not in _READ[element.tag] or not file.is_file():
+        if is_there := file.is_file():
+            self._read, self._read_bytes = self._read + 1, self._read_bytes + file.stat().st_size
+        if file.suffix.lower() not in _READ[element.tag] or not is_there:
             allowed = f"no such file; its name must end with {' or '.join(_READ[element.tag])}"
         elif not any(file.is_relative_to(each) for each in self._folders):
             allowed = f"must be below {self._folders[1]}, or a folder that --include names"
-        elif self._read > _MOST_FILES or file.stat().st_size > _MOST_BYTES:
-            allowed = f"at most {_MOST_FILES} files of {_MOST_BYTES // 1_000_000} MB are read"
+        elif self._read > _MOST_FILES or self._read_bytes > _MOST_BYTES:
+            most = f"{_MOST_FILES} files, and {_MOST_BYTES // 1_000_000} MB"
+            allowed = f"at most {most}, are read"
         else:
             return file
         raise RobotDescriptionError(f"{_shown(element)}: {allowed}")
+
+
+def _sensor_delays(root: ET.Element) -> list[str]:
+    """Return a warning about sensors that report late."""
+    late = [
+        f"{sensor.get('name') or sensor.tag} ({key} {sensor.get(key)} s)"
+        for sensor in root.iterfind("sensor/*")
+        for key in ("delay", "interval")
+        if any(part not in ("0", "0.0") for part in sensor.get(key, "0").split())
+    ]
+    what = "left out; link.uplink.delay_ms delays what the controller learns of all joints"
+    return [f"delays of sensors {shortened(', '.join(late))}: {what}"] if late else []
 
 
 def parsed(file: Path) -> ET.Element:

@@ -6,71 +6,20 @@ Importing this module imports MuJoCo, so import it where it is used.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.mujoco_library import mujoco
 from bus_schema.urdf.checks import shortened
+from bus_schema.urdf.mjcf_actuators import ONE_SIDED, Actuator, JointActuators, Omissions
 
-_AFFINE = mujoco.mjtBias.mjBIAS_AFFINE
+_GROUPS = 31
+"""Groups of actuators that a file can disable."""
 _TARGET, _EQUALITY, _WRAP = mujoco.mjtTrn, mujoco.mjtEq, mujoco.mjtWrap
 _CUT_SHARE = 0.5
 _MOBILE_JOINTS = 3
 """So many joints of one body on the world are those of a mobile base: along, across and about."""
-
-
-@dataclass
-class JointActuators:
-    """Limits and gains that the actuators of a joint have there; inf where there is no limit.
-
-    Attributes:
-        effort: N m or N.
-        velocity: rad/s or m/s, of velocity servos.
-        lower: rad or m, the lower end of the range of the joint and of its position servos.
-        upper: the upper end.
-        stiffness: N m/rad or N/m, of position servos.
-        damping: N m s/rad or N s/m, of all servos.
-    """
-
-    effort: float = 0.0
-    velocity: float = math.inf
-    lower: float = -math.inf
-    upper: float = math.inf
-    stiffness: float = 0.0
-    damping: float = 0.0
-
-    def limit_range(self, ends: Vector) -> None:
-        """Keep the part of the range that lies between both ends."""
-        self.lower, self.upper = max(self.lower, ends.min()), min(self.upper, ends.max())
-
-    def add(self, actuator: Any) -> None:
-        """Add an actuator of the joint.
-
-        Its force is gain · control + bias[0] + bias[1] · length + bias[2] · speed, the length being
-        the joint's position times the gear. A motor has a gain alone. A servo comes to rest where
-        the force is zero.
-        """
-        gear, bias = float(actuator.gear[0]), actuator.biasprm
-        forces = actuator.gainprm[0] * actuator.ctrlrange
-        is_limited = bool(actuator.ctrllimited[0]) and gear != 0.0
-        has_own_state = bool(actuator.dyntype[0])  # its control is no force and no target
-        largest = abs(actuator.forcerange).max() if actuator.forcelimited[0] else math.inf
-        if is_limited and not (actuator.gaintype[0] or actuator.biastype[0] or has_own_state):
-            largest = min(largest, abs(forces).max())
-        self.effort += abs(gear) * largest if gear else 0.0
-        if actuator.gaintype[0] or actuator.biastype[0] != _AFFINE:
-            return
-        self.stiffness -= bias[1] * gear**2
-        self.damping -= bias[2] * gear**2
-        if is_limited and not has_own_state:
-            if bias[1] < 0.0:
-                self.limit_range((forces + bias[0]) / (-bias[1] * gear))
-            elif bias[2] < 0.0:
-                speeds = abs((forces + bias[0]) / (bias[2] * gear))
-                self.velocity = min(self.velocity, speeds.max())
 
 
 def drives_of(
@@ -88,38 +37,104 @@ def drives_of(
     Raises:
         RobotDescriptionError: an actuator drives neither a joint nor a tendon.
     """
-    held = {} if driven is not None else dict(_held(model))
-    free = range(0 if model.nu else model.njnt)
-    drives = {joint: JointActuators(effort=math.inf) for joint in free}
-    for actuator in map(model.actuator, range(model.nu)):
-        target = _TARGET(actuator.trntype[0])
-        if target in (_TARGET.mjTRN_JOINT, _TARGET.mjTRN_JOINTINPARENT):
-            drives.setdefault(int(actuator.trnid[0]), JointActuators()).add(actuator)
-        elif target != _TARGET.mjTRN_TENDON:
-            name = shortened(actuator.name)
-            raise RobotDescriptionError(f"actuator {name!r} must drive a joint or a tendon")
+    held, omitted = {} if driven is not None else dict(_held(model)), Omissions()
+    drives = _actuated(model, omitted)
     for joint in range(model.njnt):
         if model.joint(joint).name in (*(driven or ()), *hold):
             held.pop(joint, None)
             drives.setdefault(joint, JointActuators(effort=math.inf))
     drives = {joint: drive for joint, drive in drives.items() if joint not in held}
-    cut = []
-    for joint, drive in drives.items():
-        if model.jnt_limited[joint]:
-            drive.limit_range(own := model.jnt_range[joint])
-            if drive.upper - drive.lower < _CUT_SHARE * (own.max() - own.min()):
-                ends = f"{drive.lower:.3g} … {drive.upper:.3g} of {own.min():.3g} … {own.max():.3g}"
-                cut.append(f"{model.joint(joint).name} ({ends})")
-        if model.jnt_actfrclimited[joint]:
-            drive.effort = min(drive.effort, abs(model.jnt_actfrcrange[joint]).max())
+    cut = _limit(model, drives, omitted)
     for joint in range(model.njnt):
         if joint not in drives:
             held.setdefault(joint, "no actuator drives them; they are held")
+    _add_joints(model, drives, omitted)
     groups = {why: [model.joint(j).name for j in held if held[j] == why] for why in held.values()}
     notes = [f"{', '.join(names)}: {why}" for why, names in groups.items()]
     if cut:
         notes.append(f"ctrlrange of actuators leaves less than half of the range: {', '.join(cut)}")
-    return drives, notes
+    return drives, [*notes, *omitted.sentences(drives), *_of_all(model, drives)]
+
+
+def _limit(model: Any, drives: Mapping[int, JointActuators], omitted: Omissions) -> list[str]:
+    """Limit drives by the limits of their joints; return the joints that lose much range."""
+    cut = []
+    for joint, drive in drives.items():
+        name = model.joint(joint).name
+        if model.jnt_limited[joint]:
+            drive.limit_range(own := model.jnt_range[joint])
+            if drive.upper - drive.lower < _CUT_SHARE * (own.max() - own.min()):
+                ends = f"{drive.lower:.3g} … {drive.upper:.3g} of {own.min():.3g} … {own.max():.3g}"
+                cut.append(f"{name} ({ends})")
+        if model.jnt_actfrclimited[joint]:
+            forces = model.jnt_actfrcrange[joint]
+            drive.effort = min(drive.effort, abs(forces).max())
+            if forces.sum():
+                omitted.add("actuatorfrcrange", f"joint {name}", ONE_SIDED)
+    return cut
+
+
+def _actuated(model: Any, omitted: Omissions) -> dict[int, JointActuators]:
+    """Return the drives of joints by number, as the actuators are; of all if there is none.
+
+    Raises:
+        RobotDescriptionError: an actuator drives neither a joint nor a tendon.
+    """
+    found: list[Actuator] = []
+    has_tendon = False
+    for number in range(model.nactuator):
+        name = model.actuator(number).name or number
+        target = _TARGET(int(model.actuator_trntype[number]))
+        if _is_disabled(model, number):
+            why = "its group is disabled (actuatorgroupdisable); it is left out"
+            omitted.add("group", f"actuator {name}", why)
+        elif target in (_TARGET.mjTRN_JOINT, _TARGET.mjTRN_JOINTINPARENT):
+            found.append(Actuator(model, number, omitted))
+        elif target == _TARGET.mjTRN_TENDON:
+            has_tendon = True
+        elif target == _TARGET.mjTRN_BODY:
+            omitted.add("adhesion", f"actuator {name}")
+        else:
+            raise RobotDescriptionError(
+                f"actuator {shortened(str(name))!r} must drive a joint or a tendon"
+            )
+    drives = {each.joint: JointActuators() for each in found if each.has_input}
+    if not drives and not has_tendon:
+        drives = {joint: JointActuators(effort=math.inf) for joint in range(model.njnt)}
+    for each in found:
+        if each.joint in drives:
+            each.add_to(drives[each.joint])
+    return drives
+
+
+def _is_disabled(model: Any, number: int) -> bool:
+    group = int(model.actuator_group[number])
+    return 0 <= group < _GROUPS and bool(model.opt.disableactuator >> group & 1)
+
+
+def _add_joints(model: Any, drives: Mapping[int, JointActuators], omitted: Omissions) -> None:
+    """Add inertia and friction of the joints themselves to their drives."""
+    for joint, drive in drives.items():
+        place, name = int(model.jnt_dofadr[joint]), f"joint {model.joint(joint).name}"
+        drive.rotor_inertia += float(model.dof_armature[place])
+        drive.viscous += float(model.dof_damping[place])
+        drive.coulomb += float(model.dof_frictionloss[place])
+        if model.dof_dampingpoly[place].any():
+            omitted.add("quadratic and cubic damping", name)
+        if model.jnt_stiffness[joint] or model.jnt_stiffnesspoly[joint].any():
+            omitted.add("stiffness", name)
+
+
+def _of_all(model: Any, drives: Mapping[int, JointActuators]) -> Iterator[str]:
+    """Return warnings about what differs among joints, and is the same for all of them here."""
+    for name, unit, scale in (("delay", "ms", 1e3), ("lag", "ms", 1e3), ("cogging_periods", "", 1)):
+        values = {model.joint(joint).name: getattr(each, name) for joint, each in drives.items()}
+        if len({*values.values()}) > 1:
+            shown = ", ".join(f"{scale * each:g} of {joint}" for joint, each in values.items())
+            what = name.replace("_", " ")
+            yield f"{what} of actuators: {shown}: the largest, {scale * max(values.values()):g}" + (
+                f" {unit} is that of all joints here"
+            )
 
 
 def _held(model: Any) -> Iterator[tuple[int, str]]:

@@ -42,8 +42,10 @@ _METHODS = {
         "capitalize", "count", "endswith", "find", "isalpha", "isdigit", "isspace", "join", "lower",
         "lstrip", "replace", "rfind", "rstrip", "split", "startswith", "strip", "title", "upper",
     },
-    list: {"count", "index"},
-    dict: {"get", "items", "keys", "values"},
+    list: {
+        "append", "copy", "count", "extend", "index", "insert", "pop", "remove", "reverse", "sort",
+    },
+    dict: {"copy", "get", "items", "keys", "pop", "values"},
 }  # fmt: skip
 _PYTHON = {
     "True", "False", "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "float", "int",

@@ -14,9 +14,9 @@ from bus_schema.messages.topics import VIEW_TOPICS, Role, topics_of
 from bus_schema.zenoh.ros_graph import graph_key_expression, node_tokens
 
 
-def recorded_key_expression(domain: int, gid: str = "*") -> str:
+def recorded_key_expression(domain: int, gid: str = "*", session: str = "*") -> str:
     """Liveliness token by which a recorder reports that it has all of one publisher's messages."""
-    return f"funnel_hil/{domain}/recorded/{gid}"
+    return f"funnel_hil/{domain}/recorded/{gid}/{session}"
 
 
 def progress_key_expression(domain: int) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -35,7 +37,12 @@ from bus_schema.zenoh.ros_graph import (
 )
 from bus_schema.zenoh.session import Delivery, Inbox, ZenohPublisher, ZenohSession
 
+logger = logging.getLogger(__name__)
+
 POLL_S = 0.05
+_MOST_NAMED = 10
+_SHARE_FOR_STRANGERS = 0.5
+"""Share of the peers' patience for a recorder that may be forged, and has reported nothing yet."""
 _MOST_SESSIONS = 1000
 """Limit on sessions that announce a scenario, as any of them may be forged."""
 LOOK_S = 0.005
@@ -53,7 +60,8 @@ class ZenohNode:
         link: section ``link`` of the scenario.
         role: this node's role; loops also bundle all their messages for recorders.
         lossless: wait for a slow recorder instead of losing messages.
-        agreement: what others must agree on; None skips the check.
+        agreement: what others must agree on; None skips the check. A recorder that does not belong
+            to its run, if that has a key, is ignored: nothing waits for it.
     """
 
     def __init__(
@@ -66,6 +74,8 @@ class ZenohNode:
     ) -> None:
         listen, connect = _endpoints(link, role)
         is_loop = role is not Role.RECORDER
+        self._run_key = "" if agreement is None else agreement.run_key
+        is_marked = bool(self._run_key) and not is_loop
         # A recorder may fall behind, and must not delay the loop.
         self._session = ZenohSession(
             listen,
@@ -77,6 +87,7 @@ class ZenohNode:
             security=secure_settings(role, link.domain, link.security.keys)
             if link.security.enabled
             else None,
+            identifier=self._run_key + secrets.token_hex(8) if is_marked else None,
         )
         self._link = link
         self._domain = link.domain
@@ -85,9 +96,10 @@ class ZenohNode:
         self._graph = RosGraph(self._session.identifier)
         self._last_entity = 0
         self._acknowledged = threading.Event()
-        self._flow = FlowControl() if lossless and is_loop else None
+        self._flow = self._flow_control() if lossless and is_loop else None
         self._progress: ZenohPublisher | None = None
         self._agreement = agreement
+        self._strangers: set[str] = set()
         self._differences: dict[str, dict[str, list[str]]] = {}  # by role and session
         # Before all other tokens: peers that see this node then know its scenario.
         self._session.watch_tokens(scenario_key_expression(link.domain), self._on_scenario)
@@ -108,7 +120,7 @@ class ZenohNode:
         gid = self.outbox.gid_of(topics.RUN_EVENTS)
         if gid is not None:
             key = recorded_key_expression(self._domain, gid.hex())
-            self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
+            self._session.watch_tokens(key, self._on_recorded)
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
 
     def advertise(self, topic: Topic) -> ZenohPublisher:
@@ -145,7 +157,8 @@ class ZenohNode:
         return self._graph.has_left(sender)
 
     def sees(self, role: Role) -> bool:
-        return self._graph.sees(role)
+        nodes = self._graph.others(EntityKind.NODE)
+        return any(self._is_of_this_run(each) for each in nodes if each.node == node_name(role))
 
     def watch_silence(self, role: Role) -> SilenceWatch:
         """Return a watch that reports why one of our own processes may be missing."""
@@ -180,7 +193,8 @@ class ZenohNode:
 
     def acknowledge(self, gid: bytes) -> None:
         """Announce, as a recorder, that all messages of a publisher of run events are recorded."""
-        self._session.announce(recorded_key_expression(self._domain, gid.hex()))
+        own = self._session.identifier
+        self._session.announce(recorded_key_expression(self._domain, gid.hex(), own))
 
     def tell_progress(self, gid: bytes, sequence: int) -> None:
         """Report, as a recorder, progress on a topic that paces to the sender of the topic."""
@@ -228,10 +242,34 @@ class ZenohNode:
             if len(sessions) < _MOST_SESSIONS:
                 sessions[session] = self._agreement.differences(theirs)
 
+    def _on_recorded(self, token: str, _alive: bool) -> None:
+        if token.rpartition("/")[2].startswith(self._run_key):
+            self._acknowledged.set()
+
     def _on_token(self, token: str, alive: bool) -> None:
         entity = self._graph.change(token, alive)
-        if self._flow is not None and entity is not None and _is_recorder(entity):
+        if entity is None or not _is_recorder(entity):
+            return
+        if not self._is_of_this_run(entity):
+            self._name_stranger(entity.session)
+        elif self._flow is not None:
             (self._flow.join if alive else self._flow.leave)(entity.session)
+
+    def _flow_control(self) -> FlowControl:
+        """Return the flow control: without a key, a recorder may be forged, and peers give up."""
+        if self._run_key:
+            return FlowControl()
+        return FlowControl(first_patience_s=_SHARE_FOR_STRANGERS * self._link.reply_timeout_s)
+
+    def _is_of_this_run(self, entity: Entity) -> bool:
+        """Whether a node belongs to this run, as far as known: only recorders have its key."""
+        return not _is_recorder(entity) or entity.session.startswith(self._run_key)
+
+    def _name_stranger(self, session: str) -> None:
+        """Warn once about a recorder that is ignored."""
+        if session not in self._strangers and len(self._strangers) < _MOST_NAMED:
+            self._strangers.add(session)
+            logger.warning("a recorder that this run did not start is ignored: session %s", session)
 
     def _on_progress(self, delivery: Delivery) -> None:
         acknowledged = Attachment.decode(delivery.payload)

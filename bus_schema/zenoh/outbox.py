@@ -26,7 +26,7 @@ OVERHEAD_BYTES = 100
 """Bytes that each message adds in the queue: key, attachment, headers."""
 _PATIENCE_S = 60.0
 _FIRST_PATIENCE_S = 15.0
-"""Patience before a recorder's first report: it may be forged, or delayed by a slow machine."""
+"""Patience before a recorder's first report, which a slow machine may delay."""
 
 
 @dataclass(eq=False, slots=True)
@@ -59,14 +59,17 @@ class FlowControl:
 
     Args:
         patience_s: time that the sender waits for a silent recorder before it ignores it.
+        first_patience_s: the same before the recorder's first report.
 
     Attributes:
         recorders: sequence number that each recorder has, by session.
     """
 
-    def __init__(self, patience_s: float = _PATIENCE_S) -> None:
+    def __init__(
+        self, patience_s: float = _PATIENCE_S, first_patience_s: float = _FIRST_PATIENCE_S
+    ) -> None:
         self._patience_s = patience_s
-        self._first_patience_s = min(patience_s, _FIRST_PATIENCE_S)
+        self._first_patience_s = min(patience_s, first_patience_s)
         self._sent_bytes = self._recorded_bytes = 0
         self._marks: deque[tuple[int, int]] = deque()  # sequence, bytes sent up to and including it
         self._last_mark = 0

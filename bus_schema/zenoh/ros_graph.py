@@ -179,10 +179,6 @@ class RosGraph:
         """Whether other sessions had publishers of a topic, and none is left."""
         return topic.name in self._offered and not self.has_publisher(topic)
 
-    def sees(self, role: Role) -> bool:
-        """Whether one of our own processes is on the bus."""
-        return any(entity.node == node_name(role) for entity in self.others(EntityKind.NODE))
-
     def sessions_of(self, role: Role) -> set[str]:
         """Return the other sessions with an entity in the name of one of our own processes."""
         known = list(self._entities.values())

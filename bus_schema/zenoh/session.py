@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -53,6 +54,18 @@ _SETTINGS: dict[str, Any] = {
     "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
 }
 _CLOSE_TIMEOUT_S = 2.0
+_OS_ERROR = re.compile(r"([^:\[\]]+ \(os error \d+\))")
+_SOURCE = re.compile(r"\s+at\s+/\S+?:\d+\.")
+"""What zenoh's messages have of the operating system's, and of its own sources."""
+
+
+def _refusal(listen: Sequence[str], connect: Sequence[str], reason: str) -> str:
+    """Say why there is no session: each endpoint once, without the places in zenoh's sources."""
+    ways = {"listen at": listen, "connect to": connect}
+    wanted = " and ".join(f"{way} {', '.join(ends)}" for way, ends in ways.items() if ends)
+    cause = _OS_ERROR.search(reason)
+    shown = cause[1].strip() if cause else _SOURCE.sub("", reason).strip()
+    return f"cannot {wanted or 'open a Zenoh session'}: {shown}"
 
 
 class SessionError(BusError, ConnectionError):
@@ -150,6 +163,7 @@ class ZenohSession:
         gossip: report this session's endpoints to a router, and connect to the peers that it
             reports; nodes with rmw_zenoh, which are peers by default, find each other in this way.
         security: settings that restrict peers (`access.py`); by default, all are accepted.
+        identifier: up to 32 hexadecimal digits, not beginning with 0; random by default.
 
     Raises:
         SessionError: an endpoint cannot be served or is malformed.
@@ -165,6 +179,7 @@ class ZenohSession:
         lease_s: float = 10.0,
         gossip: bool = False,
         security: Mapping[str, Any] | None = None,
+        identifier: str | None = None,
     ) -> None:
         drop_after_us = round(1e6 * patience_s)
         settings = _SETTINGS | {
@@ -175,6 +190,7 @@ class ZenohSession:
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": drop_after_us,
             "transport/unicast/lowlatency": low_latency,
             **(security or {}),
+            **({} if identifier is None else {"id": identifier}),
         }
         configuration = zenoh.Config()
         try:
@@ -182,10 +198,7 @@ class ZenohSession:
                 configuration.insert_json5(path, json.dumps(value))
             self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
-            raise SessionError(
-                f"no Zenoh session (listening on {list(listen)}, connecting to {list(connect)}):"
-                f" {error}"
-            ) from error
+            raise SessionError(_refusal(listen, connect, str(error))) from error
         self.identifier = str(self._session.zid())
         self._kept: list[object] = []
         self._connected: set[str] = set()

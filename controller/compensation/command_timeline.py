@@ -39,20 +39,23 @@ class HorizonSettings(NamedTuple):
         first_ns: the horizon at first.
         wanted_ns: of an announced horizon, the one to reach slowly and to keep.
         is_announced: each command says when it acts, and the plant holds it until then.
-        grain_ns: an announced horizon is a whole number of these, as the plant acts in such steps.
         reserve_ns: what is added to the largest delay that was reported.
         bridge_rows: rows of a command after its first.
-        row_ns: time from one row to the next.
+        row_ns: time from one row to the next, which is that from one state to the next.
+        substeps: physics steps in that time; an announced horizon ends where one begins, as the
+            plant acts in such steps.
+        actuator_ns: dead time of the actuators, which is part of every horizon.
     """
 
     least_ns: int = 0
     first_ns: int = 0
     wanted_ns: int = 0
     is_announced: bool = False
-    grain_ns: int = 1
     reserve_ns: int = 0
     bridge_rows: int = 0
     row_ns: int = 1
+    substeps: int = 1
+    actuator_ns: int = 0
 
 
 _AS_REPORTED = HorizonSettings()
@@ -227,7 +230,7 @@ def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns:
         if sequence != state.in_force and delay_ns > commands.announced_ns[sequence % CAPACITY]:
             arrival_ns = max(arrival_ns, delay_ns)  # it came late
         arrival_ns = min(arrival_ns, now_ns - commands.stamps_ns[state.first % CAPACITY])
-        if sequence == HELD and state.wanted_ns == 0 and state.first != HELD:
+        if sequence == HELD and state.wanted_ns == state.actuator_ns and state.first != HELD:
             # Nothing acts yet, so the first command has been on its way for at least this long.
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
             state.exact_ns = max(state.exact_ns, float(waited_ns))
@@ -286,8 +289,8 @@ def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
     else:
         exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
     state.exact_ns = exact_ns
-    grains = math.ceil(exact_ns / state.grain_ns)
-    _expect(state, int(grains * state.grain_ns))
+    steps = math.ceil(exact_ns * state.substeps / state.row_ns)
+    _expect(state, int(steps) * state.row_ns // state.substeps)
 
 
 @compiled

@@ -8,6 +8,7 @@ receives another `Tracking`.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -88,6 +89,8 @@ class DelayCompensation:
         self.identification = identification
         self.predicted = Tracking(joints)
         self.target: Matrix = np.zeros((2, joints))
+        self._actuator_ns = horizon.actuator_ns
+        self._reports: deque[tuple[int, CommandFeedback]] = deque()
         self._bandwidth_rad_s = 0.0 if predictor == HOLD_PREDICTION else observer_bandwidth_rad_s
         self._kernel = PREDICTORS[predictor]
         self._arm = Arm(
@@ -105,8 +108,14 @@ class DelayCompensation:
         """Expected time from a state until the torque that answers it acts."""
         return int(self.commands.state["horizon_ns"][0])
 
+    @property
+    def acts_after_ns(self) -> int:
+        """Time from a state until the command that answers it has to be at the drives."""
+        return self.horizon_ns - self._actuator_ns
+
     def reset(self) -> None:
         """Forget all commands and everything learned."""
+        self._reports.clear()
         forget_commands(self.commands)
         forget(self._arm.nominal, self.belief)
         start_again(self.identification)
@@ -156,11 +165,28 @@ class DelayCompensation:
         sequence, delay_ns, arrival_ns = feedback or _NO_FEEDBACK
         if not HELD <= sequence <= _LARGEST_NUMBER:
             sequence, delay_ns, arrival_ns = _NO_FEEDBACK
+        elif self._actuator_ns:
+            sequence, delay_ns, arrival_ns = self._acting(stamp_ns, feedback or _NO_FEEDBACK)
         horizon_s = self._foresee(stamp_ns, sequence, delay_ns, arrival_ns)
         self.predicted.horizon_s = horizon_s
         time_s = measured.time_s + horizon_s
         self.predicted.update(time_s, measured.step_s, reference, funnel)
         return self.predicted
+
+    def _acting(self, stamp_ns: int, feedback: CommandFeedback) -> CommandFeedback:
+        """Return what a state reports about commands that have passed the actuators.
+
+        A plant reports the command at the drives. It acts after their dead time.
+        """
+        reports, passed_ns = self._reports, stamp_ns - self._actuator_ns
+        reports.append((stamp_ns, feedback))
+        while len(reports) > 1 and reports[1][0] <= passed_ns:
+            reports.popleft()
+        reported_ns, (sequence, delay_ns, arrival_ns) = reports[0]
+        if reported_ns > passed_ns:
+            return CommandFeedback(HELD, 0)
+        arrival_ns += self._actuator_ns if arrival_ns >= 0 else 0
+        return CommandFeedback(sequence, delay_ns + self._actuator_ns, arrival_ns)
 
     def _bind(self, measured: Tracking) -> None:
         """Bind the arguments of compiled code: determining their types costs more than the work."""

@@ -83,6 +83,11 @@ def laws_given(makers: Mapping[str, Maker]) -> Iterator[None]:
         _given.reset(before)
 
 
+def is_given(name: str) -> bool:
+    """Whether a law of this name was given, within `laws_given`."""
+    return name in _given.get()
+
+
 class LeftOut:
     """Placeholder for a law that must not be imported or started; it returns no torque."""
 

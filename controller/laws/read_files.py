@@ -1,7 +1,8 @@
 """The user's files that Python reads, with digests of their contents.
 
 An audit hook sees every file that Python opens, in this thread and those started meanwhile:
-modules, tables, weights, libraries of ``ctypes``. It does not see files that a library opens in C.
+modules, tables, weights, libraries of ``ctypes``. It does not see files that a library opens in C,
+nor where code looks whether a file exists.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ OUR_FOLDER = str(Path(__file__).resolve().parents[2])
 
 _INSTALLED = ("/site-packages/", "/dist-packages/")
 _EXAMPLES = f"{OUR_FOLDER}/deploy/docs/"
+_PYTHON = [Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")]
 _OF_OTHERS = (
     *(f"{OUR_FOLDER}/{name}/" for name in OURS),
-    *(f"{Path(sysconfig.get_path(name)).resolve()}/" for name in ("stdlib", "platstdlib")),
-    "/proc/", "/sys/", "/dev/", "/etc/", "/run/", "/usr/lib/", "/usr/share/",
+    *(f"{path}/" for each in _PYTHON for path in (each, each.resolve())),
+    "/proc/", "/sys/", "/dev/",
 )  # fmt: skip
-_CACHES = (".nbi", ".nbc")
-"""Compiled functions of numba, which belong to their module."""
+_SHARED_MEMORY = "/dev/shm/"
+_CACHES = (".nbi", ".nbc", f"/python{sysconfig.get_config_var('py_version_nodot')}.zip")
+"""Compiled functions of numba, which belong to their module; an archive of Python's own modules."""
 _DIGITS = 16
 _WRITTEN = ""
+ABSENT = "absent"
+"""In place of a digest: there was no such file."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +53,8 @@ _reading: list[_Reading] = []
 
 
 def is_of_the_user(path: str) -> bool:
-    """Whether a file is neither installed, nor the system's, nor ours, nor a cache."""
-    is_of_others = path.startswith(_OF_OTHERS) and not path.startswith(_EXAMPLES)
+    """Whether a file is neither installed, nor Python's, nor ours, nor a cache, nor generated."""
+    is_of_others = path.startswith(_OF_OTHERS) and not path.startswith((_EXAMPLES, _SHARED_MEMORY))
     return not (is_of_others or path.endswith(_CACHES) or any(part in path for part in _INSTALLED))
 
 
@@ -69,7 +74,7 @@ def files_read() -> Iterator[dict[str, str]]:
     """Return digests by path, complete at the end, of the user's files that are read meanwhile.
 
     Files that are also written are results, not inputs: their digest is empty. Files that are gone
-    at the end are left out.
+    at the end are left out; those that were missing when they were opened are `ABSENT`.
     """
     _install_hook()
     read: dict[str, str] = {}
@@ -79,7 +84,7 @@ def files_read() -> Iterator[dict[str, str]]:
         yield read
     finally:
         _reading[:] = [each for each in _reading if each is not reading]
-        for path in [path for path in read if not Path(path).exists()]:
+        for path in [path for path in read if read[path] != ABSENT and not Path(path).exists()]:
             del read[path]
 
 
@@ -98,8 +103,8 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
 def _note(name: Any, flags: int) -> None:
     if not isinstance(name, str | bytes | os.PathLike):
         return
-    path = str(Path(os.fsdecode(name)).resolve())
-    if not is_of_the_user(path):
+    path = str(Path(os.fsdecode(name)).absolute())  # of a link, which may lead elsewhere later
+    if not (is_of_the_user(path) or is_of_the_user(os.path.realpath(path))):
         return
     if path.endswith(".pyc"):
         path = source_from_cache(path)
@@ -111,6 +116,6 @@ def _note(name: Any, flags: int) -> None:
     elif unknown := [read for read in reading if path not in read]:
         for read in unknown:
             read[path] = _WRITTEN  # until it is read, which comes here once more
-        digest = digest_of_file(Path(path))
+        digest = digest_of_file(Path(path)) or ("" if os.path.lexists(path) else ABSENT)
         for read in unknown:
-            read[path] = digest or _WRITTEN
+            read[path] = digest

@@ -21,9 +21,10 @@ from deploy.cli.options import GateOptions, OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.watched import Watched
 from deploy.judge import gate as gating
+from deploy.judge.tested_with import Tested, require_same_test
 from deploy.judge.verdict import decide
 from deploy.reports.gate_files import write_history, write_junit, write_markdown
-from deploy.reports.kinds import gauged, kind_named, read_baseline
+from deploy.reports.kinds import gauged, kind_named, numbers_in, read_baseline
 from deploy.reports.results import TABLE_FILE, Results, write_run
 from deploy.reports.terminal import print_page
 from deploy.run.confirmation import CONFIRMATION, confirmation_of
@@ -103,6 +104,7 @@ class ResultGate:
         options: what it must reach.
         name: of what is gated.
         unit: of its numbers.
+        tested: the test behind them.
         kind: kind of the result.
         quantity: quantity of its margins, if it has any.
         patterns: whether they are for every pattern of delays.
@@ -112,13 +114,24 @@ class ResultGate:
     """
 
     def __init__(
-        self, options: GateOptions, name: str, unit: str, kind: str = "run",
+        self, options: GateOptions, name: str, unit: str, tested: Tested, kind: str = "run",
         quantity: str | None = None, *, patterns: bool = False,
     ) -> None:  # fmt: skip
-        baseline = None if options.baseline is None else read_baseline(options.baseline)
-        self._gate = gating.build_gate(options.at_least, options.tolerance, baseline)
-        compared = kind_named(kind).compared_with(quantity, patterns=patterns)
+        result = kind_named(kind)
+        unit = result.unit_for(gating.unit_of(options.at_least, options.tolerance), unit)
+        before = None if options.baseline is None else read_baseline(options.baseline, unit)
+        if options.allow_changes and before is None:
+            raise ScenarioError("--allow-changes: needs --baseline")
+        numbers = None if before is None else (before.compared_as, numbers_in(before, unit))
+        self._gate = gating.build_gate(options.at_least, options.tolerance, numbers)
+        compared = result.compared_with(quantity, patterns=patterns)
         gating.require_fit(self._gate, unit, compared)
+        self._changes: list[str] = []
+        if before is not None:
+            allows_changes = options.allow_changes
+            self._changes = require_same_test(
+                before.tested_with, tested, allows_changes=allows_changes
+            )
         self._options, self._name, self._unit = options, name, unit
         if options.history is not None:
             gating.read_history(options.history)
@@ -131,8 +144,10 @@ class ResultGate:
             console: where to print.
             note: what else to say about the result.
         """
-        options, found = self._options, gauged(summary)
+        options, found = self._options, gauged(summary, self._unit)
         failures = self._gate.failures(found)
+        changes = [f"--baseline: {each}" for each in self._changes]
+        note = "; ".join(filter(None, [note, *changes]))
         if options.history is not None:
             with gating.locked_history(options.history) as entries:
                 failures |= {

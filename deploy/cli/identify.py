@@ -19,7 +19,6 @@ from deploy.identify.design import design, write_design
 from deploy.identify.identification import Identified, Wishes
 from deploy.identify.identification import identify as identify_arm
 from deploy.identify.results import RANGES, SCENARIO, check_is_free, write_results
-from deploy.measure.trace_import import UNITS_MS
 from deploy.reports.identify_report import error_table, joint_table, write_identify_report
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
@@ -131,9 +130,7 @@ def identify(
         "command": command, "time": time,
     }  # fmt: skip
     constants = None if current_constants is None else _numbers(current_constants, arm)
-    wishes = Wishes(
-        columns, UNITS_MS[unit] / 1e3, degrees, link_side, held_out, constants, payload_kg
-    )
+    wishes = Wishes(columns, unit, degrees, link_side, held_out, constants, payload_kg)
     found = identify_arm(logs, test or [], payload, arm, wishes)
     folder = new_folder(f"identify-{arm.path.stem}", out, overwrite=overwrite)
     check_is_free(folder)

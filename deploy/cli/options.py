@@ -114,7 +114,8 @@ class GateOptions:
         typer.Option(
             metavar="N",
             help="Exit with 3 if a result is smaller: of margin, a value such as 20ms; of simulate,"
-            " compare and sweep, the distance to the bound, such as 15%.",
+            " compare and sweep, the distance to the bound, such as 15%. With a length,"
+            " such as 2mm, exit with 3 if the tip's largest error is larger.",
         ),
     ] = None
     baseline: Annotated[
@@ -122,8 +123,18 @@ class GateOptions:
     ] = None
     tolerance: Annotated[
         str | None,
-        typer.Option(metavar="N", help="How much smaller than --baseline a margin may be."),
+        typer.Option(
+            metavar="N",
+            help="How much smaller than --baseline a margin may be, such as 1ms, or 20% of the"
+            " earlier value.",
+        ),
     ] = None
+    allow_changes: Annotated[
+        bool,
+        typer.Option(
+            "--allow-changes", help="List how the test of --baseline differs, instead of exit 2."
+        ),
+    ] = False
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML file.")] = None
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown table.")] = None
     history: Annotated[

@@ -17,8 +17,8 @@ from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.chains import Chain, chains_of, chosen_joints
 from bus_schema.urdf.checks import finite_number
+from bus_schema.urdf.end_effectors import BESIDE
 from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
-from bus_schema.urdf.joints import BESIDE
 from controller.manipulator_model import ManipulatorModel
 from deploy.cli.options import IncludeOption, JointsOption, MassOption
 from deploy.reports.tables import Column, Table, Value, number
@@ -26,13 +26,23 @@ from deploy.reports.terminal import print_table
 from deploy.run.console import Console
 from deploy.scenario.checking.checks import check, check_plant
 from deploy.scenario.checking.explanation import Origin
-from deploy.scenario.checking.plausibility import damping_warnings, weak_joint_warnings
+from deploy.scenario.checking.plausibility import (
+    damping_warnings,
+    rotor_warnings,
+    size_warnings,
+    weak_joint_warnings,
+)
 from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import drives_of, starter_scenario
+from deploy.scenario.starter import (
+    actuator_values,
+    drive_feedback,
+    drives_of,
+    starter_scenario,
+)
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
@@ -189,6 +199,8 @@ def robot_warnings(setup: Setup) -> list[str]:
         *tip_warnings(ET.fromstring(arm.text), arm.tip_link, arm.joint_names),
         *telescope_warnings(ET.fromstring(arm.text), arm.joint_names),
         *weak_joint_warnings(arm),
+        *rotor_warnings(arm),
+        *size_warnings(arm),
         *damping_warnings(arm, arm.drives.damping_nm_s, drives_of(arm).rated),
     ]
 
@@ -261,7 +273,13 @@ def _gains_table(setup: Setup) -> Table:
 def _drives_table(arm: RobotDescription) -> Table:
     """Motors and friction that a first scenario gives the arm, and where they come from."""
     drives = drives_of(arm)
-    values = {"rotor_inertia_kg_m2": drives.rotors, **drives.friction}
+    loop = drive_feedback(arm.drives).get("drive_feedback", {})
+    values = {
+        "rotor_inertia_kg_m2": drives.rotors,
+        **actuator_values(arm.drives),
+        **drives.friction,
+        **{f"drive_feedback.{key}": gains for key, gains in loop.items()},
+    }
     rows = [[name, _values(value)] for name, value in values.items()]
     return _table(f"Motors and friction: {drives.data}", ["Value", "Per joint"], rows)
 

@@ -17,6 +17,7 @@ from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
 from deploy.cli.watched import run_watched
+from deploy.judge.tested_with import tested_with
 from deploy.reports.results import load_report
 from deploy.run.confirmation import check_confirmable, check_repeatable, simulated_otherwise
 from deploy.run.console import Console
@@ -128,7 +129,8 @@ def run_in_virtual_time(options: SimulateOptions) -> None:
     """
     with custom_laws_left_out():
         setup = load_setup(options.scenario, options.overrides or [])
-    gate = ResultGate(options, setup.scenario.name, OF_BOUND)
+    tested = tested_with([setup], {"seeds": [setup.scenario.seed]})
+    gate = ResultGate(options, setup.scenario.name, OF_BOUND, tested)
     console, stop = Console(), threading.Event()
     on_stop(stop.set)
     left = run_watched(partial(_simulated, options, console, stop))

@@ -239,6 +239,13 @@ def columns() -> str:
     return table(["column", "type", "unit", "meaning"], rows)
 
 
+def loss_reasons() -> str:
+    """Every reason why a run was lost."""
+    from deploy.judge.findings.reasons import Reason
+
+    return table(["reason", "meaning"], [[f"`{each}`", each.meaning] for each in Reason])
+
+
 def exit_codes() -> str:
     """The exit codes."""
     from deploy.run import exit_codes as codes
@@ -263,7 +270,16 @@ def topics() -> str:
 
 TABLES = {
     each.__name__: each
-    for each in (scenario, uncertainty, commands, summary, columns, exit_codes, topics)
+    for each in (
+        scenario,
+        uncertainty,
+        commands,
+        summary,
+        columns,
+        loss_reasons,
+        exit_codes,
+        topics,
+    )
 }
 
 

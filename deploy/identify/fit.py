@@ -10,7 +10,7 @@ prior's information.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError
 from controller.manipulator_model import ManipulatorModel, body_from_log_cholesky, log_cholesky
+from deploy.identify.noise import noise_of
 from deploy.identify.regression import (
     COULOMB,
     LOAD,
@@ -46,6 +47,8 @@ _FINITE = 1.25
 """Factor on standard deviations: as many parameters as here also fit some of the noise."""
 _OF_BODIES = 1.1
 """Further factor for bodies, whose columns have the noise of the positions."""
+_MOST_ROWS = 1000
+"""Of a joint, from which its noise is estimated."""
 _NEB = 1.06
 """Noise-equivalent bandwidth of the filter over its cutoff."""
 _PLAIN = (COULOMB, VISCOUS, OFFSET)
@@ -169,10 +172,10 @@ def fit(trials: list[Trial], prior: Prior, constants: Vector, rotors: NDArray[np
     has_term[:, _PLAIN] = True
     has_term[:, ROTOR] = rotors
     smoothing = np.full(joints, 0.02)
-    found = _fitted(trials, prior, constants, has_term, smoothing)
-    for _ in range(2):
+    found = _fitted(trials, prior, constants, has_term, smoothing, is_draft=True)
+    for is_draft in (True, False):
         smoothing = _smoothing(trials, found)
-        found = _fitted(trials, prior, constants, has_term, smoothing, found)
+        found = _fitted(trials, prior, constants, has_term, smoothing, found, is_draft=is_draft)
     for term in (STRIBECK, LOAD):  # where the data show it
         wider = has_term.copy()
         wider[:, term] = True
@@ -205,9 +208,12 @@ def _smoothing(trials: list[Trial], found: Fit) -> Vector:
 
 def _fitted(
     trials: list[Trial], prior: Prior, constants: Vector, has_term: NDArray[np.bool_],
-    smoothing: Vector, start: Fit | None = None,
+    smoothing: Vector, start: Fit | None = None, *, is_draft: bool = False,
 ) -> Fit:  # fmt: skip
-    """Fit with given terms and smoothing; robust weights and noise in `_ROUNDS` rounds."""
+    """Fit with given terms and smoothing; robust weights and noise in `_ROUNDS` rounds.
+
+    The covariance of a draft is not computed, and zero.
+    """
     load_by = bodies_of(prior.bodies.ravel())[0] if start is None else start.parameters
     columns = columns_of(trials, smoothing, constants, has_term, load_by)
     centre = np.concatenate([prior.bodies.ravel(), prior.terms[has_term], [0.0]])
@@ -230,7 +236,9 @@ def _fitted(
         size_of = np.maximum(np.abs(left) / (_HUBER * noise), 1.0)
         weights = 1.0 / np.sqrt(size_of)
     noise = np.maximum(np.sqrt((weights * left**2).mean(axis=0)), least)
-    covariance = problem.covariance(x, weights / (widening * noise), columns.runs)
+    covariance = np.zeros((x.size, x.size))
+    if not is_draft:
+        covariance = problem.covariance(x, weights / (widening * noise), float(widening))
     terms = np.zeros(prior.terms.shape)
     terms[has_term] = np.maximum(x[size:-1], np.where(free[has_term], -np.inf, 0.0))
     delay = float(x[-1]), float(np.sqrt(covariance[-1, -1]))
@@ -294,23 +302,47 @@ class _Problem:
         found: Vector = self._centre + self._spread * solved.x
         return found
 
-    def covariance(self, x: Vector, weights: Matrix, runs: NDArray[np.int64]) -> Matrix:
-        """Return the covariance of the parameters; scores of each trial are summed apart."""
+    def covariance(self, x: Vector, weights: Matrix, widening: float) -> Matrix:
+        """Return the covariance of the parameters; scores of each trial are summed apart.
+
+        Args:
+            x: the parameters.
+            weights: of each sample and joint.
+            widening: by how much sums of white noise deviate more than if all samples were apart.
+        """
         _, slopes = self._linear(x)
         left = self.residuals(x) * weights
         design = (self._columns.design * weights[:, :, None]) @ slopes
         flat = design.reshape(-1, x.size)
-        middle = np.zeros((x.size, x.size))
+        middle, runs = np.zeros((x.size, x.size)), self._columns.runs
         for run in range(int(runs.max()) + 1):
             rows = runs == run
             middle += long_run(np.einsum("njp,nj->np", design[rows], left[rows]))
         inverse = np.linalg.inv(flat.T @ flat + np.eye(x.size))
         robust = inverse @ (middle + np.eye(x.size)) @ inverse
-        # Sums of few scores are too small, those of white noise known better: the larger counts.
-        wider = np.sqrt(np.maximum(_FINITE**2, np.diag(inverse) / np.diag(robust)))
+        slow = np.eye(x.size)
+        for joint in range(left.shape[1]):
+            slow += self._of_slow_noise(design[:, joint], left[:, joint], widening)
+        slow = inverse @ slow @ inverse
+        # Sums of few scores are too small; white and slow noise are known better: the largest
+        # counts.
+        least, found = np.diag(inverse), np.maximum(np.diag(robust), np.diag(slow))
+        wider = np.sqrt(np.maximum(_FINITE**2 * found, least) / np.diag(robust))
         wider[: self._bodies] *= _OF_BODIES
         scale = wider * self._spread
         return np.asarray(robust * np.outer(scale, scale))
+
+    def _of_slow_noise(self, design: Matrix, left: Vector, widening: float) -> Matrix:
+        """Return the covariance of the sum of scores of a joint, whose noise may be slow."""
+        used = np.flatnonzero(design.any(axis=0))
+        step = max(round(widening**2), -(-len(left) // _MOST_ROWS))
+        apart = slice(None, None, step)
+        times_s, runs = self._columns.times_s, self._columns.runs
+        noise = noise_of(left[apart], design[apart, used], times_s[apart], runs[apart])
+        noise = replace(noise, white=noise.white * widening**2)
+        found = np.zeros((design.shape[1],) * 2)
+        found[np.ix_(used, used)] = noise.of_sums(design[:, used], times_s, runs)
+        return found
 
 
 def _scipy() -> Any:

@@ -44,7 +44,7 @@ class Wishes:
 
     Attributes:
         columns: as `read_robot_log` takes them.
-        unit_s: unit of times in tables.
+        unit: of times in tables whose columns do not name it.
         degrees: whether positions and velocities are in degrees.
         link_side: whether the torques are measured beyond the gears, where rotors do not act.
         held_out: share at the end of each log that is not fitted, if there are no `tests`.
@@ -53,7 +53,7 @@ class Wishes:
     """
 
     columns: Mapping[str, str | None] = field(default_factory=dict)
-    unit_s: float = 1.0
+    unit: str = "s"
     degrees: bool = False
     link_side: bool = False
     held_out: float = 1.0 / 3.0
@@ -186,7 +186,7 @@ def _logs_of(
     path: Path, robot: RobotDescription, wishes: Wishes, notes: list[str]
 ) -> list[RobotLog]:
     """Return the episodes of a file that are long enough, checked, and note what was changed."""
-    log = read_robot_log(path, robot.joint_names, wishes.columns, wishes.unit_s)
+    log = read_robot_log(path, robot.joint_names, wishes.columns, wishes.unit)
     every = (_in_radians(log) if wishes.degrees else log).episodes()
     chosen = [each for each in every if each.is_long] or every[:1]
     if short := len(every) - len(chosen):

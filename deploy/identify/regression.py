@@ -96,11 +96,13 @@ class Columns(NamedTuple):
         design: shape (samples, joints, parameters): bodies, then terms by joint, then δ.
         torque: shape (samples, joints), N m.
         runs: number of the trial of each sample.
+        times_s: of each sample in its trial.
     """
 
     design: NDArray[np.float64]
     torque: Matrix
     runs: NDArray[np.int64]
+    times_s: Vector
 
 
 def columns_of(
@@ -126,4 +128,5 @@ def columns_of(
         designs.append(np.concatenate([trial.bodies, own, late], axis=2))
     runs = np.concatenate([np.full(len(each), i) for i, each in enumerate(designs)])
     torque = np.concatenate([trial.torque for trial in trials]) * constants
-    return Columns(np.concatenate(designs), torque, runs)
+    times_s = np.concatenate([trial.times_s for trial in trials])
+    return Columns(np.concatenate(designs), torque, runs, times_s)

@@ -13,7 +13,8 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
-from deploy.measure.mcap_series import messages
+from deploy.measure.recordings import Recording
+from deploy.measure.time_units import UNITS_MS, unit_of
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SHORTEST_S, FEWEST_ROWS = 5.0, 200
@@ -101,7 +102,7 @@ class RobotLog:
 
 
 def read_robot_log(
-    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit_s: float = 1.0
+    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit: str = "s"
 ) -> RobotLog:
     """Read a log.
 
@@ -110,7 +111,7 @@ def read_robot_log(
         joints: the robot's joints.
         given: by keys of `PATTERNS` and ``time``: columns, separated by commas or as a pattern with
             ``{n}`` or ``{joint}``; in bags, ``position`` is the topic. None: known names.
-        unit_s: unit of the times in tables.
+        unit: of the times in tables, if the name of their column does not say it.
 
     Raises:
         InputError: it cannot be read, or lacks values; the message names file, column and line.
@@ -133,7 +134,7 @@ def read_robot_log(
         also = [EPISODE] if EPISODE in names else []
         every = [time, *(c for each in wanted.values() for c in each), *also]
         found = read_columns(path, every, None)
-        times_s = found.values[time] * unit_s
+        times_s = found.values[time] * (UNITS_MS[unit_of(time, unit)] / 1e3)
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -207,25 +208,11 @@ def _bag_in(path: Path) -> Path:
 
 def _from_bag(path: Path, joints: Sequence[str], topic: str | None) -> RobotLog:
     """Read messages of type JointState from one topic, by the stamps in their headers."""
-    found: dict[str, list[tuple[int, Matrix]]] = {}
-    others: dict[str, Sequence[str]] = {}
-    try:
-        for message in messages(path, topic or JOINT_STATE):
-            state = message.content
-            if state is None:
-                continue
-            if not set(joints) <= set(state.name):
-                others[message.topic] = state.name
-                continue
-            stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
-            values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
-            found.setdefault(message.topic, []).append((stamp_ns, np.array(values)))
-    except Exception as error:  # mcap and rosbags raise many kinds of errors
-        raise InputError(f"{path}: cannot be read as a bag: {error}") from error
+    found, others = _joint_states(path, joints, topic or JOINT_STATE)
     whole = {
         name: rows
         for name, rows in found.items()
-        if any(np.isfinite(values[[0, 2]]).all() for _, values in rows)
+        if any(np.isfinite(values[[0, 2]]).all() for _, _, values in rows)
     }
     if len(whole) != 1:
         what = f"{', '.join(whole)}: --position must name one of these topics"
@@ -235,7 +222,8 @@ def _from_bag(path: Path, joints: Sequence[str], topic: str | None) -> RobotLog:
             what = f"{what}; {named}" if named else what
         raise InputError(f"{path}: {what}")
     ((name, rows),) = whole.items()
-    stamps_ns, every = np.array([ns for ns, _ in rows]), np.array([values for _, values in rows])
+    rows.sort(key=lambda row: row[0])
+    stamps_ns, every = np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
     has_velocity = bool(np.isfinite(every[:, 1]).mean() > _MOSTLY)
     return RobotLog(
         path, (np.array(stamps_ns) - stamps_ns[0]) * 1e-9, every[:, 0],
@@ -244,6 +232,31 @@ def _from_bag(path: Path, joints: Sequence[str], topic: str | None) -> RobotLog:
                                                                          "torque")},
         place=lambda row: f"message {row + 1} on {name}",
     )  # fmt: skip
+
+
+_JointStates = dict[str, list[tuple[int, int, Matrix]]]
+"""By topic: time of recording, stamp, and position, velocity and effort, shape (3, joints)."""
+
+
+def _joint_states(
+    path: Path, joints: Sequence[str], wanted: str
+) -> tuple[_JointStates, dict[str, Sequence[str]]]:
+    """Return the joint states on each topic, and the names on topics that lack a joint."""
+    found: _JointStates = {}
+    others: dict[str, Sequence[str]] = {}
+    for message in Recording(path).messages(wanted):
+        try:
+            state = message.content
+            if not set(joints) <= set(state.name):
+                others[message.topic] = state.name
+                continue
+            stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
+            values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
+        except Exception as error:  # rosbags raises many kinds of errors
+            what = f"a message on {message.topic} is no {JOINT_STATE}: {error}"
+            raise InputError(f"{path}: {what}") from error
+        found.setdefault(message.topic, []).append((message.logged_ns, stamp_ns, np.array(values)))
+    return found, others
 
 
 def _by_name(state: Any, kind: str, joints: Sequence[str]) -> Vector:

@@ -1,7 +1,8 @@
 """A gate: which numbers of a result are too small, or smaller than before.
 
 A study of margins is gated by each margin; a sweep, comparison or run by the smallest distance of
-an error to its bound, in percent of the bound. A history holds the numbers of earlier commits.
+an error to its bound, in percent of the bound; with a limit in mm a comparison or run by the
+largest error of the tip. A history holds the numbers of earlier commits.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from deploy.scenario.yaml_files import ScenarioError
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 ENTRIES = "history.jsonl"
 """File of a history, a line for each entry."""
+_PERCENT = "%"
 _SIZE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(\S*)\s*")
 
 
@@ -78,6 +80,7 @@ class Gate:
         at_least: the smallest allowed value; None for any.
         baseline: numbers of an earlier result, by name.
         tolerance: by how much a number may be worse than the earlier one.
+        is_relative: whether the tolerance is in percent of the earlier number.
         unit: of `at_least` and `tolerance` as given; empty if none was given.
         compared_as: what the earlier result is compared as; empty without one.
     """
@@ -85,6 +88,7 @@ class Gate:
     at_least: float | None = None
     baseline: Mapping[str, Gauged] = field(default_factory=dict)
     tolerance: float = 0.0
+    is_relative: bool = False
     unit: str = ""
     compared_as: str = ""
 
@@ -111,13 +115,16 @@ class Gate:
         before = self.baseline.get(found.name)
         if before is None or before.value is None:
             return ""
-        if not found.is_below(before.value - before.sign * self.tolerance):
+        share = abs(before.value) / 100.0 if self.is_relative else 1.0
+        if not found.is_below(before.value - before.sign * self.tolerance * share):
             return ""
         by = "" if found.value is None else f" by {abs(before.value - found.value):.4g}"
-        unit = found.unit and f" {found.unit}"
+        unit = _PERCENT if self.is_relative else found.unit
+        allowed = f"{self.tolerance:g} {unit}".rstrip()
+        moved = "fell" if found.sign > 0 else "rose"
         return (
-            f"{found.name}: fell{by} from {before.text} to {found.text}, more than the"
-            f" {self.tolerance:g}{unit} allowed"
+            f"{found.name}: {moved}{by} from {before.text} to {found.text}, more than the {allowed}"
+            " allowed"
         )
 
 
@@ -128,7 +135,8 @@ def build_gate(
 
     Args:
         at_least: the smallest allowed value, such as ``20ms``; None for any.
-        tolerance: how much worse than the baseline a number may be; None for 0.
+        tolerance: how much worse than the baseline a number may be, or by which share of it; None
+            for 0. For numbers that are in percent themselves, it is in the same percent.
         baseline: kind and numbers of an earlier result.
 
     Raises:
@@ -138,13 +146,28 @@ def build_gate(
         raise ScenarioError(f"--tolerance {tolerance}: needs --baseline")
     limit, unit = _size("--at-least", at_least)
     allowed, other = _size("--tolerance", tolerance)
+    kind, found = ("", []) if baseline is None else baseline
+    is_in_percent = any(each.unit.startswith(_PERCENT) for each in found)
+    is_relative = other == _PERCENT and not is_in_percent
+    other = "" if is_relative else other
     if unit and other and unit != other:
-        raise ScenarioError(f"--tolerance {tolerance}: must have the unit of --at-least, {unit}")
+        raise ScenarioError(
+            f"--tolerance {tolerance}: must have the unit of --at-least, {unit}, or be in % of the"
+            " earlier number"
+        )
     if allowed is not None and not allowed >= 0.0:
         raise ScenarioError(f"--tolerance {tolerance}: must be 0 or more")
-    kind, found = ("", []) if baseline is None else baseline
     named = {each.name: each for each in found}
-    return Gate(limit, named, allowed or 0.0, unit or other, kind)
+    return Gate(limit, named, allowed or 0.0, is_relative, unit or other, kind)
+
+
+def unit_of(at_least: str | None, tolerance: str | None) -> str:
+    """Return the unit of the options of a gate; empty if they have none.
+
+    Raises:
+        ScenarioError: a number cannot be read.
+    """
+    return _size("--at-least", at_least)[1] or _size("--tolerance", tolerance)[1]
 
 
 def require_fit(gate: Gate, unit: str, kind: str) -> None:

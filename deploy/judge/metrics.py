@@ -15,13 +15,17 @@ from bus_schema.messages.topics import Role
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import all_damage, judge_bounds, may_have_moved, plant_count
 from deploy.judge.findings.chattering import chatter_shares
-from deploy.judge.findings.growing import growths
+from deploy.judge.findings.growing import growths, longest_growth_time_s
 from deploy.judge.findings.identified import identified
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.findings.loss_reason import loss_reason
+from deploy.judge.findings.ranges import beyond_ranges
 from deploy.judge.findings.stalls import longest_stall_ms
-from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
+from deploy.judge.findings.vibration import vibrations
+from deploy.judge.recorded_ticks import KnownTicks, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
+from deploy.judge.tip_error import tip_error_mm
+from deploy.judge.torques import torques
 from deploy.judge.verdict import decide, with_verdict
 from deploy.scenario.setup import Setup
 
@@ -30,6 +34,7 @@ UNAUTHENTICATED = (
     " someone who copies the commander's id"
 )
 _SHORTEST_S = 1e-6
+_UNTESTED = {"growing": [], "not_tested_below_hz": None, "not_tested_slower_s": None}
 _MOST_GAPS = 20
 _largest_inertias: dict[tuple[str, float, bytes], float] = {}
 """By arm, payload and weights: the runs of a study mostly share them."""
@@ -66,12 +71,16 @@ def summarise(run: RunData) -> dict[str, Any]:
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
         "seed_used": _is_seed_used(run),
         "bounds": bounds,
-        "loss": None if lost is None else lost._asdict(),
+        "loss": None if lost is None else {**lost._asdict(), "reason": lost.reason.value},
         "tracking": tracking,
-        "growing": [] if known.missing else _growing(run),
+        "tip_error_mm": tip_error_mm(run),
+        "beyond_ranges": beyond_ranges(run),
+        **(_UNTESTED if known.missing else _growing(run)),
+        "vibrating": [] if known.missing else _vibrating(run),
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
         "transport": _transport(run),
+        "chunks": _chunks(run),
         "limits": _limits(run),
         "identified": identified(run),
         "recorder": {
@@ -109,14 +118,34 @@ def _tracking(run: RunData) -> dict[str, Any]:
     }
 
 
-def _growing(run: RunData) -> list[dict[str, Any]]:
-    """Return the joints whose error grows exponentially, with rate and frequency."""
+def _growing(run: RunData) -> dict[str, Any]:
+    """Return the joints whose error grows exponentially, and which growth is not tested."""
     positions = run.tables[topics.PLANT_TRUTH.name]["position"]
-    found = growths(run.true_errors_rad, positions, run.setup.scenario.rate_hz)
+    rate_hz = run.setup.scenario.rate_hz
+    found = growths(run.true_errors_rad, positions, rate_hz)
+    duration_s, is_tested = len(positions) / rate_hz, found.not_tested_below_hz is not None
+    return {
+        "growing": _by_joint(run, found.joints),
+        "not_tested_below_hz": found.not_tested_below_hz,
+        "not_tested_slower_s": longest_growth_time_s(duration_s) if is_tested else None,
+    }
+
+
+def _vibrating(run: RunData) -> list[dict[str, Any]]:
+    """Return the joints whose torque swings between its limits."""
+    truth, setup = run.tables[topics.PLANT_TRUTH.name], run.setup
+    found = vibrations(
+        truth["torque"], truth["saturated"], setup.largest_torques_nm, setup.scenario.rate_hz
+    )
+    return _by_joint(run, found)
+
+
+def _by_joint(run: RunData, found: Sequence[Any]) -> list[dict[str, Any]]:
+    """Return the findings of joints, ready for JSON; None stands for a joint without one."""
     return [
-        {"joint": joint, **asdict(growth)}
-        for joint, growth in zip(run.setup.robot.joint_names, found, strict=True)
-        if growth is not None
+        {"joint": joint, **asdict(each)}
+        for joint, each in zip(run.setup.robot.joint_names, found, strict=True)
+        if each is not None
     ]
 
 
@@ -149,10 +178,8 @@ def settling_bound_s(setup: Setup) -> float | None:
 
 
 def _torque(run: RunData) -> dict[str, Any]:
-    commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
-    effort = commands["effort"]
-    times_s, after_gaps = _command_times(run)
+    times_s, effort, after_gaps = torques(run)
     follows = ~np.isin(np.arange(1, len(times_s)), after_gaps)
     left_out_s = np.abs(np.diff(times_s))[~follows].sum()
     duration_s = np.ptp(times_s) - left_out_s if follows.any() else 0.0  # answers may be unordered
@@ -171,12 +198,6 @@ def _torque(run: RunData) -> dict[str, Any]:
     }
 
 
-def _command_times(run: RunData) -> tuple[Vector, Rows]:
-    """Return when the states that commands answer were measured, s, and which follow a gap."""
-    times_s = run.times_s(topics.JOINT_COMMANDS)
-    return times_s, rows_after_gaps(run, times_s)
-
-
 def _recording(
     run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
 ) -> dict[str, Any]:
@@ -185,8 +206,8 @@ def _recording(
     It includes the torque time missing in gaps, and which settling times are upper limits.
     """
     skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
-    command_times_s, after_gaps = _command_times(run)
-    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
+    torque_times_s, _, after_gaps = torques(run)
+    steps_s = np.abs(np.diff(torque_times_s, prepend=torque_times_s[:1]))
     times_s = run.times_s(topics.PLANT_TRUTH)
     behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
     return {
@@ -227,6 +248,12 @@ def times_us(run: RunData) -> dict[str, Vector]:
     }
     # negative: there is none
     return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
+
+
+def _chunks(run: RunData) -> dict[str, Any] | None:
+    """Return for how many states a slow law had nothing left to send; None for other laws."""
+    starved = run.last_values(Role.CONTROLLER, EventKind.ENDED).get("starved")
+    return None if starved is None else {"starved_ticks": starved.get("ticks")}
 
 
 def _limits(run: RunData) -> dict[str, Any]:

@@ -31,6 +31,17 @@ _ANY = TypeAdapter(dict[str, Any])
 _CURVE = TypeAdapter(
     Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=100)]
 )
+_STRETCHES = TypeAdapter(
+    Annotated[
+        list[
+            Annotated[
+                list[Annotated[float, Field(ge=0, lt=1e15, allow_inf_nan=False)]],
+                Field(min_length=2, max_length=2),
+            ]
+        ],
+        Field(max_length=1000),
+    ]
+)
 _CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
 
 _CHANNEL = {
@@ -50,6 +61,7 @@ _EXPECTED: Mapping[str, Mapping[str, Any]] = {
         "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
         "limits": _COUNTS, "physics": _TEXT, "cycles": _COUNT, "seed_used": _MAYBE_TRUTH,
         "kernel": _COUNT, "start_s": _AMOUNT, "newest_cycle_s": _AMOUNT,
+        "starved": {"ticks": _COUNT, "stretches_s": _STRETCHES},
         "bounds": {"ticks": _COUNT, "outside": _COUNT, "margin_min": _MARGIN},
     },
     EventKind.COUNTS: {

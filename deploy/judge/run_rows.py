@@ -10,6 +10,7 @@ from typing import Any
 from bus_schema.arrays import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from bus_schema.user_files import open_parquet
+from deploy.judge.findings.reasons import Reason
 from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -28,6 +29,8 @@ _COLUMNS = {
     "verdict": "string",
     "seed_used": "bool",
     "growing": "bool",
+    "vibrating": "bool",
+    "not_tested_below_hz": "double",
     "bounds_kept": "bool",
     "violation_fraction": "double",
     "first_violation_s": "double",
@@ -37,6 +40,8 @@ _COLUMNS = {
     "joint_names": "list<string>",
     "rms_rad": "list<double>",
     "max_abs_rad": "list<double>",
+    "tip_rms_mm": "double",
+    "tip_largest_mm": "double",
     "settling_time_s": "list<double>",
     "settling_bound_s": "list<double>",
     "total_variation_nm_per_s": "list<double>",
@@ -63,6 +68,8 @@ _OF_ANY_PART = {
 }
 """Columns that a run has that ended at its loss; the others are for whole runs."""
 
+_FLAWS = {"growing": Reason.GROWING, "vibrating": Reason.VIBRATION}
+"""Columns that are true for runs that do not hold although they kept their bounds, and why."""
 PROVENANCE = "provenance"
 """Column that says what made a row, see `deploy.study.execution.provenance`."""
 Row = dict[str, Any]
@@ -82,11 +89,14 @@ def row(summary: dict[str, Any], seed: int) -> Row:
         values |= summary[section]
     error = "; ".join(summary["faults"]) or None
     # which older versions lack, and runs that a study has not ended
-    values |= {"motion": None, "seed_used": None, "ended_early_s": None} | summary
+    lacking = ("motion", "seed_used", "ended_early_s", "not_tested_below_hz")
+    values |= dict.fromkeys(lacking) | summary
     values |= {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
     loss = summary.get("loss") or {}
     values |= {"loss_reason": loss.get("reason"), "loss_joint": loss.get("joint")}
-    values["growing"] = bool(summary.get("growing"))
+    tip = summary.get("tip_error_mm") or {}
+    values |= {f"tip_{name}_mm": tip.get(name) for name in ("rms", "largest")}
+    values |= {name: bool(summary.get(name)) for name in _FLAWS}
     for direction in _DIRECTIONS:
         channel = summary["transport"][direction]
         delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
@@ -115,8 +125,15 @@ def held(row: Row) -> bool:
 
 
 def tolerated(row: Row) -> bool:
-    """Whether a run kept its bounds, and no error grew in it as in an unstable loop."""
-    return held(row) and not row.get("growing")
+    """Whether a run kept its bounds, and its loop neither grew nor vibrated within them."""
+    return held(row) and not any(row.get(name) for name in _FLAWS)
+
+
+def reason_of(row: Row) -> str | None:
+    """Return the `Reason` why a run is not tolerated; None if it is, or is not known."""
+    lost: str | None = row.get("loss_reason")
+    flaws = (reason.value for name, reason in _FLAWS.items() if row.get(name))
+    return lost or next(flaws, None)
 
 
 def left_nothing(row: Row) -> bool:

@@ -91,11 +91,15 @@ class RunState:
         return dict(zip("xyz", map(_numbers, points.T), strict=True))
 
     def _torque(self, joints: int) -> Vector:
-        for topic, field in ((topics.JOINT_COMMANDS, "effort"), (topics.PLANT_TRUTH, "torque")):
-            record = self._newest.get(topic.name)
-            if record is not None:
-                return record.fields[field]
-        return np.full(joints, np.nan)
+        command, truth = (
+            self._newest.get(topic.name) for topic in (topics.JOINT_COMMANDS, topics.PLANT_TRUTH)
+        )
+        if command is None:
+            return np.full(joints, np.nan) if truth is None else truth.fields["torque"]
+        has_target = np.isfinite(command.fields.get("position", np.nan)).any()
+        if truth is not None and has_target:  # the drives add torques of their own
+            return truth.fields["torque"]
+        return command.fields["effort"]
 
     def _timing(self, truth: Record | None) -> Frame:
         if truth is None:

@@ -29,6 +29,10 @@ _SURELY_WORSE = _Z_95**2
 """A model whose deviance exceeds that of the best one by this is rejected at 95 %."""
 _SURE_DIRECTION, _LIKE_NEIGHBOURS, _EXACT = 3.0, 0.5, 1e-9
 """Standard errors of a dependence on direction; correlation from row to row; share left over."""
+_ALTERNATING, _FAR, _LEAST_FAR, _SINGLE, _MOSTLY = -0.75, 6.0, 0.01, 0.5, 0.9
+"""Correlation; standard deviations; share of responses; runs of them per response; of one value."""
+_MEDIAN_OF_NORMAL, _REWEIGHTED = 0.6745, 30
+"""Median of absolute values of a standard normal variable; rounds of a robust fit."""
 _NOTHING, _SHORT = 1e-15, 0.1
 _HALVINGS, _FINEST_RATIO = 8, 1e-4
 
@@ -40,6 +44,7 @@ class Latency:
     Attributes:
         dead_time_s: before anything happens.
         lag_s: time constant of what happens then.
+        together_s: dead time and lag: the delay that a slow motion shows.
         gain: response per command, in the end.
         explained: share of the response's variance that the model explains.
         misfit: why the model does not fit, so that the intervals mean nothing; None if it fits.
@@ -47,6 +52,7 @@ class Latency:
 
     dead_time_s: tuple[float, float]
     lag_s: tuple[float, float]
+    together_s: tuple[float, float]
     gain: tuple[float, float]
     explained: float
     misfit: str | None
@@ -155,10 +161,13 @@ def find_latency(
     half = _Z_95 * np.sqrt(np.diag(covariance)) + _FINEST_S
     if lag_s < _SHORT * period_s:  # nothing changes gradually from row to row: no slopes tell
         half[:2] = _FINEST_S
-    dead_time, lag = _intervals(fit, best, half, longest_s, period_s)
+    of_sum = _Z_95 * math.sqrt(max(0.0, covariance[:2, :2].sum()))
+    half_of_sum = max(_FINEST_S, of_sum if lag_s >= _SHORT * period_s else 0.0)
+    dead_time, lag, together = _intervals(
+        fit, best, (*half[:2].tolist(), half_of_sum), longest_s, period_s
+    )
     widest_s = max(_WIDEST_S + _WIDEST_SHARE * (dead_time_s + lag_s), _WIDEST_PERIODS * period_s)
     if not max(dead_time[1], lag[1]) <= widest_s:
-        of_sum = _Z_95 * math.sqrt(max(0.0, covariance[:2, :2].sum()))
         raise ValueError(
             "the motion does not excite the system enough to separate dead time and lag; together"
             f" they are {1e3 * (dead_time_s + lag_s):.2f} ± {1e3 * of_sum:.2f} ms"
@@ -166,7 +175,7 @@ def find_latency(
     is_exact = 1.0 - explained < _EXACT
     filtered = gain * fit.regressors(dead_time_s, lag_s)[:, 0]
     misfit = None if is_exact else _misfit(filtered, residuals)
-    return Latency(dead_time, lag, (float(gain), half[2]), explained, misfit)
+    return Latency(dead_time, lag, together, (float(gain), half[2]), explained, misfit)
 
 
 def _misfit(fitted: Vector, residuals: Vector) -> str | None:
@@ -188,18 +197,53 @@ def _misfit(fitted: Vector, residuals: Vector) -> str | None:
     alike = float((residuals[1:] * residuals[:-1]).sum() / (residuals**2).sum())
     if alike > _LIKE_NEIGHBOURS:
         return f"what is left is no noise: from row to row its correlation is {alike:.2f}"
-    return None
+    if alike < _ALTERNATING:
+        return (
+            "what is left changes its sign from row to row"
+            f" (correlation {alike:.2f}): two publishers may take turns"
+        )
+    return _two_sources(fitted, residuals)
+
+
+def _two_sources(fitted: Vector, residuals: Vector) -> str | None:
+    """Say that single responses are far from all others, as from a second source; else None."""
+    left = _least_absolute(fitted, fitted + residuals)
+    usual = max(float(np.median(np.abs(left))) / _MEDIAN_OF_NORMAL, _EXACT * float(fitted.std()))
+    is_far = np.abs(left) > _FAR * usual
+    share, runs = float(is_far.mean()), np.count_nonzero(np.diff(is_far.astype(int), prepend=0) > 0)
+    if share < _LEAST_FAR or runs < _SINGLE * np.count_nonzero(is_far):
+        return None
+    far = (fitted + residuals)[is_far]
+    is_one_value = np.mean(np.abs(far - np.median(far)) <= usual) > _MOSTLY
+    value = f", most of them at {round(np.median(far) / usual) * usual:.3g}" if is_one_value else ""
+    return (
+        f"{100 * share:.0f} % of the responses, singly, are far from all others{value}: two"
+        " publishers may send them, or their times are wrong"
+    )
+
+
+def _least_absolute(column: Vector, values: Vector) -> Vector:
+    """Return what a straight line through points leaves, if the sum of absolute values is least."""
+    columns = np.column_stack([column, np.ones(len(column))])
+    weights, left = np.ones(len(values)), values
+    for _ in range(_REWEIGHTED):  # iteratively reweighted least squares
+        scaled = columns * weights[:, np.newaxis]
+        left = values - columns @ np.linalg.lstsq(scaled, values * weights, rcond=None)[0]
+        weights = 1.0 / np.sqrt(
+            np.maximum(np.abs(left), _EXACT * float(np.abs(left).max()) + 1e-300)
+        )
+    return left
 
 
 def _intervals(
-    fit: _Fit, best: _Place, half_s: Vector, longest_s: float, period_s: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the intervals of dead time and lag, with every value that fits as well as the best.
+    fit: _Fit, best: _Place, halves_s: tuple[float, ...], longest_s: float, period_s: float
+) -> list[tuple[float, float]]:
+    """Return intervals of dead time, lag and both, with all values that fit as well as the best.
 
     Args:
         fit: the model.
         best: dead time and lag.
-        half_s: of the narrowest intervals.
+        halves_s: of the narrowest intervals.
         longest_s: of a dead time.
         period_s: of the rows.
     """
@@ -208,11 +252,12 @@ def _intervals(
     most += _NOTHING * responses * float(fit.response.var())
     places = [best, *(_end(fit, best, most, longest_s, sign * period_s) for sign in (-1, 1))]
     lags_s = [_lag_end(fit, place, most, ratio) for place in places for ratio in (0.5, 2.0)]
-    dead_times_s = [place.dead_time_s for place in places]
-    return (
-        _interval(best.dead_time_s, float(half_s[0]), dead_times_s),
-        _interval(best.lag_s, float(half_s[1]), lags_s),
-    )
+    ends_s = (
+        [place.dead_time_s for place in places], lags_s,
+        [place.dead_time_s + place.lag_s for place in places],
+    )  # fmt: skip
+    values_s = best.dead_time_s, best.lag_s, best.dead_time_s + best.lag_s
+    return list(map(_interval, values_s, halves_s, ends_s))
 
 
 def _interval(best_s: float, half_s: float, ends_s: list[float]) -> tuple[float, float]:

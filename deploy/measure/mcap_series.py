@@ -1,119 +1,161 @@
-"""Reads a command and its response from two topics of an MCAP file."""
+"""Reads a command and its response from two topics of a recording."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
+from deploy.measure.recordings import Recording
 
 _PART = re.compile(r"(\w+)|\[([^\[\]]+)\]")
 
 
-def read_series(
-    file: Path, command: str, response: str, *, is_held: bool
-) -> tuple[Vector, Vector, Vector]:
+@dataclass(frozen=True)
+class Field:
+    """One number of the messages on a topic.
+
+    Attributes:
+        topic: its name.
+        element: name of the joint, or place, whose number it is; empty for no element.
+        times_ns: log times of the messages that have it, shape (messages,).
+        values: the numbers, same shape.
+        orders: how many of these messages have which joints in which order.
+        skipped: messages without this joint.
+    """
+
+    topic: str
+    element: str
+    times_ns: Vector
+    values: Vector
+    orders: Mapping[tuple[str, ...], int]
+    skipped: int
+
+    @property
+    def notes(self) -> list[str]:
+        """A sentence if messages were skipped."""
+        if not self.skipped:
+            return []
+        of = self.skipped + len(self.values)
+        return [f"skipped {self.skipped:,} of {of:,} messages on {self.topic}: no {self.element}"]
+
+    @property
+    def doubts(self) -> list[str]:
+        """A sentence if messages differ as those of several publishers do."""
+        if len(self.orders) < 2:
+            return []
+        listed = "; ".join(f"{', '.join(each)} ({n:,})" for each, n in self.orders.items())
+        return [
+            f"messages on {self.topic} name joints in {len(self.orders)} ways, as of"
+            f" {len(self.orders)} publishers: {listed}"
+        ]
+
+
+def rows_of(command: Field, response: Field, *, is_held: bool) -> tuple[Vector, Vector, Vector]:
     """Times in s, commands and responses, by when messages were logged.
 
     There is a row for each message of either topic, from the first command to the last; a row
     without a response has NaN.
 
     Args:
-        file: with messages in CDR and their definitions.
-        command: topic and field, as ``/joint_commands.effort[2]``.
-        response: in the same form; an element may have a joint's name, as ``position[elbow]``.
+        command: what was commanded.
+        response: what happened.
         is_held: whether a command stays until the next, or is on a line to it.
     """
-    (command_ns, commands), (response_ns, responses) = (
-        _read_field(file, name) for name in (command, response)
-    )
-    times_ns = np.union1d(command_ns, response_ns)
+    times_ns = np.union1d(command.times_ns, response.times_ns)
     rows = np.full(len(times_ns), np.nan)
-    rows[np.searchsorted(times_ns, response_ns)] = responses
-    inside = (times_ns >= command_ns[0]) & (times_ns <= command_ns[-1])
+    rows[np.searchsorted(times_ns, response.times_ns)] = response.values
+    inside = (times_ns >= command.times_ns[0]) & (times_ns <= command.times_ns[-1])
     times_ns, rows = times_ns[inside], rows[inside]
-    held = commands[np.searchsorted(command_ns, times_ns, side="right") - 1]
+    held = command.values[np.searchsorted(command.times_ns, times_ns, side="right") - 1]
     times_s = (times_ns - times_ns[0]) / 1e9
     if is_held:
         return times_s, held, rows
-    return times_s, np.interp(times_s, (command_ns - times_ns[0]) / 1e9, commands), rows
+    return times_s, np.interp(times_s, (command.times_ns - times_ns[0]) / 1e9, command.values), rows
 
 
-def _read_field(file: Path, name: str) -> tuple[Vector, Vector]:
-    """Log times in ns and values of a field, as ``/joint_states.position[2]``."""
-    topic, _, field = name.partition(".")
-    known, found = set[str](), list[tuple[int, float]]()
-    try:
-        for message in messages(file, topic):
-            known.add(message.topic)
-            if message.content is None:
-                continue
-            value: Any = message.content
-            names: Any = getattr(value, "name", None) or getattr(value, "joint_names", ())
-            for word, index in _PART.findall(field):
-                value = value[element_place(index, names)] if index else getattr(value, word)
-            found.append((message.logged_ns, float(value)))
-    except Exception as error:  # mcap and rosbags raise many kinds of errors
-        raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
-    if not found:
-        topics, hint = ", ".join(sorted(known)), did_you_mean(topic, sorted(known))
-        raise InputError(f"{file}: no messages on {topic}; topics are {topics}{hint}")
-    times_ns, values = zip(*found, strict=True)
-    if not np.isfinite(values).all():
-        raise InputError(f"{file}: {name}: must be one finite number in each message")
-    return np.array(times_ns), np.array(values)
+def read_field(file: Path, name: str) -> Field:
+    """Read one number of the messages on a topic.
 
-
-class RecordedMessage(NamedTuple):
-    """A message of a recording.
-
-    Attributes:
-        topic: its name.
-        type_name: as ``sensor_msgs/msg/JointState``.
-        logged_ns: time at which it was recorded.
-        content: its fields; None for topics that were not asked for.
-    """
-
-    topic: str
-    type_name: str
-    logged_ns: int
-    content: Any
-
-
-def messages(file: Path, wanted: str) -> Iterator[RecordedMessage]:
-    """Yield the messages of an MCAP file, of a rosbag2 ``.db3`` file or of a bag's folder.
+    Messages that name joints, but not this one, are skipped: another device sends them. A place in
+    messages that name joints means the joint at this place in most of them.
 
     Args:
-        file: with messages in CDR; MCAP files have their definitions.
-        wanted: topic, or type of message, whose contents are read.
+        file: with messages in CDR and their definitions.
+        name: topic and field, as ``/joint_commands.effort[2]`` or ``/states.position[elbow]``.
     """
-    from mcap.reader import make_reader  # needed by few commands
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    topic, _, field = name.partition(".")
+    *parts, last = [(word, index) for word, index in _PART.findall(field)] or [("", "")]
+    recording, found = Recording(file), list[tuple[int, tuple[str, ...], Any]]()
+    for message in recording.messages(topic):
+        try:
+            names, value = _joints(message.content), message.content
+            for part in parts:
+                value = _part(value, part, names)
+        except Exception as error:  # rosbags raises many kinds of errors
+            raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
+        found.append((message.logged_ns, names, value))
+    if not found:
+        topics = sorted(recording.topics)
+        hint = did_you_mean(topic, topics)
+        raise InputError(f"{file}: no messages on {topic}; topics are {', '.join(topics)}{hint}")
+    try:
+        return _field(topic, last, sorted(found, key=lambda each: each[0]))
+    except (ValueError, TypeError, IndexError) as error:
+        raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
 
-    if file.suffix != ".mcap":
-        jazzy = get_typestore(Stores.ROS2_JAZZY)  # for bags without definitions
-        with AnyReader([file], default_typestore=jazzy) as bag:
-            for connection, logged_ns, data in bag.messages():
-                is_wanted = wanted in (connection.topic, connection.msgtype)
-                content = bag.deserialize(data, connection.msgtype) if is_wanted else None
-                yield RecordedMessage(connection.topic, connection.msgtype, logged_ns, content)
-        return
-    types, known = get_typestore(Stores.EMPTY), set[str]()
-    with file.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages():
-            name, content = "" if schema is None else schema.name, None
-            if schema is not None and wanted in (channel.topic, name):
-                if name not in known:
-                    types.register(get_types_from_msg(schema.data.decode(), name))
-                    known.add(name)
-                content = types.deserialize_cdr(message.data, name)
-            yield RecordedMessage(channel.topic, name, message.log_time, content)
+
+def _field(
+    topic: str, last: tuple[str, str], found: Sequence[tuple[int, tuple[str, ...], Any]]
+) -> Field:
+    """Return the number that the last part of a name has in each message.
+
+    Raises:
+        ValueError: no message has it, or it is not finite.
+    """
+    orders = Counter(names for _, names, _ in found)
+    usual = orders.most_common(1)[0][0]
+    word, index = last
+    if index.isdecimal() and int(index) < len(usual):
+        index = usual[int(index)]
+    numbers = [_number(value, (word, index), names) for _, names, value in found]
+    has_it = np.array([number is not None for number in numbers])
+    if not has_it.any():
+        raise ValueError(f"no element {index!r}; there are {', '.join(usual) or 'no names'}")
+    values = np.array(numbers, dtype=float)[has_it]
+    if not np.isfinite(values).all():
+        raise ValueError("must be one finite number in each message")
+    times_ns = np.array([logged_ns for logged_ns, _, _ in found])[has_it]
+    orders = Counter(names for (_, names, _), has in zip(found, has_it, strict=True) if has)
+    return Field(topic, index, times_ns, values, orders, len(found) - len(values))
+
+
+def _number(value: Any, part: tuple[str, str], names: Sequence[str]) -> float | None:
+    """Return the number in a message; None if it names other joints, or has no values."""
+    index = part[1]
+    is_elsewhere = bool(index) and not index.isdecimal() and index not in names
+    if is_elsewhere or (index and element_place(index, names) >= len(value)):
+        return None
+    return float(_part(value, part, names))
+
+
+def _joints(content: Any) -> tuple[str, ...]:
+    """Return the names of joints in a message; () if it has none."""
+    names: Any = getattr(content, "name", None) or getattr(content, "joint_names", ())
+    return () if isinstance(names, str) else tuple(names)
+
+
+def _part(value: Any, part: tuple[str, str], names: Sequence[str]) -> Any:
+    """Return an attribute, or an element by its place or name."""
+    word, index = part
+    return value[element_place(index, names)] if index else getattr(value, word)
 
 
 def element_place(element: str, names: Sequence[str]) -> int:

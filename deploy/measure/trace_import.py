@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,13 +15,14 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
 from deploy.judge.findings.link_delays import MeasuredDelays
+from deploy.measure.recordings import Recording
+from deploy.measure.time_units import UNITS_MS
 from deploy.scenario.yaml_files import ScenarioError
 
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
 """tshark's field: the time from a TCP segment to its ACK."""
-UNITS_MS = {"s": 1e3, "ms": 1.0, "us": 1e-3, "ns": 1e-6}
 _PING = re.compile(r"(?:\[([\d.]+)\] )?.*seq=(\d+) .*?time[=<]([\d.]+) ms")
-_CAN_LOG = re.compile(r"\(([\d.]+)\)\s+\S+\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
+_CAN_LOG = re.compile(r"\(([\d.]+)\)\s+(\S+)\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
 _WRAP = 1 << 16
 
 
@@ -52,35 +55,64 @@ def from_ping(file: Path, interval_s: float) -> MeasuredDelays:
     return MeasuredDelays(times_s, np.array([answers.get(int(n), missing)[1] for n in numbers]))
 
 
-def from_candump(file: Path, request: str, answer: str) -> MeasuredDelays:
-    """The time from each frame of one identifier to the next one of another, in hexadecimal.
+def from_candump(
+    file: Path, request: str, answer: str, interface: str | None = None
+) -> dict[str, MeasuredDelays]:
+    """The time from each frame of one identifier to the next one of another, by bus.
 
     A frame that is followed by its like first was lost.
+
+    Args:
+        file: output of ``candump -L`` or ``candump -t a``.
+        request: an identifier in hexadecimal.
+        answer: likewise.
+        interface: the only bus to read, as ``can0``; by default all that have both frames.
     """
     try:
         wanted = {int(request, 16): True, int(answer, 16): False}
     except ValueError as error:
         allowed = "must be CAN identifiers in hexadecimal"
         raise ScenarioError(f"--from {request} --to {answer}: {allowed}") from error
-    sent: list[float] = []
-    delays: list[float] = []
+    buses: dict[str, _Bus] = {}
     for line in _lines(file, "candump"):
         found = _CAN_LOG.search(line)
-        is_request = None if found is None else wanted.get(int(found[2], 16))
-        if found is None or is_request is None:
-            continue
-        if is_request:
-            sent.append(float(found[1]))
-            delays.append(float("nan"))
-        elif delays and np.isnan(delays[-1]):
-            delays[-1] = 1e3 * (float(found[1]) - sent[-1])
-    if not sent:
+        is_request = None if found is None else wanted.get(int(found[3], 16))
+        if found is not None and is_request is not None:
+            buses.setdefault(found[2], _Bus([], [])).add(float(found[1]), is_request=is_request)
+    if interface is not None and interface not in buses:
+        on = f": these frames are on {', '.join(buses)}" if buses else ""
+        raise ScenarioError(f"{file}: --interface {interface}: has no frame {request}{on}")
+    if interface is not None:
+        buses = {interface: buses[interface]}
+    if not any(bus.sent_s for bus in buses.values()):
         raise ScenarioError(f"{file}: does not contain frame {request} in the format of candump")
-    return MeasuredDelays(np.array(sent), np.array(delays))
+    answered = {name: bus for name, bus in buses.items() if not np.isnan(bus.delays_ms).all()}
+    if not answered:
+        on = ", ".join(f"{'requests' if bus.sent_s else 'answers'} on {name}"
+                       for name, bus in buses.items())  # fmt: skip
+        raise ScenarioError(f"{file}: no frame {request} is followed by {answer} on its bus: {on}")
+    return {
+        name: MeasuredDelays(np.array(bus.sent_s), np.array(bus.delays_ms))
+        for name, bus in answered.items()
+    }
+
+
+class _Bus(NamedTuple):
+    """Requests of one bus, and how long their answers took; NaN for none."""
+
+    sent_s: list[float]
+    delays_ms: list[float]
+
+    def add(self, time_s: float, *, is_request: bool) -> None:
+        if is_request:
+            self.sent_s.append(time_s)
+            self.delays_ms.append(float("nan"))
+        elif self.delays_ms and np.isnan(self.delays_ms[-1]):
+            self.delays_ms[-1] = 1e3 * (time_s - self.sent_s[-1])
 
 
 def from_csv(
-    file: Path, sent: str, received: str | None, delay: str | None, unit: str
+    file: Path, sent: str, received: str | None, delay: str | None, units: Mapping[str, str]
 ) -> MeasuredDelays:
     """Two columns of a CSV file: when messages were sent, and received or how long they took.
 
@@ -89,7 +121,7 @@ def from_csv(
         sent: column of the times of sending.
         received: column of the times of reception; empty cells were lost.
         delay: column of delays, in place of `received`; of `ACK_ROUND_TRIP`, halves are returned.
-        unit: of all of them.
+        units: of each of these columns.
     """
     end_name = str(received or delay)
     try:
@@ -98,7 +130,7 @@ def from_csv(
         columns.refuse_where(no_time, sent, "must be a time in each row")
     except ValueError as error:
         raise ScenarioError(str(error)) from error
-    start_ms, end_ms = (columns.values[name] * UNITS_MS[unit] for name in (sent, end_name))
+    start_ms, end_ms = (columns.values[name] * UNITS_MS[units[name]] for name in (sent, end_name))
     if delay == ACK_ROUND_TRIP:  # beside the time of each ACK; no other packet has one
         is_ack = np.isfinite(end_ms)
         start_ms, end_ms = (start_ms - end_ms)[is_ack], 0.5 * end_ms[is_ack]
@@ -116,25 +148,20 @@ def from_mcap(file: Path, topic: str, answer: str | None) -> MeasuredDelays:
         answer: a topic whose messages carry the same stamps: each took from when the one was
             logged to when the other was. A message that is not answered was lost.
     """
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
     logged: dict[str, dict[int, int]] = {name: {} for name in (topic, answer or topic)}
-    known: set[str] = set()
-    try:
-        with file.open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages():
-                known.add(channel.topic)
-                stamp_ns = stamp_of(message.data)
-                if channel.topic in logged and stamp_ns is not None:
-                    logged[channel.topic].setdefault(stamp_ns, message.log_time)
-    except (OSError, McapError) as error:
-        raise ScenarioError(f"{file}: cannot be read as MCAP: {error}") from error
+    recording = Recording(file)
+    for message in recording.messages(topic, answer):
+        stamp_ns = stamp_of(message.data)
+        if message.topic in logged and stamp_ns is not None:
+            times_ns = logged[message.topic]
+            times_ns[stamp_ns] = min(message.logged_ns, times_ns.get(stamp_ns, message.logged_ns))
     for name, found in logged.items():
         if not found:
-            topics = ", ".join(sorted(known))
-            hint = did_you_mean(name, sorted(known))
-            raise ScenarioError(f"{file}: no stamps on {name}; topics are {topics}{hint}")
+            topics = sorted(recording.topics)
+            hint = did_you_mean(name, topics)
+            raise ScenarioError(
+                f"{file}: no stamps on {name}; topics are {', '.join(topics)}{hint}"
+            )
     stamps = np.array(sorted(logged[topic]), dtype=np.int64)
     ends = [logged[answer or topic].get(int(stamp)) for stamp in stamps]
     starts = np.array([logged[topic][int(s)] for s in stamps]) if answer else stamps

@@ -15,7 +15,7 @@ from deploy.reports.studies.study_texts import case_title
 from deploy.study.study import OF_BOUND, shown_value
 
 _EVERY_PATTERN = ", every pattern of delays"
-_RUNS = "runs"
+_RUNS, _MM = "runs", "mm"
 
 
 class _Part(BaseModel):
@@ -29,11 +29,15 @@ class GaugedSummary(_Part, ABC):
 
     Attributes:
         group: name of the results that can be compared with these.
+        other_units: of numbers that a gate reads only if its limit has this unit.
         completed: whether the results are complete.
+        tested_with: the test behind the results; None if an older version made them.
     """
 
     group: ClassVar[str] = _RUNS
+    other_units: ClassVar[tuple[str, ...]] = ()
     completed: bool = True
+    tested_with: dict[str, dict[str, Any]] | None = None
 
     @abstractmethod
     def numbers(self) -> Iterator[Gauged]:
@@ -61,22 +65,33 @@ class _Bounds(_Part):
     margin_min: Finite | None
 
 
-class GaugedRun(GaugedSummary):
-    """A run: its smallest margin."""
+class _TipError(_Part):
+    largest: Finite | None
 
+
+class GaugedRun(GaugedSummary):
+    """A run: its smallest margin, and the largest error of its tip."""
+
+    other_units = (_MM,)
     scenario: str
     law: str
     verdict: str
     bounds: _Bounds
+    tip_error_mm: _TipError | None = None
 
     def numbers(self) -> Iterator[Gauged]:
-        margin = self.bounds.margin_min if self.verdict == Verdict.KEPT else None
-        yield _of_bound(f"{self.scenario}, {self.law}", margin)
+        is_kept = self.verdict == Verdict.KEPT
+        name = f"{self.scenario}, {self.law}"
+        yield _of_bound(name, self.bounds.margin_min if is_kept else None)
+        if self.tip_error_mm is not None:  # which older versions lack
+            largest = self.tip_error_mm.largest if is_kept else None
+            yield Gauged(f"{name}, largest tip error", largest, _MM, sign=-1)
 
 
 class GaugedComparison(GaugedSummary):
-    """A comparison: the smallest margin of each law."""
+    """A comparison: the smallest margin of each law, and the largest error of its tip."""
 
+    other_units = (_MM,)
     laws: Annotated[dict[str, GaugedRun], Field(min_length=1)]
 
     def numbers(self) -> Iterator[Gauged]:
@@ -128,6 +143,7 @@ class _Case(_Part):
     running: bool
     growth: Finite = 1
     margin: Finite | None = None
+    quoted: Finite | None = None
     kept_up_to: Finite | None = None
     guaranteed: Finite | None = None
     worst_pattern: _Worst | None = None
@@ -140,7 +156,9 @@ class _Case(_Part):
 
     @property
     def least_margin(self) -> float | None:
-        """The margin; with patterns the one for all of them: guaranteed, or where all held."""
+        """The margin to quote; of older results that for all patterns, or the one held."""
+        if "quoted" in self.model_fields_set:
+            return self.quoted
         found = self.margin if self.worst_pattern is None else self.worst_pattern.margin
         return found if self.guaranteed is None else self.guaranteed
 

@@ -111,6 +111,16 @@ class ResultKind:
         found: Callable[[Path], Again] | None = _at(self.again_at)
         return found
 
+    def unit_for(self, asked: str, unit: str) -> str:
+        """Return the unit of the numbers that a gate reads.
+
+        Args:
+            asked: unit of its limit; empty for none.
+            unit: of the numbers that it reads otherwise.
+        """
+        others = () if self.gauged is None else self.gauged.other_units
+        return asked if asked in others else unit
+
     def compared_with(self, quantity: str | None, *, patterns: bool = False) -> str:
         """Return what its results can be compared with, as `GaugedSummary.compared_with`."""
         return "" if self.gauged is None else self.gauged.compared_with(quantity, patterns=patterns)
@@ -159,20 +169,33 @@ def kind_named(name: str) -> ResultKind:
     return _KINDS.get(name) or ResultKind(name)
 
 
-def gauged(summary: Summary) -> list[Gauged]:
+def gauged(summary: Summary, unit: str | None = None) -> list[Gauged]:
     """Return the numbers of a ``summary.json``.
+
+    Args:
+        summary: the result.
+        unit: of the wanted numbers, if others have `GaugedSummary.other_units`; None for those in
+            none of these units.
 
     Raises:
         ValueError: its kind has none, or one is missing.
     """
-    return list(_read(summary).numbers())
+    return numbers_in(_read(summary), unit)
 
 
-def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
-    """Return the kind that an earlier result can be compared with, and its numbers.
+def numbers_in(found: GaugedSummary, unit: str | None) -> list[Gauged]:
+    """Return the numbers of a result in a unit, as `gauged` takes it."""
+    if unit in found.other_units:
+        return [each for each in found.numbers() if each.unit == unit]
+    return [each for each in found.numbers() if each.unit not in found.other_units]
+
+
+def read_baseline(path: Path, unit: str) -> GaugedSummary:
+    """Return an earlier result, which has numbers in a unit.
 
     Args:
         path: its ``summary.json``, or its folder.
+        unit: of the numbers, as `gauged` takes it.
 
     Raises:
         ScenarioError: it cannot be read, is of another kind, unfinished, or has no numbers.
@@ -180,7 +203,9 @@ def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
     file = path / "summary.json" if path.is_dir() else path
     try:
         found = _read(_JSON.validate_json(read_text(file)))
-        numbers = list(found.numbers())
+        numbers = numbers_in(found, unit)
+        if unit in found.other_units and not numbers:
+            raise ValueError(f"has no number in {unit}")
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
@@ -191,7 +216,7 @@ def read_baseline(path: Path) -> tuple[str, list[Gauged]]:
         raise ScenarioError(f"--baseline {file}: {reason}: {_ALLOWED}") from error
     if not found.completed:
         raise ScenarioError(f"--baseline {file}: is unfinished (completed = false): {_ALLOWED}")
-    return found.compared_as, numbers
+    return found
 
 
 def _read(summary: Summary) -> GaugedSummary:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.conditions import conditions_of_recording, conditions_of_runs
 from deploy.judge.run_rows import read_rows, write_rows
+from deploy.judge.tested_with import TESTED_WITH, tested_with
 from deploy.judge.verdict import Verdict, decide, with_verdict
 from deploy.reports.kinds import kind_of
 from deploy.reports.page import Cards, Fact, Page
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from deploy.study.study import StudyOfRuns
 
 TABLE_FILE = "table.md"
+_REUSE = "reuse"
+"""Condition of rows that later commands make again."""
 
 
 @dataclass
@@ -80,6 +83,8 @@ def run_results(folder: RunFolder, run: JudgedRun) -> Results:
     """Judge a run; a confirmation in its folder is kept."""
     confirmed = run.summary.get(CONFIRMATION) or read_summary(folder.path).get(CONFIRMATION)
     run.summary |= {CONFIRMATION: confirmed} if confirmed else {}
+    setup = run.data.setup
+    run.summary |= {TESTED_WITH: tested_with([setup], {"seeds": [setup.scenario.seed]})}
     return Results(run.summary, run_page(run, read_manifest(folder.path)), [run])
 
 
@@ -132,6 +137,8 @@ def judge_rows(study: StudyOfRuns, folder: StudyFolder) -> dict[str, Any]:
     summary = study.summary(folder.rows)
     study.keep_files(summary, folder.path)
     summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
+    if folder.unseen:
+        summary["conditions"][_REUSE] = folder.unseen
     folder.write(summary["conditions"], completed=summary["completed"])
     return summary
 
@@ -166,7 +173,9 @@ def comparison_results(
     if not setups:
         return Results({**summary, **of_runs}, None), compared
     of_runs["clock"] = compared.runs[0].summary["clock"]
-    of_runs["conditions"] = conditions_of_runs(setups, read_manifest(folder.path))
+    known = summary.get("conditions", {})
+    kept = {_REUSE: known[_REUSE]} if _REUSE in known else {}
+    of_runs["conditions"] = {**conditions_of_runs(setups, read_manifest(folder.path)), **kept}
     before = read_rows(file) if file.is_file() else []
     confirmed = CONFIRMATION_COLUMNS if any("confirmed_on" in each for each in before) else {}
     rows, columns = rows_again(compared, before), {**COLUMNS, **confirmed}

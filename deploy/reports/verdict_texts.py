@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
 from deploy.judge.conditions import lacked_grants
+from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
-from deploy.reports.runs.run_numbers import margin_place, other_margins
+from deploy.reports.runs.run_numbers import margin_place, other_margins, tip_error
 from deploy.reports.tables import margin_text, number
 
 if TYPE_CHECKING:
@@ -92,11 +93,20 @@ def verdict_on_run(
         f"The true error was {_bounds_text(run, summary, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
+        *_sentences_on_the_tip(summary, run.setup.scenario.metrics.from_s),
         *(
             f"The error of {each['joint']} grows by e^({each['rate_per_s']:.3g} t) at"
             f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
             for each in summary.get("growing", ())
         ),
+        *(
+            f"The torque of {each['joint']} swings between its limits at"
+            f" {each['frequency_hz']:.3g} Hz ({100 * each['saturated_fraction']:.2g} % of the ticks"
+            f" saturated, RMS {100 * each['torque_rms_share']:.2g} % of the limit, last half of the"
+            " run): this loop vibrates."
+            for each in summary.get("vibrating", ())
+        ),
+        *_sentences_on_ranges(summary),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
     ]
@@ -110,6 +120,27 @@ def verdict_on_run(
     elif level == "broken" and is_judged:
         headline += ", inside its bounds at all known ticks"
     return ReportHead(level, headline, reasons, summary["faults"])
+
+
+def _sentences_on_the_tip(summary: Mapping[str, Any], from_s: float) -> list[str]:
+    rms_mm, largest_mm = (tip_error(summary, name) for name in ("rms", "largest"))
+    if rms_mm is None or largest_mm is None:
+        return []
+    most = f"{number(largest_mm)} mm at most"
+    return [f"The tip was off by {number(rms_mm)} mm RMS, {most}, from {from_s:g} s on."]
+
+
+def _sentences_on_ranges(summary: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about joints that pass their ranges by much."""
+    if not (found := summary.get("beyond_ranges", ())):
+        return []
+    named = ", ".join(
+        f"{each['joint']} by {number(each['beyond_rad'])} rad at {each['time_s']:.2f} s"
+        for each in found[:_NAMED_JOINTS]
+    )
+    more = f" and {len(found) - _NAMED_JOINTS} more" * (len(found) > _NAMED_JOINTS)
+    what = "a real arm hits its stops there, which are not emulated"
+    return [f"Warning: joints passed the ends of their ranges: {named}{more}; {what}."]
 
 
 def damaged(damage: Sequence[str]) -> str:
@@ -198,21 +229,33 @@ def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) ->
     )
 
 
-_LOSSES = {
-    "start": "before any command acted",
-    "growing": "as an oscillation grew",
-    "late command": "after a command that was much later than usual",
-    "saturated": "with torques at their limits",
-    "friction or model": "slowly, as by friction or an error of the model",
-}
+def loss_words(
+    loss: Mapping[str, Any], unstable_without_delay: Mapping[str, Any] | None = None
+) -> str:
+    """Return how a joint's error left its funnel, in words.
+
+    Args:
+        loss: `deploy.judge.findings.loss_reason.LossReason` as a mapping.
+        unstable_without_delay: what theory says of the loop without a delay: ``rate_per_s``,
+            ``frequency_hz``, ``joint``; None if it is stable, or not known.
+    """
+    reason = Reason(loss["reason"])
+    words, hertz, lag_ms = reason.words, loss["frequency_hz"], loss.get("lag_ms")
+    words += f" of {lag_ms:.0f} ms" if lag_ms is not None else ""
+    words += "" if hertz is None else f" at {hertz:.2g} Hz"
+    if reason is Reason.UNSTABLE and (rate := loss["rate_per_s"]) is not None:
+        words += f" by e^({rate:.3g} t)"
+    if reason in (Reason.UNSTABLE, Reason.GROWING) and loss.get("without_delay"):
+        words += ", already without a delay"
+    if (known := unstable_without_delay) is not None:
+        swings = f" at {known['frequency_hz']:.2g} Hz" if known["frequency_hz"] else ""
+        words += f"; in theory {known['joint']}{swings} by e^({known['rate_per_s']:.3g} t)"
+    return words
 
 
 def _loss_text(loss: Mapping[str, Any] | None) -> str:
     """Why a run left its funnel, as a part of a sentence."""
-    if loss is None:
-        return ""
-    hertz = "" if loss["frequency_hz"] is None else f" at {loss['frequency_hz']:.2g} Hz"
-    return f" ({loss['joint']}, {_LOSSES[loss['reason']]}{hertz})"
+    return "" if loss is None else f" ({loss['joint']}, {loss_words(loss)})"
 
 
 def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:

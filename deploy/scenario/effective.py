@@ -155,11 +155,11 @@ def _plant_in_force(setup: Setup) -> PlantConfiguration:
     return plant.model_copy(update={"drive_feedback": plant.drive_feedback.model_copy(update=loop)})
 
 
-def agreement_of(setup: Setup) -> Agreement:
+def agreement_of(setup: Setup, run_key: str = "") -> Agreement:
     """Return the values that the processes of a run agree on, for any engine of the plant."""
     values = values_in_common(setup)
     del values["plant.physics.engine"]  # the default depends on the engines installed there
-    return Agreement(values)
+    return Agreement(values, run_key)
 
 
 def values_in_common(

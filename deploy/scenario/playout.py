@@ -9,13 +9,20 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.link.configuration import AUTO, LinkConfiguration
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, MOST_ROWS
-from controller.compensation.command_timeline import HorizonSettings
+from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
+from controller.configuration import LONGEST_HORIZON_MS
 from deploy.scenario.held_arm import held_arm_ceiling_ms
-from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
+from plant_emulator.channel.delay_range import (
+    configured_delays_ns,
+    largest_delay_ns,
+    round_trip_ns,
+)
 
 if TYPE_CHECKING:
     from deploy.scenario.setup import Setup
 
+EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
+"""Key that sets an automatic play-out time, from the start of a run."""
 _IN_TIME, _IN_TIME_AT_START = 0.995, 0.95
 """Shares of the commands that arrive before they have to act."""
 _SHARE_OF_CEILING = 0.6
@@ -26,7 +33,8 @@ def resolved_link(setup: Setup) -> LinkConfiguration:
     """Return the section ``link`` with the play-out time that applies.
 
     Raises:
-        ConfigurationError: it is ``auto``, but no command can say when it acts.
+        ConfigurationError: it is ``auto``, but no command can say when it acts; or it is longer
+            than what delay compensation predicts.
     """
     scenario = setup.scenario
     link = scenario.link
@@ -44,11 +52,31 @@ def resolved_link(setup: Setup) -> LinkConfiguration:
         elif controller.process is not None:
             allowed = "a time in ms with controller.process: its commands do not say when they act"
         raise ConfigurationError("link.playout_ms", AUTO, allowed)
+    if controller.delay_compensation.enabled and link.playout_ns > LONGEST_HORIZON_NS:
+        allowed = f"must be at most {LONGEST_HORIZON_MS:g} with delay compensation"
+        raise ConfigurationError("link.playout_ms", link.playout_ms, allowed)
     return link
 
 
 def horizon_settings(setup: Setup) -> HorizonSettings:
     """Return how the controller chooses the time from a state until its command acts."""
+    of_link, actuator = _of_link(setup), setup.scenario.plant.actuator
+    actuator_ns = actuator.delay_steps(1e-9 * _grain_ns(setup)) * _grain_ns(setup)
+    return of_link._replace(
+        least_ns=of_link.least_ns + actuator_ns,
+        first_ns=of_link.first_ns + actuator_ns,
+        wanted_ns=of_link.wanted_ns + actuator_ns,
+        actuator_ns=actuator_ns,
+    )
+
+
+def _grain_ns(setup: Setup) -> int:
+    """Return the length of a physics step."""
+    return setup.grid.period_ns // setup.grid.substeps
+
+
+def _of_link(setup: Setup) -> HorizonSettings:
+    """Return these settings without the actuators' dead time."""
     link = setup.link
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     expected_ns = None if expected_ms is None else round(expected_ms * 1e6)
@@ -64,11 +92,32 @@ def horizon_settings(setup: Setup) -> HorizonSettings:
         first_ns=first_ns,
         wanted_ns=wanted_ns,
         is_announced=True,
-        grain_ns=setup.grid.period_ns // setup.grid.substeps,
         reserve_ns=setup.grid.period_ns,
         bridge_rows=rows,
         row_ns=setup.grid.period_ns,
+        substeps=setup.grid.substeps,
     )
+
+
+def playout_range_ns(setup: Setup) -> tuple[int, int]:
+    """Return the time from a state until its torque acts, at the start of a run and later, ns.
+
+    It has both values only where it is chosen automatically, for delays that vary. A command that
+    comes late acts later.
+    """
+    if not setup.link.plays_automatically:
+        return setup.link.playout_ns, setup.link.playout_ns
+    chosen_ns = (setup.horizon.first_ns, setup.horizon.wanted_ns)
+    first_ns, later_ns = map(setup.grid.next_substep_ns, chosen_ns)
+    return min(first_ns, LONGEST_HORIZON_NS), min(later_ns, LONGEST_HORIZON_NS)
+
+
+def levels(setup: Setup) -> bool:
+    """Whether the play-out of a run makes all delays of its link as long as the longest one."""
+    up_ns, down_ns = map(largest_delay_ns, (setup.link.uplink, setup.link.downlink))
+    if up_ns is None or down_ns is None:
+        return False
+    return playout_range_ns(setup)[0] >= up_ns + down_ns
 
 
 def _bridge_rows(setup: Setup) -> int:

@@ -141,22 +141,23 @@ def _override(values: dict[str, Any], text: str) -> None:
 
 
 def _extended(given: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Return the values of a scenario; one that ``extends`` another contains only differences."""
-    values = copy.deepcopy(dict(given))
-    base = values.pop("extends", None)
-    if base is None:
-        return values
-    if not isinstance(base, str):
-        allowed = "must be the name or path of a scenario"
-        raise ScenarioError(f"{path}: extends = {shown(base)}: {allowed}")
-    try:
-        base_path = find_yaml(base, SHIPPED, path.parent)
-    except ScenarioError as error:
-        raise ScenarioError(f"{path}: extends = {error}") from error
-    base_values = read_yaml(base_path)
-    if "extends" in base_values:
-        raise ScenarioError(f"{path}: extends = {base!r}: must be a scenario that extends no other")
-    return _merged(base_values, values)
+    """Return the values of a scenario with those of the scenarios that it ``extends`` in turn."""
+    values, chain = copy.deepcopy(dict(given)), [path.resolve()]
+    while (base := values.pop("extends", None)) is not None:
+        file = chain[-1] if len(chain) > 1 else path
+        if not isinstance(base, str):
+            allowed = "must be the name or path of a scenario"
+            raise ScenarioError(f"{file}: extends = {shown(base)}: {allowed}")
+        try:
+            found = find_yaml(base, SHIPPED, file.parent).resolve()
+        except ScenarioError as error:
+            raise ScenarioError(f"{file}: extends = {error}") from error
+        if found in chain:
+            circle = " extends ".join(each.name for each in [*chain[chain.index(found) :], found])
+            raise ScenarioError(f"{file}: extends = {shown(base)}: must be no circle: {circle}")
+        chain.append(found)
+        values = _merged(read_yaml(found), values)
+    return values
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

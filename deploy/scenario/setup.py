@@ -8,6 +8,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bus_schema.arrays import Vector
 from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
 from bus_schema.link.configuration import LinkConfiguration
@@ -16,6 +18,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.layout import MessageLayout
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
+from controller.compensation.command_timeline import HorizonSettings
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
 from controller.reference import Reference
@@ -92,6 +95,13 @@ class Setup:
         controller = self.scenario.controller
         return 1 if controller.process is None else controller.every
 
+    @property
+    def largest_torques_nm(self) -> Vector:
+        """Largest torques that act on the arm, shape (joints,); inf where there is no limit."""
+        limits = self.scenario.limits.of_plant(self.robot).torque_nm
+        saturation_nm = self.scenario.plant.actuator.saturation_nm
+        return limits if saturation_nm is None else np.minimum(limits, saturation_nm)
+
     def control_task(self) -> ControlTask:
         """Return a new task for a controller."""
         controller = self.scenario.controller
@@ -114,7 +124,7 @@ class Setup:
                 self.nominal,
                 self.governing_inertia_kg_m2,
                 self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
-                horizon_settings(self),
+                self.horizon,
                 rotors,
             ),
             sends_targets=controller.drive_feedback.enabled,
@@ -153,6 +163,7 @@ class Setup:
             seed=self.scenario.seed,
             takes_targets=self.drive.is_active,
             answer_every=self.answer_every,
+            expected_ns=self.horizon.first_ns if self.link.plays_automatically else 0,
             faults=plant_faults(self.scenario.faults),
             process_actions=process_actions,
             watch=partial(FunnelCounter, self.reference, self.funnel),
@@ -162,6 +173,11 @@ class Setup:
     def link(self) -> LinkConfiguration:
         """Section ``link`` of the scenario, with the play-out time that applies."""
         return resolved_link(self)
+
+    @cached_property
+    def horizon(self) -> HorizonSettings:
+        """How a controller with delay compensation chooses when its commands act."""
+        return horizon_settings(self)
 
     def layouts(self) -> dict[str, MessageLayout]:
         """Wire layouts of the topics of fixed size, by their names."""

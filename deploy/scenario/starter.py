@@ -14,10 +14,19 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription, load_robot
+from bus_schema.urdf.arm_sizes import arm_sizes
 from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
-from deploy.scenario.checking.plausibility import USUAL_RAD_S2, loads_of, placeholders
+from deploy.scenario.checking.plausibility import (
+    MOST_NM_PER_KG,
+    USUAL_RAD_S2,
+    Loads,
+    heavy_rotors,
+    loads_of,
+    motor_kg,
+    placeholders,
+)
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
@@ -51,10 +60,13 @@ _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
 """Peak speed of a minimum-jerk move of length 1 in time 1."""
 _TRIES = 12
+_NO_SUCH_SPEED = 1e6
+"""rad/s, of motors whose torque does not fall with their speed."""
 _LEAST_LOAD = 0.1
 """N m of gravity per kg m², below which it loads no joint, as of an arm that lies on its side."""
-_HARDLY_LOADED = 0.2
-"""Share of the torque by a neighbour's, below which gravity says little about a motor."""
+_HARDLY_LOADED, _NOT_LOADED = 0.2, 1e-6
+"""Share of the torque by a neighbour's, below which gravity says little about a motor; and share of
+the arm's largest, below which it says nothing."""
 
 
 class Drives(NamedTuple):
@@ -100,9 +112,13 @@ def starter_scenario(robot: RobotDescription) -> dict[str, Any]:
         "controller": {"law": "fixed_time_adaptive"},
         "plant": {
             "physics": {"engine": "mujoco"},
-            "actuator": {"rotor_inertia_kg_m2": _rounded(rotors), "saturation_nm": _rounded(rated)},
+            "actuator": {
+                "rotor_inertia_kg_m2": _rounded(rotors),
+                "saturation_nm": _rounded(rated),
+                **actuator_values(robot.drives),
+            },
             "friction": friction,
-            **_drive_feedback(robot.drives),
+            **drive_feedback(robot.drives),
         },
         "limits": {"torque_nm": _rounded(rated)},
     }
@@ -135,15 +151,19 @@ def drives_of(robot: RobotDescription) -> Drives:
     if not own.friction_nm.all():
         shares = np.where(own.friction_nm > 0.0, 0.0, FRICTION_SHARE)
         friction["coulomb_share"] = shares.tolist() if own.friction_nm.any() else FRICTION_SHARE
+    speeds = np.where(np.isfinite(robot.velocity_limits_rad_s), robot.velocity_limits_rad_s, 0)
+    viscous_s = np.minimum(VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED / np.maximum(speeds, 1e-3))
     if not own.damping_nm_s.all():
-        speeds = np.where(np.isfinite(robot.velocity_limits_rad_s), robot.velocity_limits_rad_s, 0)
-        viscous_s = np.minimum(VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED / np.maximum(speeds, 1e-3))
         friction["viscous_share_s"] = _rounded(np.where(own.damping_nm_s > 0.0, 0.0, viscous_s))
+    if own.stribeck_nm.any():
+        friction["stribeck_nm"] = _rounded(own.stribeck_nm)
+        speeds = np.where(own.stribeck_velocity_rad_s > 0.0, own.stribeck_velocity_rad_s, 0.1)
+        friction["stribeck_velocity_rad_s"] = _rounded(speeds)
     friction["smoothing_velocity_rad_s"] = 0.02
     sources = (
         ("rotor inertia", own.rotor_inertia_kg_m2, f"{ROTOR_INERTIA_S2_RAD} kg m² per N m"),
         ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
-        ("viscous friction", own.damping_nm_s, f"{VISCOUS_SHARE_S:g} s"),
+        ("viscous friction", own.damping_nm_s, f"{_span(viscous_s[own.damping_nm_s == 0.0])} s"),
     )
     data = [_source(*each) for each in sources]
     if not np.array_equal(rated, robot.effort_limits_nm):
@@ -152,24 +172,54 @@ def drives_of(robot: RobotDescription) -> Drives:
     return Drives(rated, rotors, friction, ", ".join(data))
 
 
-def _drive_feedback(drives: DriveValues) -> dict[str, Any]:
-    """Return gains of the drives' own loops, as far as the file has them for all joints."""
+def _span(values: Vector) -> str:
+    """Return the smallest and the largest of some values; one number where they are the same."""
+    ends = dict.fromkeys(
+        f"{each:.3g}" for each in (values.min(initial=np.inf), values.max(initial=0))
+    )
+    return " to ".join(ends)
+
+
+def drive_feedback(drives: DriveValues) -> dict[str, Any]:
+    """Return gains of the drives' own loops; zero for joints without one."""
     gains = {
         "stiffness_nm_rad": drives.servo_stiffness_nm_rad, "damping_nm_s": drives.servo_damping_nm_s
     }  # fmt: skip
-    known = {key: _rounded(each) for key, each in gains.items() if each.all()}
-    return {"drive_feedback": known} if known else {}
+    has_loops = any(each.any() for each in gains.values())
+    known = {key: _rounded(each) for key, each in gains.items()}
+    return {"drive_feedback": known} if has_loops else {}
+
+
+def actuator_values(drives: DriveValues) -> dict[str, Any]:
+    """Return what else the file says about motors, for section ``plant.actuator``."""
+    values: dict[str, Any] = {}
+    for key, seconds in (("delay_ms", drives.delay_s), ("lag_ms", drives.lag_s)):
+        if seconds.any():
+            values[key] = float(f"{1e3 * seconds.max():.4g}")
+    free = drives.no_load_speed_rad_s
+    if free.any():
+        unlimited = np.where(free > 0.0, free, _NO_SUCH_SPEED)
+        rated = np.where(free > 0.0, drives.rated_speed_rad_s, 0.5 * _NO_SUCH_SPEED)
+        values["rated_speed_rad_s"], values["no_load_speed_rad_s"] = map(
+            _rounded, (rated, unlimited)
+        )
+    if drives.cogging_nm.any():
+        values["cogging_nm"] = _rounded(drives.cogging_nm)
+        values["cogging_periods"] = float(drives.cogging_periods.max())
+    return values
 
 
 def _drives_in_file(robot: RobotDescription, rated: Vector) -> DriveValues:
-    """Return the drives in an arm's file, without friction that would exceed a motor's torque.
+    """Return the drives in an arm's file, without friction and rotors that no motor has.
 
-    Many files have 1 N m for every joint, from a template, and damping that stabilises a
+    Many files have 1 N m for every joint, from a template, and damping and inertia that stabilise a
     simulation.
     """
     own = robot.drives
+    rotors = np.where(heavy_rotors(robot), 0.0, own.rotor_inertia_kg_m2)
     dry, viscous = own.friction_nm, own.damping_nm_s * _slow_speeds(robot)
     return own._replace(
+        rotor_inertia_kg_m2=rotors,
         friction_nm=np.where(dry <= _FRICTION_SHARE_BELIEVED * rated, dry, 0.0),
         damping_nm_s=np.where(viscous <= _FRICTION_SHARE_BELIEVED * rated, own.damping_nm_s, 0.0),
     )
@@ -195,19 +245,45 @@ def torque_limits(robot: RobotDescription) -> Vector:
     Where the file has none or a placeholder, three times what the arm needs to hold itself up in
     the worst of many postures, or to accelerate if gravity loads no joint; and at least a hundredth
     of the largest. A joint that gravity hardly loads, such as a vertical one, has the torque of a
-    neighbour in the ratio of their inertias.
+    neighbour in the ratio of their inertias. No estimate exceeds the placeholder, or what links of
+    this mass bear.
     """
     limits, loads = robot.effort_limits_nm.copy(), loads_of(robot)
-    unknown = ~np.isfinite(limits) | (placeholders(robot, loads, limits) > 0.0)
+    unknown = ~np.isfinite(limits) | placeholders(robot, loads, limits).is_one
     if unknown.any():
-        is_loaded = loads.gravity_nm.max() > _LEAST_LOAD * loads.inertia_kg_m2.max()
-        held = 3.0 * (loads.gravity_nm if is_loaded else USUAL_RAD_S2 * loads.inertia_kg_m2)
-        per_inertia = np.where(unknown, held, limits) / np.maximum(loads.inertia_kg_m2, 1e-9)
-        beside = np.maximum(np.append(per_inertia[1:], 0.0), np.append(0.0, per_inertia[:-1]))
-        by_neighbour = beside * loads.inertia_kg_m2
-        held = np.where(held < _HARDLY_LOADED * by_neighbour, by_neighbour, held)
-        limits[unknown] = np.maximum(held, 0.01 * max(held.max(), 1.0))[unknown]
+        found = _estimated_torques(robot, loads, np.where(unknown, np.nan, limits))
+        most = MOST_NM_PER_KG * np.where(robot.slides, np.inf, motor_kg(robot))
+        limits[unknown] = np.minimum(np.minimum(found, most), limits)[unknown]
     return limits
+
+
+def _estimated_torques(robot: RobotDescription, loads: Loads, known: Vector) -> Vector:
+    """Return estimates of largest torques, shape (joints,), N m; see `torque_limits`.
+
+    Args:
+        robot: the arm.
+        loads: of its joints.
+        known: the largest torques that are known, NaN for others.
+    """
+    unknown, carriers = np.isnan(known), arm_sizes(robot.text, robot.joint_names).carriers
+    is_loaded = loads.gravity_nm.max() > _LEAST_LOAD * loads.inertia_kg_m2.max()
+    held = 3.0 * (loads.gravity_nm if is_loaded else USUAL_RAD_S2 * loads.inertia_kg_m2)
+
+    def by_neighbour() -> Vector:
+        """Return the torque by the ratio of inertia to those that carry a joint or are carried."""
+        rates = np.where(unknown, held, known) / np.maximum(loads.inertia_kg_m2, 1e-9)
+        beside = np.zeros_like(held)
+        for joint, carrier in enumerate(carriers):
+            if carrier >= 0:
+                beside[joint] = max(beside[joint], rates[carrier])
+                beside[carrier] = max(beside[carrier], rates[joint])
+        return np.asarray(beside * loads.inertia_kg_m2)
+
+    found = by_neighbour()
+    held = np.where(held < _HARDLY_LOADED * found, found, held)
+    for _ in carriers:  # as a vertical waist that carries vertical shoulders
+        held = np.where(held < _NOT_LOADED * held.max(), np.maximum(held, by_neighbour()), held)
+    return np.maximum(held, 0.01 * max(held.max(), 1.0))
 
 
 def _motion(

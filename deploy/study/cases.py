@@ -97,6 +97,10 @@ class Setting:
         own = self.quantity.overrides(value, running=self.tags["running"])
         return (*self.overrides, *more, *own)
 
+    def of(self, value: float, variant: Variant) -> tuple[str, ...]:
+        """Return the overrides for a value of the quantity in a variant."""
+        return (*self.at(value, variant.overrides), *variant.last)
+
 
 COMPENSATION = "controller.delay_compensation.enabled"
 DRIVE_FEEDBACK = "controller.drive_feedback.enabled"
@@ -234,6 +238,11 @@ class StudyOfCases(StudyOfRuns):
         """Return the last value to try; raises as `settings`."""
 
     @property
+    def own_test(self) -> dict[str, Any]:
+        wanted = self.definition
+        return {**super().own_test, "direction": wanted.direction, "excitation": wanted.excitation}
+
+    @property
     @abstractmethod
     def own_keys(self) -> Mapping[str, str]:
         """Keys that it sets by itself, each with the alternative to use."""
@@ -267,7 +276,7 @@ class StudyOfCases(StudyOfRuns):
             yield Case(setting, variants, known[arm])
 
     def _checked(self, setting: Setting, variant: Variant) -> Setup:
-        overrides = setting.at(self.last_value(setting), variant.overrides)
+        overrides = setting.of(self.last_value(setting), variant)
         try:
             return load_setup(setting.scenario, overrides)
         except ScenarioError as error:
@@ -373,7 +382,7 @@ class StudyOfCases(StudyOfRuns):
         for variant in variants:
             yield PlannedRun(
                 point_name(index, at, variant), case.setting.scenario,
-                case.setting.at(value, variant.overrides), wanted.seeds[0],
+                case.setting.of(value, variant), wanted.seeds[0],
                 {**tags, **variant.columns}, bool(wanted.confirm),
             )  # fmt: skip
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from deploy.judge.run_rows import Row
+from deploy.judge.tested_with import STUDY, Tested
 from deploy.scenario.referenced_files import TRACES
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
@@ -26,6 +27,8 @@ _TRACES = "link.uplink.trace.file, link.downlink.trace.file"
 _STARTS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
 _STRETCH_NS, _LEAD_NS = 500_000_000, 250_000_000
 """Length of the worst stretch of a network, and how long before it a window begins."""
+_MODEL_ERRORS = (0.8, 1.25)
+"""Factors on the model's masses and inertias, as far as those of an unidentified arm err."""
 _SHARES_OF_MARGIN = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -55,6 +58,10 @@ class DataSheet:
         given: float | None = (self.fixed or {}).get("duration_s")
         return (3.0 if self.is_quick else 6.0) if given is None else given
 
+    def tested_with(self, margin: Tested | None) -> Tested | None:
+        """Return its test from that of its search for margins, which older versions lack."""
+        return margin and {**margin, STUDY: {**margin[STUDY], "plants": self.plants}}
+
     def _set(self) -> dict[str, Any]:
         return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
 
@@ -64,7 +71,7 @@ class DataSheet:
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.law], "running": [False],
             "compensation": [False, True], "pattern": "any", "what_helps": True,
-            "smaller_rotors": True,
+            "smaller_rotors": True, "model_errors": list(_MODEL_ERRORS),
             "duration_s": self.duration_s, "set": self._set(),
         }  # fmt: skip
         return margin_study(values | (quick if self.is_quick else {}), _SOURCE)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,28 +11,30 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Number, Positive
 from deploy.judge.run_rows import Row, tolerated
-from deploy.scenario.checking.warnings import ROTORS, require_hold, tenth_of_rotors
+from deploy.scenario.checking.warnings import require_hold
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
 from deploy.scenario.yaml_files import override
 from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, StudyOfCases
 from deploy.study.doubts import doubts
-from deploy.study.follow_ups import disturbances, remedies
+from deploy.study.follow_ups import disturbances, remedies, unknowns
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
+from deploy.study.follow_ups.expected_loss import first_loss, theory_beside
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
-from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, levels, shaped
-from deploy.study.follow_ups.theory import theory_of
-from deploy.study.follow_ups.trials import COLUMN, Trials, changed, trials
+from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
+from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
+from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.plants import Variant
-from deploy.study.quantities import MarginSearch, Steps
+from deploy.study.quoted import quoted
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
-from deploy.study.study import Different, PlannedRun, Seeds
+from deploy.study.study import ONE_START, Different, PlannedRun, Seeds
 from deploy.study.trials.sequential_test import SequentialTest
 
-_OF_PATTERNS = ("guaranteed", "worst_pattern", "patterns", "disturbances")
+_OF_PATTERNS = (
+    "guaranteed", "guaranteed_d_ms", "scenario_d_ms", "guaranteed_command",
+    "worst_pattern", "patterns", "disturbances",
+)  # fmt: skip
 """Keys of the findings about patterns of delays."""
-SMALLER_ROTORS = "smaller_rotors"
-"""Key of the findings about estimated rotors, and of what asks for them."""
 _MOST_VARIANTS = 200
 """Of a follow-up, for each start; their numbers do not depend on what is tried before them."""
 
@@ -54,6 +55,8 @@ class MarginDefinition(CasesDefinition):
         what_helps: at the first failure of each case, also try compensation, automatic play-out, a
             loop at the drives, half the gains and twice the rate.
         smaller_rotors: where rotors are estimated, search again with a tenth of them.
+        model_errors: factors on the scenario's own ``controller.model_scale``; up to the margin, it
+            is searched again with each of them.
     """
 
     seeds: Seeds = Field(default=[1, 2])
@@ -64,6 +67,7 @@ class MarginDefinition(CasesDefinition):
     disturbances: DisturbanceSizes | None = Field(default_factory=DisturbanceSizes)
     what_helps: bool = False
     smaller_rotors: bool = False
+    model_errors: list[Positive] = Field(default_factory=list)
 
 
 class Margin(StudyOfCases):
@@ -72,6 +76,7 @@ class Margin(StudyOfCases):
     Attributes:
         searches: the search of each case.
         follow_ups: what is tried of each case once its search is over, by its index and name.
+        theories: what theory says about the delay of each case, by its index.
     """
 
     kind = "margin"
@@ -88,10 +93,11 @@ class Margin(StudyOfCases):
             MarginSearch(self._steps(case.setting), variants=case.variants) for case in self.cases
         ]
         self.follow_ups: dict[int, dict[str, MarginSearch]] = {}
+        self.theories: dict[int, dict[str, Any]] = {}
         if self.definition.pattern is not None:
             self.columns["pattern"] = "string"
             for setting, start in ((case.setting, case.variants[0]) for case in self.cases):
-                self._checked(setting, shaped(start, HANDFUL[0], 0, setting.quantity))
+                self._checked(setting, shaped(start, HANDFUL[0], setting.quantity))
 
     @property
     def own_keys(self) -> dict[str, str]:
@@ -100,6 +106,17 @@ class Margin(StudyOfCases):
             keys = (f"link.{name}.pattern" for name in ("uplink", "downlink"))
             own |= dict.fromkeys(keys, "without pattern (--pattern)")
         return own
+
+    @property
+    def own_test(self) -> dict[str, Any]:
+        wanted, steps = self.definition, self.searches[0].steps
+        return {
+            **super().own_test,
+            "offsets": wanted.offsets,
+            "pattern": wanted.pattern,
+            "resolution": steps.resolution,
+            "limit": steps.value(steps.limit),
+        }
 
     def _steps(self, setting: Setting) -> Steps:
         return setting.quantity.steps(self.definition.resolution, self.definition.limit)
@@ -110,20 +127,18 @@ class Margin(StudyOfCases):
 
     def variants_of(self, setting: Setting) -> list[Variant]:
         own, key = setting.base.scenario.robot.initial_offset_rad, "robot.initial_offset_rad"
-        starts = [
-            Variant(
-                number,
-                (override(key, (scale * own).tolist()),),
-                {"offset_scale": scale, COLUMN: None},
-            )
-            for number, scale in enumerate(self.definition.offsets)
-        ]
+        different: dict[str, Variant] = {}
+        for number, scale in enumerate(self.definition.offsets):
+            start = override(key, (scale * own + 0.0).tolist())  # no -0.0
+            columns = {"offset_scale": scale, COLUMN: None}
+            different.setdefault(start, Variant(number, (start,), columns))
+        starts = list(different.values())
         if self.definition.pattern is None:
             return starts
         if self.definition.quantity != "delay":
             allowed = f"must be left out for {self.definition.quantity}: only a delay has patterns"
             raise ConfigurationError("pattern", self.definition.pattern, allowed)
-        return [shaped(start, None, start.number, setting.quantity) for start in starts]
+        return [shaped(start, None, setting.quantity) for start in starts]
 
     @property
     def expected(self) -> int:
@@ -147,7 +162,7 @@ class Margin(StudyOfCases):
         rows.append(values)
         more = super().follow(run, values)
         trial = self.trials[run.point]
-        has_failed = isinstance(search, Trials) and len(rows) >= trial.planned
+        has_failed = isinstance(search, Trials) and len(trial.rows) >= trial.planned
         if trial.known.outcome is None and not has_failed:  # a remedy that fails does not help
             return more  # nothing if it is unknown for good
         search.outcomes[steps] = all(map(tolerated, rows))
@@ -155,6 +170,8 @@ class Margin(StudyOfCases):
 
     def _next_probe(self, index: int, search: MarginSearch) -> list[PlannedRun]:
         is_own = search is self.searches[index]
+        if is_own and index not in self.theories:
+            self._ask_theory(index, search)
         if (steps := search.next()) is not None:
             new = search.variants[search.requested.get(steps, 0) :]
             search.requested[steps] = len(search.variants)
@@ -168,33 +185,44 @@ class Margin(StudyOfCases):
         others = self.follow_ups[index] = dict(self._follow_ups(index, search))
         return [run for each in others.values() for run in self._next_probe(index, each)]
 
+    def _ask_theory(self, index: int, search: MarginSearch) -> None:
+        """Compute the theory of a case when a run has shown that its law works, for the search."""
+        if self.definition.quantity != "delay" or not search.outcomes:
+            return
+        theory = self.theories[index] = theory_beside(self.cases[index].setting)
+        if "unstable_ms" in theory:
+            search.parts, search.hints = 1, first_loss(theory, search.steps)
+
     def _follow_ups(self, index: int, search: MarginSearch) -> Iterator[tuple[str, MarginSearch]]:
         """Return what is left to try of a case with this search, with numbers of their own."""
         case, wanted, steps = self.cases[index], self.definition, search.steps
         setting, block = case.setting, _MOST_VARIANTS * len(case.variants)
-        if wanted.pattern is not None and (margin := search.margin) is not None:
-            link = load_setup(setting.scenario, setting.at(steps.value(margin))).link
-            limited = replace(steps, first=margin, limit=margin)
+        if wanted.what_helps and search.margin is not None and search.first_failure is not None:
+            most = sum(map(len, search.rows.values())) // 2  # a third of all
+            yield "what_helps", remedies.trials_of(case, search, 2 * block, most)
+        if (margin := search.margin) is None:
+            return
+        limited = replace(steps, first=margin, limit=margin)
+        for number, (name, change) in enumerate(self._unknowns(setting).items(), 3):
+            variants = changed(case, name, change, number * block)
+            yield name, MarginSearch(limited, variants=variants, hints=[margin])
+        if wanted.pattern is not None:
+            at_margin = load_setup(setting.scenario, setting.at(steps.value(margin)))
             # Without delay all patterns hold.
-            yield "patterns", PatternSearch(limited, {0: True}, case=case, is_levelled=levels(link))
+            yield (
+                "patterns",
+                PatternSearch(limited, {0: True}, parts=1, case=case, at_margin=at_margin),
+            )
             if wanted.disturbances is not None:
                 values = sorted({margin, margin // 2, margin // 4}, reverse=True)
                 changes = disturbances.changes(wanted.disturbances, setting)
                 yield "disturbances", trials(case, steps, values, changes, block)
-        if wanted.what_helps and (failure := search.first_failure) is not None:
-            changes = remedies.changes(setting.base)
-            yield "what_helps", trials(case, steps, [failure], changes, 2 * block)
-        if (tenth := self._tenth_of_rotors(setting)) is not None:
-            yield (
-                SMALLER_ROTORS,
-                MarginSearch(steps, variants=changed(case, "rotors × 0.1", (tenth,), 3 * block)),
-            )
 
-    def _tenth_of_rotors(self, setting: Setting) -> str | None:
-        """Return the override with which a case is searched again; None if it is not."""
-        given = {*self.definition.fixed, *setting.quantity.keys}
-        is_wanted = self.definition.smaller_rotors and ROTORS not in given
-        return tenth_of_rotors(setting.base) if is_wanted else None
+    def _unknowns(self, setting: Setting) -> Changes:
+        wanted = self.definition
+        return unknowns.changes(
+            setting, smaller_rotors=wanted.smaller_rotors, model_errors=wanted.model_errors
+        )
 
     def keeps(self, row: Row) -> bool:
         """Whether a row is of what helps, which a gate in the same folder does not ask for."""
@@ -215,53 +243,58 @@ class Margin(StudyOfCases):
             "limit": steps.value(steps.limit),
             "completed": all(map(self._is_over, range(len(self.cases)))),
             "offsets": self.definition.offsets,
+            ONE_START: self._arms_with_one_start,
             "cases": [
-                {
-                    **case.findings,
-                    **_search_findings(search, case, self.columns),
-                    **self._follow_up_findings(index),
-                    "theory": self._theory(case.setting, search),
-                }
-                for index, (case, search) in enumerate(zip(self.cases, self.searches, strict=True))
+                self._findings_of(index, case) for index, case in enumerate(self.cases)
             ],
         }  # fmt: skip
+
+    @property
+    def _arms_with_one_start(self) -> list[str]:
+        """Arms whose initial offset is zero, so that every factor on it is the same start."""
+        scenarios = [base.scenario for base in self.bases]
+        is_several = len(self.definition.offsets) > 1
+        return [s.name for s in scenarios if is_several and not s.robot.initial_offset_rad.any()]
 
     def _is_over(self, index: int) -> bool:
         others = self.follow_ups.get(index)
         return others is not None and all(each.next() is None for each in others.values())
 
+    def _findings_of(self, index: int, case: Case) -> dict[str, Any]:
+        search = self.searches[index]
+        found = {
+            **case.findings,
+            **_search_findings(search, case, self.columns),
+            **self._follow_up_findings(index),
+            "theory": self.theories.get(index) if search.next() is None else None,
+        }
+        return {**found, **quoted(found)}
+
     def _follow_up_findings(self, index: int) -> dict[str, Any]:
         """Return the findings about patterns, disturbances and remedies that were asked for."""
-        wanted, names = self.definition, ("what_helps", SMALLER_ROTORS)
+        wanted, setting = self.definition, self.cases[index].setting
         asked = (
-            *_OF_PATTERNS * (wanted.pattern is not None),
-            *filter(partial(getattr, wanted), names),
-        )
-        found = dict[str, Any].fromkeys(asked)
-        setting = self.cases[index].setting
-        for name, search in self.follow_ups.get(index, {}).items():
+            *_OF_PATTERNS * (wanted.pattern is not None), *["what_helps"] * wanted.what_helps
+        )  # fmt: skip
+        found, searches = dict[str, Any].fromkeys(asked), self.follow_ups.get(index, {})
+        for name, search in searches.items():
             if isinstance(search, PatternSearch):
                 found |= search.findings(self.searches[index].rows[search.steps.limit])
             elif isinstance(search, Trials) and search.next() is None:
                 kind = remedies if name == "what_helps" else disturbances
                 found[name] = kind.findings(setting, search)
-            elif name == SMALLER_ROTORS:
-                found[name] = {"override": self._tenth_of_rotors(setting), **_ends(search)}
-        return found
-
-    def _theory(self, setting: Setting, search: MarginSearch) -> dict[str, Any] | None:
-        """Return what theory says about a delay, when all runs have shown that the law works."""
-        is_wanted = search.next() is None and self.definition.quantity == "delay"
-        return theory_of(setting.base) if is_wanted else None
+        return found | unknowns.findings(searches, self._unknowns(setting))
 
 
 def _search_findings(
     search: MarginSearch, case: Case, columns: Mapping[str, str]
 ) -> dict[str, Any]:
     all_rows = [row for rows in search.rows.values() for row in rows]
-    value, others = partial(_value, search), _margins_elsewhere(search)
+    value, others = search.value, _margins_elsewhere(search)
+    low, high = search.widest_gap or (0, 0)
     return {
-        **_ends(search),
+        **search.ends(),
+        "widest_gap": round((high - low) * search.steps.resolution, 9),
         "margin_on": {on: value(steps) for on, steps in others.items()},
         "held_again": list(map(value, search.held_again)),
         "seeds": seeds_of(all_rows),
@@ -277,20 +310,6 @@ def _search_findings(
             for steps, rows in sorted(search.rows.items())
         ],
     }
-
-
-def _ends(search: MarginSearch) -> dict[str, Any]:
-    """Return the margin of a search and its first failure."""
-    return {
-        "margin": _value(search, search.margin),
-        "first_failure": _value(search, search.first_failure),
-        "growth": search.steps.growth,
-        "completed": search.next() is None,
-    }
-
-
-def _value(search: MarginSearch, steps: int | None) -> float | None:
-    return None if steps is None else search.steps.value(steps)
 
 
 def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:

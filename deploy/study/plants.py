@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.arrays import elementwise
-from bus_schema.configuration import Whole
+from bus_schema.configuration import ConfigurationError, Whole
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import (
     Draw,
@@ -53,12 +53,14 @@ class Variant:
     Attributes:
         number: its number; drawn ones count from 1.
         overrides: the overrides that define it.
+        last: overrides of values that a growing quantity sets.
         columns: values that identify it, by column of the table.
     """
 
     number: int = 0
     overrides: tuple[str, ...] = ()
     columns: Mapping[str, Any] = field(default_factory=dict)
+    last: tuple[str, ...] = ()
 
     def refused(self, error: ScenarioError) -> ScenarioError:
         """Explain that the scenario refuses it."""
@@ -137,6 +139,9 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
         drawn = draw_plant(uncertainty, scenario, joints, seed=wanted.plant_seed, number=number)
         columns = {"plant": number, **drawn.draws}
         plants.append(Variant(number, (*drawn.overrides, *settled), columns))
+    if len(plants) > 1 and len({plant.overrides for plant in plants}) == 1:
+        allowed = "must draw different plants: a factor on 0, or a choice of one value, draws none"
+        raise ConfigurationError("uncertainty", ", ".join(uncertainty), allowed)
     return plants
 
 

@@ -60,6 +60,11 @@ class Robustness(cases.StudyOfCases):
         is_given = self.definition.uncertainty is not None
         return {UNCERTAINTY: "as --uncertainty"} if is_given else {}
 
+    @property
+    def own_test(self) -> dict[str, Any]:
+        keys = ("plants", "plant_seed", "uncertainty", "values", "kept_share")
+        return {**super().own_test, **self.definition.model_dump(include=set(keys), mode="json")}
+
     def last_value(self, _setting: cases.Setting) -> float:
         return self.definition.values[-1]
 

@@ -8,7 +8,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from deploy.judge.run_rows import PROVENANCE, Row, held, is_whole
+from deploy.judge.findings.reasons import Reason
+from deploy.judge.run_rows import PROVENANCE, Row, held, is_whole, reason_of
 
 NO_EFFECT = "none of its values changed any result of a run"
 
@@ -23,9 +24,13 @@ def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
         "runs": len(rows),
         "runs_kept": sum(held(row) for row in rows),
         "runs_growing": sum(bool(row.get("growing")) for row in rows),
-        "losses": dict(Counter(filter(None, (row.get("loss_reason") for row in rows)))),
+        "runs_vibrating": sum(bool(row.get("vibrating")) for row in rows),
+        "losses": dict(Counter(filter(None, map(reason_of, rows)))),
         "loss_joints": dict(Counter(filter(None, (row.get("loss_joint") for row in rows)))),
         "runs_failed": sum(row["error"] is not None for row in rows),
+        "not_tested_below_hz": max(
+            (hertz for row in rows if (hertz := row.get("not_tested_below_hz"))), default=None
+        ),
         "first_violation_s": spread([row.get("first_violation_s") for row in rows]),
         "violation_fraction": spread([row["violation_fraction"] for row in whole]),
         "margin_min": spread([row["margin_min"] for row in whole]),
@@ -82,7 +87,7 @@ def without_effect(
     """
     inputs = {"point", "seed", *columns}
     # Until a command acts, all runs are alike.
-    sound = [row for row in rows if row["error"] is None and row.get("loss_reason") != "start"]
+    sound = [row for row in rows if row["error"] is None and row.get("loss_reason") != Reason.START]
     results = [
         {key: row[key] for key in row.keys() - inputs - {PROVENANCE} if row[key] is not None}
         for row in sound

@@ -24,6 +24,7 @@ from controller.laws.read_files import files_read
 from deploy.judge.conditions import Conditions, conditions_of_runs
 from deploy.judge.findings.loss_reason import AFTER_S
 from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
+from deploy.judge.tested_with import TESTED_WITH, tested_with
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import InProcess, execute
 from deploy.run.run_folder import RunFolder, provenance
@@ -41,6 +42,8 @@ from plant_emulator.plant_loop import PlantLoop
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
 OF_BOUND = "% of the bound"
+ONE_START = "arms_with_one_start"
+"""Key of the findings about arms on which all starts are the same."""
 _MOST_SEEDS = 10_000
 
 Value = TypeVar("Value")
@@ -177,8 +180,9 @@ def _judged(setup: Setup, run: PlannedRun) -> Row:
 def _inputs(read: Mapping[str, str], run: PlannedRun) -> dict[str, str]:
     """Return the files read except the scenario, of which a study keeps a digest, and results."""
     results = f"{run.recording}/"
-    own = str(Path(run.scenario).resolve())
-    return {k: v for k, v in read.items() if k != own and not k.startswith(results)}
+    file = Path(run.scenario)
+    own = {str(file.absolute()), str(file.resolve())}
+    return {k: v for k, v in read.items() if k not in own and not k.startswith(results)}
 
 
 def _folder(setup: Setup, run: PlannedRun) -> AbstractContextManager[RunFolder | None]:
@@ -259,6 +263,17 @@ class StudyOfRuns(ABC):
         return OF_BOUND
 
     @property
+    def tested_with(self) -> dict[str, dict[str, Any]]:
+        """The test of its results, as `deploy.judge.tested_with` describes it."""
+        files = {f"file {Path(name).name}": {"digest": each} for name, each in self.files.items()}
+        return {**tested_with(self.bases, self.own_test), **files}
+
+    @property
+    def own_test(self) -> dict[str, Any]:
+        """Values of its definition that belong to the test."""
+        return {"seeds": self.definition.seeds}
+
+    @property
     def expected(self) -> int:
         """Number of runs, as far as known now."""
         return self._requested
@@ -301,6 +316,7 @@ class StudyOfRuns(ABC):
             "commonest_error": commonest_error(rows),
             "seeds": seeds_of(rows) or self.definition.seeds,
             CONFIRMATION: confirmations(rows),
+            TESTED_WITH: self.tested_with,
             **self.findings(rows),
         }
 
@@ -326,7 +342,7 @@ class StudyOfRuns(ABC):
             "scenario": ", ".join(durations),
             "law": ", ".join(self.laws),
             "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
-            "starts": _starts(summary),
+            "starts": starts_text(summary),
             "seeds": ", ".join(map(str, summary["seeds"])),
             "set": ", ".join(self.definition.fixed_overrides) or "nothing",
         }
@@ -350,9 +366,12 @@ def shown_value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _starts(summary: Mapping[str, Any]) -> str:
+def starts_text(summary: Mapping[str, Any]) -> str:
+    """Describe the starts and plants of a study, and which starts are all the same."""
     offsets = summary.get("offsets", [1.0])
     text = "initial offset × " + ", ".join(f"{offset:g}" for offset in offsets)
+    if arms := summary.get(ONE_START):
+        text += f"; once on {', '.join(arms)}, where the initial offset is 0"
     if summary.get("plants") is None:
         return text
     return f"{text}; {summary['plants']} plants of plant_seed {summary['plant_seed']}"

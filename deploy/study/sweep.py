@@ -140,6 +140,11 @@ class Sweep(StudyOfRuns):
     def first(self) -> Iterable[PlannedRun]:
         return (replace(run, seed=seed) for run in self.points() for seed in self.definition.seeds)
 
+    @property
+    def own_test(self) -> dict[str, Any]:
+        keys = {"plants", "plant_seed", "uncertainty"}
+        return {**super().own_test, **self.definition.model_dump(include=keys, mode="json")}
+
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         by_point = rows_by(rows, lambda row: _grid_point(row["point"]))
         base = self.bases[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from plant_emulator.arm.disturbance import add_disturbance, disturbance_table
 from plant_emulator.arm.drive_loop import DriveLoop, add_drive_torques, drive_loop, idle
 from plant_emulator.arm.drive_train import (
     DriveTrains,
+    cogging_torque,
     drive_trains,
     friction_table,
     friction_torque,
@@ -79,7 +79,8 @@ class JointTorques:
         *,
         adds_drive: bool = True,
     ) -> None:
-        trains = drive_trains(configuration.actuator, robot, substep_s)
+        integrator = configuration.physics.integrator
+        trains = drive_trains(configuration.actuator, robot, substep_s, integrator)
         self._torques: Matrix = np.zeros((7, robot.joints))
         disturbance = disturbance_table(configuration.disturbance, robot.joint_names, random)
         self.drive = drive_loop(drive, configuration.drive_feedback.encoder, random)
@@ -149,8 +150,7 @@ def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[
         friction[i] = friction_torque(motors[1, i], joints, i, actuator[i])
         total[i] = actuator[i] - friction[i]
         if trains.cogging_per_rad > 0.0:
-            angle = trains.cogging_per_rad * motors[0, i]
-            total[i] -= trains.joints[i].cogging_nm * math.sin(angle)
+            total[i] -= cogging_torque(trains, motors, i)
         if trains.is_elastic and not joints[i].held:
             total[i] = turn_rotor(trains, motion, i, total[i])
         total[i] -= disturbance[i]

@@ -27,8 +27,7 @@ def configured_delays_ns(configuration: ChannelConfiguration) -> NDArray[np.int6
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    stages: list[ChannelConfiguration | ChangeableConditions] = [configuration]
-    stages += [entry for entry in configuration.schedule if isinstance(entry, ChangeableConditions)]
+    stages = _stages(configuration)
     delay_ms, jitter_ms = (
         max(getattr(stage, key) or 0.0 for stage in stages) for key in ("delay_ms", "jitter_ms")
     )
@@ -47,6 +46,31 @@ def configured_delays_ns(configuration: ChannelConfiguration) -> NDArray[np.int6
         offset_ns = round(configuration.trace.offset_ms * 1e6)
         delays_ns += offset_ns + np.rint(configuration.trace.scale * picked).astype(np.int64)
     return delays_ns.clip(0)
+
+
+def largest_delay_ns(configuration: ChannelConfiguration) -> int | None:
+    """Return the delay that no message of a direction exceeds, ns; None if there is none.
+
+    Jitter and a limited bandwidth have no such limit, or none that is known.
+
+    Args:
+        configuration: a section ``link.uplink`` or ``link.downlink``.
+
+    Raises:
+        ValueError: its file of delays cannot be used.
+    """
+    is_random = configuration.distribution == "empirical"
+    if is_random or any(stage.jitter_ms or stage.rate_kbit_s for stage in _stages(configuration)):
+        return None
+    return int(configured_delays_ns(configuration)[-1])
+
+
+def _stages(
+    configuration: ChannelConfiguration,
+) -> list[ChannelConfiguration | ChangeableConditions]:
+    """Return a direction's conditions at the start, and after each change of its schedule."""
+    changes = (each for each in configuration.schedule if isinstance(each, ChangeableConditions))
+    return [configuration, *changes]
 
 
 def round_trip_ns(up_ns: NDArray[np.int64], down_ns: NDArray[np.int64], share: float) -> int:

@@ -87,14 +87,13 @@ class MujocoArm(ArmPhysics):
         self._model, self._data = model, mujoco.MjData(model)
         self._robot = robot
         places = np.array([model.joint(name).id for name in robot.joint_names])
-        if specification.rotor_inertia_kg_m2 is not None:
-            model.dof_armature[places] = specification.rotor_inertia_kg_m2
-        self._rotors = model.dof_armature[places].copy()
-        data = self._data
+        rotors, data = specification.rotor_inertia_kg_m2, self._data
+        self._rotors: Vector = np.zeros(robot.joints) if rotors is None else rotors
         model_at, data_at = (0, 0) if step is None else (model._address, data._address)
         self._bodies = Bodies(
             model_at, data_at, places, data.qpos, data.qvel, data.qfrc_applied, model.dof_armature
         )
+        self._add_inertia(self._rotors)
         tables, period_ns = self._torques.tables, grid.period_ns
         fixed = (self._bodies, self.motion, period_ns, grid.substeps, tables)
         self._advance: Callable[[int, int], tuple[bool, int]] = (
@@ -125,11 +124,17 @@ class MujocoArm(ArmPhysics):
         momentum = np.zeros(model.nv)
         mujoco.mj_forward(model, data)
         mujoco.mj_mulM(model, data, momentum, bodies.velocities)
-        bodies.inertia[bodies.places] = np.where(joints, _HELD_KG_M2, self._rotors)
+        self._add_inertia(np.where(joints, _HELD_KG_M2, self._rotors))
         # A brake acts on its own joint only: the momentum along the free ones is kept.
         mujoco.mj_forward(model, data)
         mujoco.mj_solveM(model, data, bodies.velocities[None], momentum[None])
         _read(bodies, self.motion)
+
+    def _add_inertia(self, inertia_kg_m2: Vector) -> None:
+        """Set the inertia of rotors and brakes at each joint, shape (joints,)."""
+        self._bodies.inertia[self._bodies.places] = inertia_kg_m2
+        if self._model.dof_simplenum.any():  # a constant of MuJoCo contains it
+            mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
     def carry(self, payload_kg: float) -> None:
         super().carry(payload_kg)

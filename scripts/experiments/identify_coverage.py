@@ -1,12 +1,13 @@
 """How often true parameters lie within their 95 % intervals, on logs of virtual robots.
 
     python -m scripts.experiments.identify_coverage [--arm NAME] [--draws N] [--seed N]
-        [--seconds S]
+        [--seconds S] [--correlation S]
 
 Each draw is a robot near a shipped arm's file, with other masses, friction, rotors and lag. It
-follows the trajectory of `identify --design`; its log has 125 Hz and noise. The table has, for each
-parameter, in how many draws it was reported as seen, and how many of these held the truth. The last
-lines count only parameters that a fifth of the draws show.
+follows the trajectory of `identify --design`; its log has 125 Hz and noise, whose torques may be
+correlated in time. The table has, for each parameter, in how many draws it was reported as seen,
+and how many of these held the truth. The last lines count only parameters that a fifth of the draws
+show, and all seen and unseen ones together.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0, help="of the first draw")
     parser.add_argument("--seconds", type=float, default=25.0)
+    parser.add_argument("--correlation", type=float, default=0.0, help="of the noise, in s")
     given = parser.parse_args()
     robot, model, *_ = excitation(given.arm, given.seconds)
     off = defaultdict[str, list[float]](list)
@@ -58,7 +60,7 @@ def main() -> None:
         for seed in range(given.seed, given.seed + given.draws):
             random = np.random.default_rng(seed)
             truth = truth_of(robot, model, random)
-            write_log(log, given.arm, truth, random, given.seconds)
+            write_log(log, given.arm, truth, random, given.seconds, correlation_s=given.correlation)
             start_s = time.process_time()
             found = identify([log], [], None, robot, Wishes())
             spent_s.append(time.process_time() - start_s)

@@ -7,10 +7,19 @@ import pytest
 
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
+from bus_schema.urdf import text
+from bus_schema.urdf.checks import joint_ends
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.physics.engines import ENGINES
 from tests.arms import INSTALLED, FreeArm, forward_dynamics
 from tests.bus_schema.urdf_texts import LIMIT, inertial, joint, two_links
+
+
+def resisting(damping, friction="0"):
+    """The first joint with damping and friction."""
+    more = f'<dynamics damping="{damping}" friction="{friction}"/>{LIMIT}'
+    return two_links(joint("first", "a", "b", inside=more))
+
 
 FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "fixed"))
 
@@ -36,6 +45,11 @@ FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "
         (two_links(second=joint("second", "nowhere", "c")), ("no link 'nowhere'",)),
         (two_links(more="<a>" * 100_000 + "</a>" * 100_000), ("must not be nested deeper",)),
         (two_links(b=inertial("1e300")), ("must be at most 1e",)),
+        (two_links(b=inertial("1_0")), ("mass='1_0'", "link b", "finite number")),
+        (resisting("nan"), ("damping='nan' of joint first", "finite number")),
+        (resisting("1e300"), ("damping='1e300' of joint first", "must be at most 1e")),
+        (resisting("-1"), ("damping='-1' of joint first", "must not be negative")),
+        (resisting("0", "-0.2"), ("friction='-0.2' of joint first", "must not be negative")),
         (two_links(b=inertial().replace('<mass value="2"/>', "")), ("must have one mass",)),
         (two_links(b=inertial("${m}")), ("${m}", "<mass>", "xacro")),
         (two_links(b=inertial("nan")), ("mass='nan'", "link b", "finite")),
@@ -117,6 +131,20 @@ def test_meshes_that_are_not_there_cost_one_line(load, name):
 
         with closing(ArmCamera(robot)) as camera:
             assert camera.render(np.zeros(2), 40, 30).shape == (30, 40, 3)
+
+
+def test_package_of_a_mesh_may_be_named_as_in_xacro(load, tmp_path):
+    folder = tmp_path / "some_description"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "package.xml").write_text("<package><name>some_description</name></package>")
+    (folder / "meshes/b.stl").write_text("solid b\nendsolid b\n")
+    name = "$(find some_description)/meshes/b.stl"
+    shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    robot = load(two_links(b=inertial() + shape))
+    assert str(folder / "meshes/b.stl") in robot.resolved_urdf()
+    assert not robot.warnings
+    with pytest.raises(RobotDescriptionError, match="which xacro has not expanded"):
+        load(two_links(b=inertial("$(find mass)")))
 
 
 @pytest.mark.parametrize("engine", INSTALLED)
@@ -282,6 +310,24 @@ def test_last_digit_of_a_rounded_inertia_matters_to_no_engine(engine, load, izz)
 
 
 @pytest.mark.parametrize("engine", INSTALLED)
+@pytest.mark.parametrize(
+    "moments",
+    [
+        ("1.09317111513898E-07", "1.10835075609816E-15", "1.09317110675672E-07"),
+        ("0", "0.02", "0.02"),  # an ideal rod
+    ],
+)
+def test_needle_thinner_than_mujoco_takes_is_read_by_every_engine(engine, load, moments):
+    needle = inertial("0.003", *moments).replace('ixy="0"', 'ixy="-9.31929125413026E-13"')
+    mount = joint("mount", "c", "d", "fixed")
+    robot = load(two_links(more=f'<link name="d">{needle}</link>{mount}'))
+    assert not robot.warnings
+    with closing(FreeArm(robot, engine)) as arm:
+        expected = ManipulatorModel(robot).mass_matrix(np.zeros(2))
+        np.testing.assert_allclose(arm.mass_matrix(np.zeros(2)), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("engine", INSTALLED)
 def test_moments_of_almost_nothing_and_axes_without_direction_are_read(engine, load):
     frame = inertial("1e-7", "3e-22", "3e-22", "5e-22")
     mount = joint("mount", "c", "d", "fixed", inside="").replace('xyz="0 1 0"', "")
@@ -332,3 +378,25 @@ def test_robot_with_too_many_links_loses_light_ends_near_its_base(load):
     assert robot.resolved_urdf().count("<link ") == 127
     assert any("without mass are left out: f0, f1" in each for each in robot.warnings)
     assert 'name="f0"' not in robot.text
+
+
+@pytest.mark.parametrize("is_chain", [False, True])
+def test_thousands_of_frames_are_dropped_in_linear_time(load, monkeypatch, is_chain):
+    calls = 0
+
+    def counted(element):
+        nonlocal calls
+        calls += 1
+        return joint_ends(element)
+
+    monkeypatch.setattr(text, "joint_ends", counted)
+    frames = "".join(
+        f'<link name="f{n}"/>'
+        + joint(f"j{n}", f"f{n - 1}" if is_chain and n else "c", f"f{n}", "fixed", inside="")
+        for n in range(3000)
+    )
+    robot = load(two_links(more=frames))
+    assert robot.resolved_urdf().count("<link ") == 127
+    assert calls <= 3 * 3002
+    (warning,) = robot.warnings
+    assert len(warning) < 300

@@ -87,6 +87,10 @@ def test_refused_in_a_sentence_with_the_file(expand, text, message):
         (value("'%.2f' % pi + '_'.join(['a', 'b']).upper()"), "3.14A_B"),
         (value("load_yaml('limits.yaml').j1.max"), "2.5"),
         (value("xacro.load_yaml('limits.yaml')['angle']"), "3.141592653589793"),
+        (value("[4, 5].pop(0)"), "4"),
+        (value("dict(a=3).pop('a')"), "3"),
+        ("""<xacro:property name="L" value="${['a', 'b']}"/><xacro:property name="n"
+         value="${L.pop(0)}"/><a v="${n}${L.index('b')}"/>""", "a0"),
         ('<a v="$(optenv STRANGER none)"/>', "none"),
         ('<xacro:arg name="n" default="3"/><a v="$(eval 2*n + 1)"/>', "7"),
         (MACRO.format("x y:=${4*2} *b", '<a v="${y}"><xacro:insert_block name="b"/></a>', 'x="4"')

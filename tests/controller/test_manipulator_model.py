@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,35 @@ def test_joints_keep_the_order_of_the_file(tmp_path):
         np.testing.assert_allclose(
             backward.tip_position(position[::-1]), forward.tip_position(position), atol=1e-12
         )
+
+
+def test_tips_of_many_postures_are_those_of_pinocchio(robot):
+    model = ManipulatorModel(robot)
+    positions = np.array([position for position, _ in states(robot)])
+    expected = [model.tip_position(position) for position in positions]
+    np.testing.assert_allclose(model.tip_positions(positions), expected, atol=1e-14)
+
+
+SLIDER = """<robot name="slider">
+<link name="base"/><link name="mast"/><link name="arm"/><link name="hand"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="mast"/><axis xyz="0 0 1"/>
+  <origin xyz="0 0 0.5" rpy="0 0.3 0"/><limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
+<joint name="lift" type="prismatic"><parent link="mast"/><child link="arm"/><axis xyz="0 0.6 0.8"/>
+  <origin xyz="0.1 0 0"/><mimic joint="turn" multiplier="-0.5" offset="0.05"/>
+  <limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
+<joint name="bend" type="revolute"><parent link="arm"/><child link="hand"/><axis xyz="0 1 0"/>
+  <origin xyz="0.4 0 0"/><limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
+</robot>"""
+
+
+def test_tips_of_arms_with_sliding_followers_are_those_of_pinocchio(tmp_path):
+    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    body = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    text = re.sub(r'<link name="(\w+)"/>', rf'<link name="\1">{body}</link>', SLIDER)
+    (tmp_path / "slider.urdf").write_text(text)
+    robot = load_robot(tmp_path / "slider.urdf")
+    assert robot.joint_names == ("turn", "bend")
+    model = ManipulatorModel(robot)
+    positions = np.array([position for position, _ in states(robot)])
+    expected = [model.tip_position(position) for position in positions]
+    np.testing.assert_allclose(model.tip_positions(positions), expected, atol=1e-14)

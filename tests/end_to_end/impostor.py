@@ -98,7 +98,8 @@ class Impostor(AbstractContextManager["Impostor"]):
         name = node_name(Role.RECORDER)
         self.session.announce(node_token(0, self.session.identifier, name))
         for gid in self._publishers.values():
-            self.session.announce(recorded_key_expression(0, gid.hex()))
+            own = self.session.identifier
+            self.session.announce(recorded_key_expression(0, gid.hex(), own))
 
     def __exit__(self, *_: object) -> None:
         self.session.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 from impostor import OWN_ID, Impostor
 from running import (
     ENDLESS,
@@ -21,6 +23,7 @@ from running import (
     Finished,
     Watcher,
     assert_as_simulated,
+    funnel_hil,
     funnel_hil_here,
     settings,
     started,
@@ -164,6 +167,43 @@ def test_second_recorder_that_has_everything_ends_no_run(tmp_path: Path) -> None
         stranger.speak_as_recorder()
         ended, _ = run.end_later(LATER_S)
     assert ended.summary["faults"] == [], ended.output
+
+
+@contextmanager
+def silent_recorder(endpoint: str) -> Iterator[str]:
+    """A client that declares a recorder's token as soon as it can connect, and nothing else."""
+    configuration = zenoh.Config()
+    for path, value in {
+        "connect/endpoints": [endpoint],
+        "listen/endpoints": [],
+        "connect/exit_on_failure": False,
+        "connect/timeout_ms": -1,
+        "connect/retry": {"period_init_ms": 5, "period_max_ms": 5, "period_increase_factor": 1},
+        "scouting/multicast/enabled": False,
+    }.items():
+        configuration.insert_json5(path, json.dumps(value))
+    with zenoh.open(configuration) as session:
+        name = str(session.zid())
+        token = f"@ros2_lv/0/{name}/0/0/NN/%/%/funnel_hil_recorder"
+        with session.liveliness().declare_token(token):
+            yield name
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_recorder_that_the_run_did_not_start_is_ignored_and_named(
+    tmp_path: Path, clock: str
+) -> None:
+    """In lockstep, loops wait for recorders, and so for one that never acknowledges anything."""
+    endpoint = free_endpoint()
+    given = settings(clock=clock, duration_s=1.5, link__plant_endpoint=endpoint)
+    with silent_recorder(endpoint) as name:
+        ended = funnel_hil("run", "paper_arm", *given, out=tmp_path / "run")
+    assert ended.summary["faults"] == []
+    assert ended.summary["completed"]
+    if clock == "lockstep":  # in real time a busy machine may keep the recorder from its work
+        assert ended.summary["recorder"]["lost"] == 0
+    named = f"a recorder that this run did not start is ignored: session {name}"
+    assert ended.output.count(named) == 1
 
 
 class HauntedPlantLink(InProcessPlantLink):

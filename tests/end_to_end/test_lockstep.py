@@ -127,7 +127,7 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
         "scenario", "law", "clock", "link", "duration_s", "ticks", "completed", "faults",
         "real_time_factor", "bounds", "tracking", "torque", "timing", "transport", "recorder",
         "limits", "identified", "digest", "motion", "recording", "commander", "verdict",
-        "seed_used", "growing", "loss",
+        "seed_used", "growing", "loss", "tested_with",
     }  # fmt: skip
     assert set(summary["bounds"]) == {
         "kept", "violation_fraction", "first_violation_s", "margin_min", "margin_min_joint",

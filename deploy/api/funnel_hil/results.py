@@ -245,9 +245,9 @@ class Study(_Table):
 
     @property
     def margins(self) -> dict[str, float | None]:
-        """The margin by law, where this is a study of margins with one case for each law."""
+        """The margin to quote by law, where this is a study of margins with one case a law."""
         cases: list[dict[str, Any]] = self.summary.get("cases", [])
-        found = {case["law"]: case["margin"] for case in cases if "margin" in case}
+        found = {case["law"]: case["quoted"] for case in cases if "quoted" in case}
         if len(found) < len(cases) or not cases:
             raise InputError("margins: must be asked of margins with one case a law; see summary")
         return found

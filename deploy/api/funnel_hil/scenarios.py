@@ -45,7 +45,7 @@ class Scenario:
 
     Args:
         source: the name of a shipped scenario, a file, a dictionary as such a file holds one (it
-            may ``extends`` a shipped scenario), or another scenario.
+            may ``extends`` another one), or another scenario.
         changes: what is set in it.
         law: what to control it with; the scenario's own by default.
 

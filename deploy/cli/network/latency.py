@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -15,11 +15,14 @@ import typer
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.tables import column_names, read_columns
+from bus_schema.user_files import read_text
 from deploy.cli.network.trace import Unit
 from deploy.measure.latency import Latency, find_latency
-from deploy.measure.mcap_series import element_place, read_series
-from deploy.measure.trace_import import UNITS_MS
+from deploy.measure.latency_export import ENDINGS, Export, exported
+from deploy.measure.mcap_series import element_place, read_field, rows_of
+from deploy.measure.time_units import UNITS_MS, check_interval, unit_of
 
+_Rows = tuple[Vector, Vector, Vector]
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TIMES = ("time_s", "t", "time", "timestamp")
 _CLEARLY_LESS, _EXACT = 0.9, 1e-9
@@ -38,7 +41,9 @@ def latency(
     time: Annotated[
         str | None, typer.Option(help="Column of times.  [default: time_s, t, time or timestamp]")
     ] = None,
-    unit: Annotated[Unit, typer.Option(help="Unit of the times.")] = Unit.S,
+    unit: Annotated[
+        Unit, typer.Option(help="Unit of the times, if the name of their column does not say it.")
+    ] = Unit.S,
     linear: Annotated[
         bool,
         typer.Option(
@@ -48,23 +53,23 @@ def latency(
     longest_ms: Annotated[
         float, typer.Option("--longest", metavar="MS", help="Largest dead time and lag to search.")
     ] = 500.0,
+    export: Annotated[
+        Export | None, typer.Option(help="Write the latency for this program.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File of --export.  [default: <file>_latency.*]")
+    ] = None,
 ) -> None:
     """Estimate dead time and first-order lag from a recorded command and response.
 
-    Both come with 95 % intervals. If a file has several episodes, the longest is used.
+    Both come with 95 % intervals, as does their sum. If a file has several episodes, the longest is
+    used.
     """
-    if file.is_dir() or file.suffix in (".mcap", ".db3"):
-        if time is not None or unit != Unit.S:
-            raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
-        held, on_lines = (
-            read_series(file, command, response, is_held=is_held) for is_held in (True, False)
-        )
-    else:
-        times_s, commands, responses = _columns(file, time, command, response)
-        held = on_lines = times_s * (UNITS_MS[unit] / 1e3), commands, responses
-    longest_s, (series, others) = longest_ms / 1e3, (held, on_lines)[:: -1 if linear else 1]
+    read = _read(file, command, response, time, unit)
+    longest_s, (rows, others) = longest_ms / 1e3, read.rows[:: -1 if linear else 1]
     try:
-        found, seen_s, episodes = _fitted(*series, longest_s, is_held=not linear)
+        found, seen_s, episodes = _fitted(*rows, longest_s, is_held=not linear)
+        check_interval(seen_s)
     except ValueError as error:
         raise InputError(f"{file}: {command}, {response}: {error}") from error
     try:
@@ -75,13 +80,58 @@ def latency(
     rate_hz = 1.0 / float(np.median(np.diff(seen_s)))
     kept = "on lines" if linear else "held"
     print(f"{len(seen_s):,} rows at {rate_hz:.4g} Hz{of}; commands are {kept}")
+    print("".join(f"{each}\n" for each in read.notes), end="")
     _print(found, other, other_choice="without --linear" if linear else "with --linear")
+    if found.misfit:
+        print("".join(f"{each}\n" for each in read.doubts), end="")
+    if export is not None:
+        _export(found, export, file, out)
+
+
+class _Read(NamedTuple):
+    """What a file says.
+
+    Attributes:
+        rows: times, commands and responses, with commands held and with commands on lines.
+        notes: what was not read, a sentence each.
+        doubts: reasons why the model may not fit, a sentence each.
+    """
+
+    rows: tuple[_Rows, _Rows]
+    notes: Sequence[str] = ()
+    doubts: Sequence[str] = ()
+
+
+def _read(file: Path, command: str, response: str, time: str | None, unit: Unit) -> _Read:
+    """Read a table, or a recording of ROS messages."""
+    if not (file.is_dir() or file.suffix in (".mcap", ".db3")):
+        times_s, commands, responses = _columns(file, time, unit, command, response)
+        return _Read(((times_s, commands, responses),) * 2)
+    if time is not None or unit != Unit.S:
+        raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
+    fields = [read_field(file, name) for name in (command, response)]
+    held, on_lines = (rows_of(*fields, is_held=is_held) for is_held in (True, False))
+    notes, doubts = ([*fields[0].notes, *fields[1].notes], [*fields[0].doubts, *fields[1].doubts])
+    return _Read((held, on_lines), notes, doubts)
+
+
+def _export(found: Latency, export: Export, file: Path, out: Path | None) -> None:
+    """Write what was found for another program, and print the file's name."""
+    if found.misfit:
+        raise InputError(f"{file}: --export {export}: the model does not fit")
+    path = out or Path(f"{file.stem}_latency{ENDINGS[export]}")
+    try:
+        path.write_text(exported(found, export, file.name), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--out {path}: cannot be written: {error.strerror}") from error
+    print(f"{export}: {path}")
 
 
 def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
     """Print what was found, whether the model fits, and whether the other interpolation does."""
     for name, (value, half), scale, suffix in (
         ("dead time", found.dead_time_s, 1e3, " ms"), ("lag", found.lag_s, 1e3, " ms"),
+        ("together", found.together_s, 1e3, " ms, the delay that slow motions show"),
         ("gain", found.gain, 1.0, ""),
     ):  # fmt: skip
         interval = "" if found.misfit else f" ± {scale * half:.3f}"
@@ -109,8 +159,8 @@ def _fitted(
     return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
-def _columns(file: Path, time: str | None, *names: str) -> Iterator[Vector]:
-    """Yield the columns of times and of these names, of finite numbers alone.
+def _columns(file: Path, time: str | None, unit: Unit, *names: str) -> Iterator[Vector]:
+    """Yield the columns of times in s and of these names, of finite numbers alone.
 
     An element of a column of lists may be given by its name in the data set.
     """
@@ -122,7 +172,8 @@ def _columns(file: Path, time: str | None, *names: str) -> Iterator[Vector]:
         for name in wanted:
             allowed = "must be one finite number in each row"
             columns.refuse_where(~np.isfinite(columns.values[name]), name, allowed)
-            yield columns.values[name]
+            scale = UNITS_MS[unit_of(time, unit)] / 1e3 if name == time else 1.0
+            yield columns.values[name] * scale
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -143,6 +194,6 @@ def _names(file: Path, column: str) -> list[str]:
     """
     infos = (folder / "meta" / "info.json" for folder in file.absolute().parents)
     info = next((each for each in infos if each.is_file()), None)
-    features = {} if info is None else json.loads(info.read_text()).get("features", {})
+    features = {} if info is None else json.loads(read_text(info)).get("features", {})
     names: Any = features.get(column, {}).get("names") or []
     return next(iter(names.values()), []) if isinstance(names, dict) else names

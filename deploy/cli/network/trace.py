@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import typer
@@ -12,6 +13,8 @@ import typer
 from bus_schema.errors import InputError
 from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure import trace_import
+from deploy.measure.clocks import at_least, drift_ppm, without_drift
+from deploy.measure.time_units import check_interval, unit_of
 from deploy.measure.trace_output import scenario_lines, write_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
@@ -55,7 +58,15 @@ def import_trace(
     delay: Annotated[
         str | None, typer.Option(help="CSV column of delays, instead of --to.")
     ] = None,
-    unit: Annotated[Unit, typer.Option(help="Unit of times in CSV.")] = Unit.S,
+    unit: Annotated[
+        Unit, typer.Option(help="Unit of CSV columns whose names, unlike sent_ns, do not say it.")
+    ] = Unit.S,
+    delay_unit: Annotated[
+        Unit | None, typer.Option(help="Unit of --delay, if it is another.", show_default=False)
+    ] = None,
+    interface: Annotated[
+        str | None, typer.Option(help="The only bus to read of candump, as can0.")
+    ] = None,
     interval_s: Annotated[
         float,
         typer.Option("--interval", metavar="S", help="Time between requests, for ping without -D."),
@@ -66,6 +77,12 @@ def import_trace(
             "--least", metavar="MS", help="Smallest delay to assume, if the clocks differ."
         ),
     ] = None,
+    one_clock: Annotated[
+        bool,
+        typer.Option(
+            "--one-clock", help="Sent and received times are of one clock: keep delays that grow."
+        ),
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(help="The trace, .csv or .parquet; by default <file>_trace.csv.")
     ] = None,
@@ -73,39 +90,85 @@ def import_trace(
     """Convert another program's measurement to a trace, and print the scenario lines for it.
 
     Of ping and of tshark's tcp.analysis.ack_rtt, each direction replays half of each round trip.
+    If a log of candump has several buses with both frames, each becomes a trace.
     """
-    measured = _read(kind, file, sent, received, delay, unit, interval_s)
-    if least_ms is not None:
-        delays_ms = measured.delays_ms + (least_ms - np.nanmin(measured.delays_ms))
-        measured = measured._replace(delays_ms=delays_ms)
+    measurements = _read(kind, file, _Names(sent, received, delay), interval_s, interface,
+                         (unit, delay_unit))  # fmt: skip
     path = out or Path(f"{file.stem}_trace.csv")
     is_round_trip = kind is Kind.PING or delay == trace_import.ACK_ROUND_TRIP
-    write_trace(measured, path, is_round_trip=is_round_trip)
-    print(measured.summary())
-    print("\n".join(scenario_lines({"uplink": path, "downlink": path})))
+    has_two_clocks = (kind is Kind.MCAP and not received) or (kind is Kind.CSV and not delay)
+    for bus, measured in measurements.items():
+        own = path if len(measurements) == 1 else path.with_stem(f"{path.stem}_{_word(bus)}")
+        try:
+            check_interval(measured.sent_s)
+            ppm = drift_ppm(measured) if has_two_clocks and not one_clock else 0.0
+            measured = at_least(without_drift(measured, ppm), least_ms)
+        except ValueError as error:
+            raise InputError(f"{file}: {error}") from error
+        write_trace(measured, own, is_round_trip=is_round_trip)
+        print(f"{bus}: {measured.summary()}" if bus else measured.summary())
+        if ppm:
+            print(_drift_sentence(ppm, measured))
+        print("\n".join(scenario_lines({"uplink": own, "downlink": own})))
+
+
+class _Names(NamedTuple):
+    """What the user calls requests, answers and delays: identifiers, columns or topics."""
+
+    sent: str | None
+    received: str | None
+    delay: str | None
 
 
 def _read(
-    kind: Kind,
-    file: Path,
-    sent: str | None,
-    received: str | None,
-    delay: str | None,
-    unit: Unit,
-    interval_s: float,
-) -> MeasuredDelays:
+    kind: Kind, file: Path, names: _Names, interval_s: float, interface: str | None,
+    units: tuple[Unit, Unit | None],
+) -> dict[str, MeasuredDelays]:  # fmt: skip
+    """Return the measurements of a file by their bus, whose name is empty except for candump."""
+    sent, received, delay = names
+    for given, option, owner in (
+        (interface, "--interface", Kind.CANDUMP), (units[1], "--delay-unit", Kind.CSV),
+    ):  # fmt: skip
+        if given is not None and kind is not owner:
+            raise InputError(f"trace import {kind}: {option} is for {owner}")
     if kind is Kind.PING:
-        return trace_import.from_ping(file, interval_s)
+        return {"": trace_import.from_ping(file, interval_s)}
     if sent is not None and sent == received:
         raise InputError(f"trace import {kind}: --from and --to must differ, both are {sent}")
     if sent is None:
         raise InputError(f"trace import {kind}: --from must be given")
     if kind is Kind.MCAP:
-        return trace_import.from_mcap(file, sent, received)
+        return {"": trace_import.from_mcap(file, sent, received)}
     if kind is Kind.CSV:
-        if (received is None) == (delay is None):
-            raise InputError("trace import csv: give one of --to and --delay")
-        return trace_import.from_csv(file, sent, received, delay, unit)
+        return {"": _read_csv(file, sent, received, delay, units)}
     if received is None:
         raise InputError("trace import candump: --to must be given")
-    return trace_import.from_candump(file, sent, received)
+    return trace_import.from_candump(file, sent, received, interface)
+
+
+def _read_csv(
+    file: Path, sent: str, received: str | None, delay: str | None, units: tuple[Unit, Unit | None]
+) -> MeasuredDelays:
+    """Read two columns, each in the unit that its name or an option says; print these units."""
+    end = received or delay
+    if end is None or (received and delay):
+        raise InputError("trace import csv: give one of --to and --delay")
+    own = {name: unit_of(name, units[0]) for name in (sent, end)}
+    if delay and units[1]:
+        own[delay] = units[1]
+    print("units: " + ", ".join(f"{name} in {unit}" for name, unit in own.items()))
+    return trace_import.from_csv(file, sent, received, delay, own)
+
+
+def _drift_sentence(ppm: float, measured: MeasuredDelays) -> str:
+    """Say which drift was removed, and what remains unknown."""
+    span_s = float(np.ptp(measured.sent_s))
+    return (
+        f"the clocks drift by {ppm:.2f} ppm, {abs(ppm) * span_s / 1e3:.3g} ms in {span_s:.4g} s:"
+        " removed from the first message on; how far they are apart there is unknown"
+    )
+
+
+def _word(text: str) -> str:
+    """Return a text for the name of a file."""
+    return re.sub(r"[^0-9A-Za-z]+", "_", text)

@@ -50,7 +50,8 @@ def datasheet(options: DatasheetOptions) -> None:
         options.quick,
     )  # fmt: skip
     margin, windows = sheet.margin(), sheet.windows()
-    gate = ResultGate(options, "datasheet", "ms", "datasheet")
+    tested = sheet.tested_with(margin.tested_with) or {}
+    gate = ResultGate(options, "datasheet", "ms", tested, "datasheet")
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_oddities(*margin.bases, *(() if windows is None else windows.bases))

@@ -138,7 +138,7 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
     gate = None
     if isinstance(options, GateOptions):
         gate = ResultGate(
-            options, study.definition.name, study.unit, study.kind, quantity,
+            options, study.definition.name, study.unit, study.tested_with, study.kind, quantity,
             patterns=pattern is not None,
         )  # fmt: skip
     say_oddities(*study.bases)
@@ -163,6 +163,8 @@ def carried_out(
         study, _workers(study, options), options.out, _progress(console, study, options, stop),
         overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
     ) as done:  # fmt: skip
+        if done.folder.unseen:
+            console.print(done.folder.unseen, markup=False, soft_wrap=True)
         yield done
 
 

@@ -34,6 +34,7 @@ class CommandProgress:
     def __init__(self, console: Console, name: str, total: float, unit: str) -> None:
         self._console, self._unit, self._note = console, unit, ""
         self._total, self._done, self._done_before = total, 0.0, 0.0
+        self._share, self._total_moves = 0.0, False
         self._is_brief = False
         self._bar = Progress(
             TextColumn("{task.description}", style="bold", markup=False, table_column=_WHOLE),
@@ -41,7 +42,7 @@ class CommandProgress:
             TextColumn("{task.fields[line]}", markup=False, table_column=_WHOLE),
             console=console, transient=True, disable=not console.is_terminal,
         )  # fmt: skip
-        self._task = self._bar.add_task(name, total=total, line="starting")
+        self._task = self._bar.add_task(name, total=1.0, line="starting")
         self._started_s = self._printed_s = time.monotonic()
         self._marks = [(self._started_s, 0.0)]
         self._is_printed, self._printed_done = True, -1.0
@@ -67,15 +68,18 @@ class CommandProgress:
 
         Args:
             done: how much in all.
-            total: how much there is to do; as before by default.
+            total: how much there is to do; as before by default. Where it changes, the share that
+                is done is shown instead, which never falls.
             note: what else there is to say; as before by default.
         """
         self._done = done
         if done - self._done_before > self._marks[-1][1]:
             self._marks.append((time.monotonic(), done - self._done_before))
-        self._total = self._total if total is None else total
+        if total is not None and total != self._total:
+            self._total, self._total_moves = total, True
+        self._share = max(self._share, done / self._total if self._total > 0.0 else 0.0)
         self._note = self._note if note is None else note
-        self._bar.update(self._task, completed=done, total=self._total, line=self._fitting_line())
+        self._bar.update(self._task, completed=self._share, line=self._fitting_line())
         self._is_printed = False
         is_time = time.monotonic() - self._printed_s >= _PLAIN_LINE_S
         if is_time and done != self._printed_done:  # the start is printed once
@@ -129,12 +133,21 @@ class CommandProgress:
         elapsed_s = max(time.monotonic() - self._started_s, 1e-9)
         speed = (self._done - self._done_before) / elapsed_s
         line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
+        if self._total_moves:  # a search that ends earlier or later than it seemed
+            line = f"{self._done:g} {self._unit}, {100.0 * min(self._share, 1.0):.0f} %"
         if speed > 0.0:
             is_time = self._unit == "s"  # simulated seconds per second: the real-time factor
             line += f", speed {speed:.3g}" if is_time else f", {speed:.3g} {self._unit}/s"
             recent = self._recent_speed()
-            if time_left and self._done < self._total and abs(recent - speed) < _STEADY * speed:
-                line += f", {(self._total - self._done) / recent:.0f} s left"
+            is_steady = abs(recent - speed) < _STEADY * speed
+            if (
+                time_left
+                and self._done < self._total
+                and recent
+                and (is_steady or self._total_moves)
+            ):
+                about = "about " if self._total_moves else ""
+                line += f", {about}{(self._total - self._done) / recent:.0f} s left"
         return f"{line}, {self._note}" if self._note else line
 
     def _recent_speed(self) -> float:

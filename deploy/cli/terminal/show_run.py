@@ -21,6 +21,7 @@ def status_handler(
     names = short_names(joint_names)
     state: dict[str, Any] = {}
     settings: list[dict[str, Any]] = []
+    warnings: set[str] = set()
 
     def handle(message: StatusMessage) -> None:
         if message.kind == "progress":
@@ -36,6 +37,10 @@ def status_handler(
             progress.say(f"{message.role}: {message.values['text']}")
         elif message.kind == "note" and message.role == VIEWER:
             progress.say(message.values["text"])
+        elif message.kind == "warning":
+            if (text := message.values["text"]) not in warnings:  # both loops may have it
+                warnings.add(text)
+                progress.say(f"{message.role}: {text}")
         elif message.kind == "compiles":
             say_that_it_compiles(progress.say)
         elif message.kind == "realtime":

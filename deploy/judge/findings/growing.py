@@ -3,7 +3,8 @@
 In the last part of a run, each joint's error is divided into overlapping Hann-windowed segments. A
 loop that is unstable has a peak at the same frequency in all of them, whose logarithm rises along a
 straight line. A resonance or the beat of two references rises along a curve, noise scatters about
-it, and a limit cycle does not rise.
+it, and a limit cycle does not rise. Oscillations too slow for spectra are looked for by
+`deploy.judge.findings.slow_growth`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bus_schema.arrays import Matrix, Vector
+from deploy.judge.findings.slow_growth import LEAST_PERIODS, Oscillation, slow_oscillation
 
 _SEGMENTS = 7
 _PART = 0.5
@@ -42,8 +44,26 @@ class Growth:
     frequency_hz: float
 
 
-def growths(errors_rad: Matrix, positions_rad: Matrix, rate_hz: float) -> list[Growth | None]:
-    """Return how each joint's error grows over the last half of a run; None if it does not.
+@dataclass(frozen=True)
+class Growths:
+    """How the errors of a run grow, and what the run is too short to show.
+
+    Attributes:
+        joints: growth of each joint's error; None for none.
+        not_tested_below_hz: slower oscillations may grow unseen; None if nothing was tested.
+    """
+
+    joints: list[Growth | None]
+    not_tested_below_hz: float | None
+
+
+def longest_growth_time_s(duration_s: float) -> float:
+    """Return the time for growth by a factor of e, s, above which a run's growth is not seen."""
+    return float(_PART * duration_s * (_SEGMENTS - 1) / (_SEGMENTS + 1) / np.log(_LEAST_GROWTH))
+
+
+def growths(errors_rad: Matrix, positions_rad: Matrix, rate_hz: float) -> Growths:
+    """Return how each joint's error grows over the last half of a run.
 
     Args:
         errors_rad: errors at every tick, shape (ticks, joints).
@@ -54,17 +74,36 @@ def growths(errors_rad: Matrix, positions_rad: Matrix, rate_hz: float) -> list[G
     hop = len(last) // (_SEGMENTS + 1)
     length = 2 * hop
     if length < _LEAST_SEGMENT or not np.isfinite(last).all():
-        return [None] * errors_rad.shape[1]
+        return Growths([None] * errors_rad.shape[1], None)
     window = np.hanning(length)
     segments = sliding_window_view(last, length, axis=0)[::hop][:_SEGMENTS]
     scale = 2.0 / window.sum()
     detrended = segments - segments.mean(axis=2, keepdims=True)
     amplitudes = scale * np.abs(np.fft.rfft(window * detrended))
     floors_rad = _ROUNDINGS * np.spacing(np.abs(positions_rad[-len(last) :]).max(axis=0))
-    return [
+    found = [
         _growth(amplitudes[:, joint], hop / rate_hz, floor_rad)
         for joint, floor_rad in enumerate(floors_rad.tolist())
     ]
+    slow = [
+        slow_oscillation(error, rate_hz, _LEAST_GROWTH, floor_rad)
+        for error, floor_rad in zip(last.T, floors_rad.tolist(), strict=True)
+    ]
+    is_known = all(each is not None for each in slow)
+    duration_s = len(last) / rate_hz
+    below_hz = LEAST_PERIODS / duration_s if is_known else _LEAST_PERIODS * rate_hz / length
+    return Growths(
+        [
+            fast or (_as_growth(other) if other else None)
+            for fast, other in zip(found, slow, strict=True)
+        ],
+        below_hz,
+    )
+
+
+def _as_growth(oscillation: Oscillation) -> Growth | None:
+    rate, rad_s = oscillation.exponent.real, oscillation.exponent.imag
+    return Growth(rate, rad_s / (2.0 * np.pi)) if rate > 0.0 else None
 
 
 def _growth(amplitudes_rad: Matrix, hop_s: float, floor_rad: float) -> Growth | None:

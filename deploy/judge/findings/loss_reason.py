@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
 from deploy.judge.bounds import bound_usage
-from deploy.judge.run_data import RunData
+from deploy.judge.findings.divergence import divergence
+from deploy.judge.findings.growing import Growth
+from deploy.judge.findings.lag import lag_s
+from deploy.judge.findings.reasons import Reason
+from deploy.judge.findings.vibration import at_limits
+from deploy.judge.recorded_ticks import rows_after_gaps
+from deploy.judge.run_data import RunData, Table
 
 _BEFORE_S = 1.0
 """Time before the loss that is looked at."""
@@ -22,27 +32,32 @@ AFTER_S = 0.3
 _FEWEST_SWINGS, _MOST_SWINGS = 4, 8
 _LEAST_SWING = 0.1
 """Share of the largest swing below which one is the reference's own, or noise."""
+_SWUNG_BACK = 2
+"""Changes from one torque limit to the other; a braked motion has one."""
+_PERIODS_WITHOUT_DELAY = 1.5
+"""A command acts one period after the measurement where nothing delays it."""
 
 
 class LossReason(NamedTuple):
     """Why a run left its funnel.
 
     Attributes:
-        reason: ``start``: no command had acted yet, brakes held the arm; ``growing``: an
-            oscillation grew; ``late command``: shortly before, a command in force was much older
-            than usual; ``saturated``: torques were at their limits for most of the time
-            before; ``friction or model``: anything else, a slow error.
+        reason: see `Reason`.
         joint: the first one outside.
         time_s: when.
-        rate_per_s: of an oscillation, its growth e^(rate t); None for none.
-        frequency_hz: likewise.
+        rate_per_s: of an error that grew as e^(rate t); None for none.
+        frequency_hz: of an oscillation; None for none.
+        lag_ms: the time by which the arm followed its reference late; None for no constant time.
+        without_delay: whether commands acted without a delay, so that none is the cause.
     """
 
-    reason: str
+    reason: Reason
     joint: str
     time_s: float
     rate_per_s: float | None = None
     frequency_hz: float | None = None
+    lag_ms: float | None = None
+    without_delay: bool = False
 
 
 def loss_reason(run: RunData) -> LossReason | None:
@@ -54,30 +69,151 @@ def loss_reason(run: RunData) -> LossReason | None:
     tick, truth = int(outside[0]), run.tables[topics.PLANT_TRUTH.name]
     worst = np.nan_to_num(usage[tick], nan=np.inf)  # an unknown position counts as outside
     joint, times_s = int(worst.argmax()), run.times_s(topics.PLANT_TRUTH)
-    place = run.setup.robot.joint_names[joint], float(times_s[tick])
     acting = np.flatnonzero(truth["command_age_ns"][: tick + 1] >= 0)
     if not acting.size:
-        return LossReason("start", *place)
-    first = max(int(acting[0]), int(np.searchsorted(times_s, times_s[tick] - _BEFORE_S)))
-    before = slice(first, tick + 1)
-    around = slice(first, int(np.searchsorted(times_s, times_s[tick] + AFTER_S)))
-    growth = _growing_swings(times_s[around], run.true_errors_rad[around, joint])
-    if growth is not None:
-        return LossReason("growing", *place, *growth)
-    if _was_late(times_s[before], truth["command_age_ns"][before]):
-        return LossReason("late command", *place)
-    is_saturated = truth["saturated"][before].mean() > _MOSTLY
-    return LossReason("saturated" if is_saturated else "friction or model", *place)
+        name = run.setup.robot.joint_names[joint]
+        return LossReason(Reason.START, name, float(times_s[tick]))
+    return _Loss(run, joint, int(acting[0]), tick).reason()
 
 
-def _was_late(times_s: Vector, ages_ns: Vector) -> bool:
-    """Whether a command in force in the last moments was much older than usual before."""
-    usual_ns, recent = np.median(ages_ns), times_s >= times_s[-1] - _LATELY_S
-    return bool(ages_ns[recent].max() > max(_MUCH_OLDER * usual_ns, usual_ns + _LATE_NS))
+@dataclass(frozen=True)
+class _Loss:
+    """The loss of one joint.
+
+    Attributes:
+        joint: its number.
+        acting: the first tick at which a command acts.
+        tick: the first tick outside.
+    """
+
+    run: RunData
+    joint: int
+    acting: int
+    tick: int
+
+    @cached_property
+    def truth(self) -> Table:
+        return self.run.tables[topics.PLANT_TRUTH.name]
+
+    @cached_property
+    def times_s(self) -> Vector:
+        return self.run.times_s(topics.PLANT_TRUTH)
+
+    @cached_property
+    def first(self) -> int:
+        """The first tick of the time just before the loss."""
+        return max(
+            self.acting, int(np.searchsorted(self.times_s, self.times_s[self.tick] - _BEFORE_S))
+        )
+
+    @cached_property
+    def end(self) -> int:
+        """The end of the time just after the loss."""
+        return int(np.searchsorted(self.times_s, self.times_s[self.tick] + AFTER_S))
+
+    @cached_property
+    def errors_rad(self) -> Vector:
+        return np.asarray(self.run.true_errors_rad[:, self.joint])
+
+    @cached_property
+    def is_without_delay(self) -> bool:
+        """Whether commands acted as soon as they can, and the law was asked at every state."""
+        ages_ns = self.truth["command_age_ns"][self.acting : self.tick + 1]
+        controller = self.run.setup.scenario.controller
+        longest_ns = _PERIODS_WITHOUT_DELAY * self.run.setup.grid.period_ns
+        is_asked_always = controller.every == 1 and not controller.inference_ms
+        return bool(is_asked_always and np.median(ages_ns) <= longest_ns)
+
+    def reason(self) -> LossReason:
+        """Return the first reason that fits, the most certain ones first."""
+        found = (
+            self._ran_out() or self._lag() or self._divergence() or self._oscillation()
+            or self._late() or self._at_limits() or self._because(Reason.SLOW)
+        )  # fmt: skip
+        return found._replace(without_delay=self.is_without_delay)
+
+    def _because(self, reason: Reason, growth: Growth | None = None) -> LossReason:
+        rate, hertz = (None, None) if growth is None else (growth.rate_per_s, growth.frequency_hz)
+        joint = self.run.setup.robot.joint_names[self.joint]
+        return LossReason(reason, joint, float(self.times_s[self.tick]), rate, hertz or None)
+
+    def _ran_out(self) -> LossReason | None:
+        """Whether the law had nothing left to send for most of the time in which the error rose."""
+        ended = self.run.last_values(Role.CONTROLLER, EventKind.ENDED)
+        stretches_s = ended.get("starved", {}).get("stretches_s", [])
+        if not stretches_s:
+            return None
+        sizes = np.abs(self.errors_rad[self.acting : self.tick + 1])
+        small = np.flatnonzero(sizes <= 0.5 * sizes[-1])
+        rising_s = self.times_s[self.acting + (int(small[-1]) if small.size else 0) : self.tick + 1]
+        begins, ends = np.transpose(stretches_s)
+        within = np.searchsorted(begins, rising_s, "right") - 1
+        is_starved = (within >= 0) & (rising_s <= ends[within])
+        return self._because(Reason.RAN_OUT) if is_starved.mean() >= _MOSTLY else None
+
+    def _oscillation(self) -> LossReason | None:
+        around = slice(self.first, self.end)
+        growth = _growing_swings(self.times_s[around], self.errors_rad[around])
+        return None if growth is None else self._because(Reason.GROWING, growth)
+
+    def _late(self) -> LossReason | None:
+        """Whether a command in force in the last moments was much older than usual before."""
+        before = slice(self.first, self.tick + 1)
+        times_s, ages_ns = self.times_s[before], self.truth["command_age_ns"][before]
+        usual_ns, recent = np.median(ages_ns), times_s >= times_s[-1] - _LATELY_S
+        is_late = ages_ns[recent].max() > max(_MUCH_OLDER * usual_ns, usual_ns + _LATE_NS)
+        return self._because(Reason.LATE) if is_late else None
+
+    def _divergence(self) -> LossReason | None:
+        around, joint = slice(self.acting, self.end), self.joint
+        errors, torques = self.errors_rad[around], self.truth["torque"][around, joint]
+        if not np.isfinite(errors).all() or rows_after_gaps(self.run, self.times_s[around]).size:
+            return None
+        rate_hz = self.run.setup.scenario.rate_hz
+        growth = divergence(errors, torques, self.tick - self.acting, rate_hz)
+        if growth is None:
+            return None
+        needs_delay = growth.frequency_hz > 0.0 and not self.is_without_delay
+        return self._because(Reason.GROWING if needs_delay else Reason.UNSTABLE, growth)
+
+    @cached_property
+    def sides(self) -> Vector:
+        """Where the joint's torque is at a limit, by its sign."""
+        limits, torques = self.run.setup.largest_torques_nm, self.truth["torque"]
+        return np.asarray(at_limits(torques, self.truth["saturated"], limits)[:, self.joint])
+
+    def _swings_s(self, part: slice) -> Vector:
+        """Return when the torque got from one limit to the other one, s."""
+        at = np.flatnonzero(self.sides[part])
+        changed = np.diff(self.sides[part][at]) != 0.0
+        return np.asarray(self.times_s[part][at[1:][changed]])
+
+    def _at_limits(self) -> LossReason | None:
+        """Return what torques at their limits mean: too much, the wrong sign, or not enough."""
+        swings_s = self._swings_s(slice(self.first, self.end))
+        if len(swings_s) >= _SWUNG_BACK:
+            hertz = 0.5 * (len(swings_s) - 1) / float(np.ptp(swings_s))
+            return self._because(Reason.VIBRATION)._replace(frequency_hz=hertz)
+        after = slice(self.tick, self.end)
+        outwards = self.sides[after] * np.sign(self.errors_rad[after]) > 0.0
+        if self.is_without_delay and outwards.mean() > _MOSTLY:
+            return self._because(Reason.UNSTABLE)
+        is_saturated = self.truth["saturated"][self.first : self.tick + 1].mean() > _MOSTLY
+        return self._because(Reason.SATURATED) if is_saturated else None
+
+    def _lag(self) -> LossReason | None:
+        before = slice(self.first, self.tick + 1)
+        errors, period_s = self.errors_rad[before], 1e-9 * self.run.setup.grid.period_ns
+        wanted = self.truth["position"][before, self.joint] - errors
+        is_known = len(errors) > 1 and bool(np.isfinite(wanted).all())
+        if not is_known or len(self._swings_s(before)) >= _SWUNG_BACK:
+            return None
+        lag = lag_s(errors, np.gradient(wanted, period_s), len(errors) * period_s)
+        return None if lag is None else self._because(Reason.LAG)._replace(lag_ms=1e3 * lag)
 
 
-def _growing_swings(times_s: Vector, errors_rad: Vector) -> tuple[float, float] | None:
-    """Return growth (1/s) and frequency (Hz) of an oscillation; None for none that grows."""
+def _growing_swings(times_s: Vector, errors_rad: Vector) -> Growth | None:
+    """Return the growth of an oscillation by its turning points; None for none that grows."""
     if not np.isfinite(errors_rad).all():
         return None
     steps = np.diff(errors_rad)
@@ -92,4 +228,5 @@ def _growing_swings(times_s: Vector, errors_rad: Vector) -> tuple[float, float] 
         return None
     rate, _ = np.polyfit(times_s[turns[used + 1]], np.log(swings[used]), 1)
     half_periods_s = np.diff(times_s[turns])[is_large]
-    return float(rate), float(0.5 / np.median(half_periods_s))
+    hertz = float(0.5 / np.median(half_periods_s))
+    return Growth(float(rate), hertz) if rate > 0.0 else None

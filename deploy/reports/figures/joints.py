@@ -9,12 +9,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from deploy.judge.bounds import bound_usage
 from deploy.judge.findings.chattering import CHATTER_HZ, power_spectrum
-from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.run_data import RunData
+from deploy.judge.torques import torques as judged_torques
 from deploy.reports.figures import style
 from deploy.reports.figures.several_runs import (
     add_envelopes,
@@ -138,11 +138,14 @@ def _bounds(setup: Setup, until_s: float) -> go.Figure:
 
 
 def torques(run: RunData) -> go.Figure | None:
-    """Commanded torque of every joint, with its limits where it comes near them."""
-    figure = style.joint_series(run, topics.JOINT_COMMANDS, "effort", "N m")
-    if figure is None:
+    """Torque of every joint as it is judged, with its limits where it comes near them."""
+    times_s, values_nm, _ = judged_torques(run)
+    if not np.isfinite(values_nm).any():
         return None
-    peaks = np.abs(style.per_joint(run, topics.JOINT_COMMANDS, "effort")).max(axis=0)
+    figure = style.joint_rows(names := run.setup.robot.joint_names, "N m")
+    for row, (name, value) in enumerate(zip(names, values_nm.T, strict=True), start=1):
+        figure.add_trace(style.line(times_s, value, style.palette(row - 1), name), row=row, col=1)
+    peaks = np.abs(values_nm).max(axis=0)
     for joint, limit in enumerate(run.setup.robot.effort_limits_nm):
         if peaks[joint] > _NEAR * limit:
             for level in (-limit, limit):
@@ -151,7 +154,7 @@ def torques(run: RunData) -> go.Figure | None:
 
 
 def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
-    """Commanded torques: a row per joint, a column per run, one scale along each row."""
+    """Judged torques: a row per joint, a column per run, one scale along each row."""
     shown = _with_torques(runs)
     if not shown:
         return None
@@ -163,8 +166,8 @@ def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
     )  # fmt: skip
     for column, run in enumerate(shown, start=1):
         stroke = {"color": colour_of(runs, run.law), "width": 1}
-        times_s = run.data.times_s(topics.JOINT_COMMANDS)
-        for row, effort in enumerate(_efforts(run).T, start=1):
+        times_s, values_nm, _ = judged_torques(run.data)
+        for row, effort in enumerate(values_nm.T, start=1):
             x, y = style.decimate(times_s, effort, _TORQUE_POINTS)
             figure.add_scatter(
                 x=x, y=y, mode="lines", line=stroke, row=row, col=column,
@@ -187,9 +190,9 @@ def torque_spectra(runs: ComparedRuns) -> go.Figure | None:
     names = shown[0].data.setup.robot.joint_names
     figure = with_runs(style.joint_rows(names, "N m"), runs)
     for run in reversed(shown):
-        after_gaps = rows_after_gaps(run.data, run.data.times_s(topics.JOINT_COMMANDS))
+        _, values_nm, after_gaps = judged_torques(run.data)
         rate_hz = run.data.setup.scenario.rate_hz
-        frequencies, power = power_spectrum(_efforts(run), rate_hz, after_gaps)
+        frequencies, power = power_spectrum(values_nm, rate_hz, after_gaps)
         amplitudes = np.sqrt(2.0 * np.maximum(power[1:], _SPECTRUM_FLOOR))
         add_run(figure, runs, run.law, frequencies[1:], amplitudes.T)
     figure.update_xaxes(type="log", dtick=1, title_text="")
@@ -200,8 +203,4 @@ def torque_spectra(runs: ComparedRuns) -> go.Figure | None:
 
 
 def _with_torques(runs: ComparedRuns) -> list[JudgedRun]:
-    return [run for run in runs.drawn if len(_efforts(run)) > 1]
-
-
-def _efforts(run: JudgedRun) -> Matrix:
-    return style.per_joint(run.data, topics.JOINT_COMMANDS, "effort")
+    return [run for run in runs.drawn if len(judged_torques(run.data).times_s) > 1]

@@ -13,8 +13,9 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.studies.study_texts import (
-    margin_figure,
     probe_at,
+    quoted_or_none,
+    quoted_text,
     setting_text,
     value_title,
 )
@@ -24,6 +25,8 @@ from deploy.study.study import shown_value
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
+_FARTHEST_CEILING = 2.5
+"""Of the largest margin: a ceiling above this would flatten the bars."""
 _HEADROOM = 1.1
 _EFFECT_PX, _FRAME_PX = 26, 110
 _MOST_UPRIGHT = 6
@@ -141,7 +144,7 @@ def curves(
 
 
 def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure:
-    """Margins as bars by law, side by side by setting, with a dotted line at a ceiling.
+    """Margins as bars by law, side by side by setting, and a dotted line at a ceiling nearby.
 
     Args:
         study: the study.
@@ -155,8 +158,8 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
         own = [style.palette(place) for place in range(len(members))]
         figure.add_bar(
             x=[style.plain(case["law"]) for case in members],
-            y=[case["margin"] or 0.0 for case in members],
-            text=[margin_figure(case).replace("none", "–") for case in members],
+            y=[quoted_or_none(case) or 0.0 for case in members],
+            text=[_without_unit(study, case) for case in members],
             name=group or "as the scenario has it",
             textposition="outside", cliponaxis=False,
             constraintext="none", textangle=0 if len(cases) <= _MOST_UPRIGHT else -90,
@@ -169,11 +172,18 @@ def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
-    if ceilings:
+    highest = max((quoted_or_none(case) or 0.0 for case in cases), default=0.0)
+    if ceilings and min(ceilings) <= _FARTHEST_CEILING * highest:
         figure.add_hline(y=min(ceilings), line=style.DOTTED)
-        highest = max(min(ceilings), *(case["margin"] or 0.0 for case in cases))
+        highest = max(min(ceilings), highest)
         figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
     return figure
+
+
+def _without_unit(study: DrawnStudy, case: dict[str, Any]) -> str:
+    """The number to quote of a case, for a bar on an axis that has the unit."""
+    unit = f" {study.summary['unit']}"
+    return quoted_text(case, study.summary).removesuffix(unit).replace("none", "–")
 
 
 def heat_map(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,18 @@ from matplotlib.figure import Figure
 
 WIDTHS_MM = {1: 88.0, 2: 181.0}
 """Width of a figure over one column and over two, as in IEEE's journals."""
-_ROW_MM, _FRAME_MM = 24.0, 26.0
+_ROW_MM, _FRAME_MM, _HIGHEST_MM = 24.0, 26.0, 180.0
+_LEGEND_ROW_MM = 4.0
+_FARTHEST_LEVEL = 0.5
+"""A level farther beyond the data than this, in their span, is left out: it would flatten them."""
 _INCH_MM = 25.4
 _STYLE: Any = {
     "font.family": "serif", "font.serif": ["STIXGeneral"], "mathtext.fontset": "stix",
     "font.size": 8.0, "axes.labelsize": 8.0, "axes.titlesize": 8.0, "legend.fontsize": 7.0,
     "xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "axes.linewidth": 0.5, "axes.grid": True,
-    "grid.linewidth": 0.3, "grid.color": "#d0d0d0", "pdf.fonttype": 42, "svg.fonttype": "path",
-    "svg.hashsalt": "funnel-hil", "lines.linewidth": 0.9, "lines.markersize": 3.0,
+    "axes.axisbelow": True, "grid.linewidth": 0.3, "grid.color": "#d0d0d0", "pdf.fonttype": 42,
+    "svg.fonttype": "path", "svg.hashsalt": "funnel-hil", "lines.linewidth": 0.9,
+    "lines.markersize": 3.0,
 }  # fmt: skip
 """Fonts are embedded, as publishers ask; the same result gives the same bytes."""
 _NO_DATE: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
@@ -59,26 +63,46 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
         columns: 1 or 2 columns of the page that it stands over.
     """
     with rc_context(_STYLE):
-        rows = _rows(figure)
-        height_mm = _FRAME_MM + _ROW_MM * (len(rows) if len(rows) > 1 else 1.6)
-        size = (WIDTHS_MM[columns] / _INCH_MM, height_mm / _INCH_MM)
+        grid = _grid(figure)
+        height_mm = _FRAME_MM + _ROW_MM * (len(grid) if len(grid) > 1 else 1.6)
+        size = (WIDTHS_MM[columns] / _INCH_MM, min(height_mm, _HIGHEST_MM) / _INCH_MM)
         drawn = Figure(size, layout="constrained")
-        axes = drawn.subplots(len(rows), 1, squeeze=False, sharex=len(rows) > 1)[:, 0]
+        axes = drawn.subplots(
+            len(grid), len(grid[0]), squeeze=False, sharex=len(grid) > 1, sharey="row"
+        )
         titles = [_text(each.text) for each in figure.layout.annotations]
-        for index, (row, at) in enumerate(zip(rows, axes, strict=True)):
-            _draw_row(figure, row, at)
-            if len(titles) == len(rows):
-                at.set_title(titles[index], loc="left", pad=2.0)
-            if index < len(rows) - 1:
-                at.set_xlabel("")
-        _put_legend(drawn, axes)
+        for number, (row, places) in enumerate(zip(grid, axes, strict=True)):
+            for name, at in zip(row, places, strict=True):
+                _draw_row(figure, name, at)
+                at.label_outer()
+            if len(titles) == len(grid):
+                places[0].set_title(titles[number], loc="left", pad=2.0)
+        _share_x_label(drawn, axes)
+        _put_legend(drawn, axes.flat)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
 
 
-def _rows(figure: go.Figure) -> list[str]:
-    """Return the vertical axes that traces use, from the top down."""
-    used = list(dict.fromkeys(trace.yaxis or "y" for trace in figure.data))
-    return sorted(used, key=lambda name: -((_axis(figure, name).domain or (0.0,))[0]))
+def _grid(figure: go.Figure) -> list[list[str]]:
+    """Return the vertical axes that traces use, by rows from the top down."""
+    places: dict[str, tuple[float, float]] = {}
+    for trace in figure.data:
+        name, along = trace.yaxis or "y", _axis(figure, trace.xaxis or "x")
+        top, left = (axis.domain or (0.0,) for axis in (_axis(figure, name), along))
+        places.setdefault(name, (-top[0], left[0]))
+    rows: dict[float, list[str]] = {}
+    for name in sorted(places, key=lambda name: places[name]):
+        rows.setdefault(places[name][0], []).append(name)
+    return list(rows.values())
+
+
+def _share_x_label(drawn: Figure, axes: Any) -> None:
+    """Put one label below all columns of a grid: below each, they would meet."""
+    if axes.shape[1] > 1:
+        labels = [at.get_xlabel() for at in axes[-1]]
+        drawn.supxlabel(max(labels, key=len), fontsize=_STYLE["axes.labelsize"])
+        for at in axes[-1]:
+            at.set_xlabel("")
+            at.locator_params(axis="x", nbins=3)
 
 
 def _axis(figure: go.Figure, name: str) -> Any:
@@ -91,7 +115,6 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
     lines = [trace for trace in traces if trace.type != "bar"]
     for before, trace in zip([None, *lines], lines, strict=False):
         _draw_line(trace, before, at)
-    _draw_levels(figure, row, at)
     across, along = _axis(figure, row), _axis(figure, traces[0].xaxis or "x")
     for axis, scale, limit, label in (
         (along, at.set_xscale, at.set_xlim, at.set_xlabel),
@@ -108,6 +131,7 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
             ticks = at.set_xticks if axis is along else at.set_yticks
             ticks(list(axis.tickvals), [_text(text) for text in axis.ticktext])
             (at.xaxis if axis is along else at.yaxis).minorticks_off()
+    _draw_levels(figure, row, at, np.log10 if across.type == "log" else np.asarray)
 
 
 def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
@@ -128,15 +152,18 @@ def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
         at.set_xticks(list(places.values()), [_text(name) for name in names])
 
 
-def _draw_levels(figure: go.Figure, row: str, at: Axes) -> None:
-    """Draw lines across a whole row, such as a bound."""
+def _draw_levels(figure: go.Figure, row: str, at: Axes, scale: Callable[[Any], Any]) -> None:
+    """Draw lines across a whole row, such as a bound, unless they are far from all data."""
+    low, high = scale(at.get_ylim())
+    room = _FARTHEST_LEVEL * (high - low)
     for shape in figure.layout.shapes:
         style = {
             "color": _colour(shape.line.color), "linewidth": 0.6,
             "linestyle": _DASHES.get(shape.line.dash or "solid", "-"),
         }  # fmt: skip
         if shape.type == "line" and shape.yref == row and shape.y0 == shape.y1:
-            at.axhline(shape.y0, **style)
+            if low - room <= scale(shape.y0) <= high + room:
+                at.axhline(shape.y0, **style)
         elif shape.type == "line" and shape.yref == f"{row} domain" and shape.x0 == shape.x1:
             at.axvline(shape.x0, **style)
 
@@ -151,6 +178,8 @@ def _draw_line(trace: Any, before: Any, at: Axes) -> None:
     style: dict[str, Any] = {"label": _text(trace.name), "color": colour}
     if trace.fill == "tonexty" and before is not None:
         at.fill_between(trace.x, before.y, trace.y, color=_colour(trace.fillcolor), linewidth=0)
+    if mode == "lines" and trace.line.width == 0:  # the edge of a band
+        return
     if by_point and "lines" not in mode:
         for number, (x, y, symbol) in enumerate(zip(trace.x, trace.y, symbols, strict=True)):
             shown = style if number == 0 else {"color": colour}
@@ -170,10 +199,21 @@ def _put_legend(drawn: Figure, axes: Iterable[Axes]) -> None:
     for at in axes:
         for handle, label in zip(*at.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
-    if len(entries) > 1:
-        drawn.legend(
-            entries.values(), entries.keys(), loc="outside upper left", ncols=3, frameon=False
-        )
+    if len(entries) < 2:
+        return
+    for columns in (3, 2, 1):
+        legend = drawn.legend(
+            entries.values(), entries.keys(), loc="outside upper left", ncols=columns,
+            frameon=False, columnspacing=1.0, handlelength=1.6,
+        )  # fmt: skip
+        width = legend.get_window_extent().width
+        if width <= drawn.bbox.width:
+            break
+        if columns > 1:
+            legend.remove()
+    rows = math.ceil(len(entries) / columns)
+    if rows > 2:
+        drawn.set_figheight(drawn.get_figheight() + (rows - 2) * _LEGEND_ROW_MM / _INCH_MM)
 
 
 def _text(text: str | None) -> str:

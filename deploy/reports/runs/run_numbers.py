@@ -95,11 +95,19 @@ def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
     return "".join(f", {margin_text(it)} {when}" for when, it in margins.items() if it is not None)
 
 
+def tip_error(summary: Mapping[str, Any], name: str) -> float | None:
+    """RMS or largest distance of the tip from its reference, mm; older summaries have none."""
+    value: float | None = (summary.get("tip_error_mm") or {}).get(name)
+    return value
+
+
 BOUND_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
     "Smallest margin, where": lambda s: margin_place(s["bounds"]).strip(" ()") or None,
     "Margin at the start (%)": lambda s: margin_percent(s["bounds"]["margin_start"]),
     "Steady margin": lambda s: margin_text(s["bounds"]["margin_steady"]),
+    "Tip error, RMS (mm)": lambda s: tip_error(s, "rms"),
+    "Tip error, largest (mm)": lambda s: tip_error(s, "largest"),
     "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),
     "First outside (s)": lambda s: s["bounds"]["first_violation_s"],
 }
@@ -125,6 +133,7 @@ OF_LAWS: list[tuple[Column, Callable[[Summary], Value], bool]] = [
      False),
     (Column("Steady margin", brief="Steady\nmargin"), RUN_NUMBERS["Steady margin"], False),
     (replace(RMS_ERROR.column, brief=None), RMS_ERROR.of_worst_joint, True),
+    (Column("Tip error, RMS", "mm", None), RUN_NUMBERS["Tip error, RMS (mm)"], True),
     (TOTAL_VARIATION.column, TOTAL_VARIATION.of_worst_joint, True),
     (SHARE_ABOVE_50_HZ.column, SHARE_ABOVE_50_HZ.of_worst_joint, True),
     (SETTLING_TIME.column, SETTLING_TIME.of_worst_joint, True),

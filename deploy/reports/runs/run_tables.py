@@ -8,12 +8,12 @@ from typing import Any
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.units import split_unit
 from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.run_data import RunData
 from deploy.reports.runs import run_numbers
-from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, table_of
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, scaled, table_of
 from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
+from deploy.run.processes.status import in_words
 
 Row = list[Cell | Value]
 
@@ -191,16 +191,4 @@ def _value(values: dict[str, Any], dotted_key: str) -> float | None:
 
 def _detail(event: RunEvent) -> str:
     """What an event says: its sentence, or its values as words."""
-    words = (_in_words(name, value) for name, value in event.values().items())
-    return ", ".join(filter(None, words)) or event.detail
-
-
-def _in_words(name: str, value: object) -> str:
-    """A value with its name and unit; of what was counted by reason only what occurred."""
-    title, unit = split_unit(name)
-    words = title.replace("_", " ")
-    if isinstance(value, dict):
-        counted = (_in_words(str(reason), count) for reason, count in value.items() if count)
-        return f"{words}: {' and '.join(counted) or 'none'}"
-    shown = number(value) if isinstance(value, float) else str(value).lower()
-    return f"{words} {shown} {unit}".rstrip()
+    return in_words(event.values()) or event.detail

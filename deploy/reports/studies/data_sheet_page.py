@@ -17,6 +17,7 @@ from deploy.reports.studies import study_texts as texts
 from deploy.reports.tables import ABSENT, Column, Table, table_of
 from deploy.reports.verdict_texts import ReportHead
 from deploy.run.execute import JudgedRun
+from deploy.study.cases import DRIVE_FEEDBACK
 from deploy.study.comparison.comparison import ComparedRuns
 from deploy.study.data_sheet import any_pattern_ms
 from deploy.study.losses import share_kept
@@ -63,16 +64,20 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
 
 
 def headline(summary: Summary) -> list[str]:
-    """Return the answer in one sentence, then what was found on the network and of plants."""
+    """Return the answer to what was asked with the worst that is known, then the rest.
+
+    Asked with a network, that comes first. Then comes the number to quote, with what is not known
+    of the arm at its worst; the exact arm is the best case.
+    """
     parts = summary["parts"]
     margin, plants = parts["margin"], parts.get("plants")
     cases = {case["compensation"]: case for case in margin["cases"]}
-    sentences = [_margin_sentence(summary, margin, cases[True], cases[False])]
-    sentences += _rotors_sentence(margin, cases[True], cases[False])
-    doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
-    sentences += [f"Not tested: {each}" for each in doubts]
+    sentences = []
     if (network := parts.get("network")) is not None:
         sentences.append(_network_sentence(summary, network["points"]))
+    sentences += [_quoted_sentence(summary, margin), _best_case_sentence(margin, cases[True])]
+    doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
+    sentences += [f"Not tested: {each}" for each in doubts]
     if plants is not None:
         sentences += texts.robustness_sentences(plants)[:1]
     if summary["runs_failed"]:
@@ -84,48 +89,56 @@ def headline(summary: Summary) -> list[str]:
     return [*sentences, *texts.theory_sentences({**margin, "cases": [cases[False]]})]
 
 
-def _margin_sentence(summary: Summary, margin: Summary, on: Summary, off: Summary) -> str:
-    who, any_ms = f"{summary['arm']} under {summary['law']}", any_pattern_ms(on)
-    without = f"{texts.margin_text(off, margin)} without"
-    if any_ms is None:
-        return (
-            f"{who}: constant round trip kept: {without} compensation; with it, none"
-            f" ({texts.loss_text(on)})."
-        )
-    or_more = " or more" if on["first_failure"] is None else ""
+def _quoted_sentence(summary: Summary, margin: Summary) -> str:
+    """The number to quote, of the better of both settings, and that of the other."""
+    best = texts.furthest_case(margin["cases"])
+    (other,) = (case for case in margin["cases"] if case is not best)
+    numbers = [
+        f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}"
+        for case in (best, other)
+    ]
+    unknown = texts.unknowns_text(margin)
     return (
-        f"{who} keeps its bounds for any delay up to {any_ms:g} ms{or_more} with"
-        f" compensation{texts.model_text([on])} (round trip; messages in order, none lost);"
-        f" constant: {texts.margin_text(on, margin)} with it, {without}."
+        f"{summary['arm']} under {summary['law']}: quote a round trip of {'; '.join(numbers)}"
+        f"{unknown}."
     )
 
 
-def _rotors_sentence(margin: Summary, on: Summary, off: Summary) -> list[str]:
-    """What becomes of the margins if estimated rotors are smaller; nothing if none is estimated."""
-    with_ms, without_ms = (texts.rotors_text(case, margin) for case in (on, off))
-    if with_ms is None:
-        return []
-    return [
-        "The rotors are estimated. With a tenth of them, the constant round trip kept is:"
-        f" {with_ms} with compensation, {without_ms} without. Until you know them, quote the"
-        " smaller margins."
-    ]
+def _best_case_sentence(margin: Summary, on: Summary) -> str:
+    """What the exact arm keeps with compensation, which is the best case."""
+    any_ms = any_pattern_ms(on)
+    if any_ms is None:
+        return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
+    or_more = " or more" if on["first_failure"] is None else ""
+    d_ms = on.get("guaranteed_d_ms")
+    playout = "" if d_ms is None else f", with a play-out of {d_ms:.9g} ms"
+    return (
+        f"Best case{texts.model_text([on])}: with compensation any delay up to {any_ms:g}"
+        f" ms{or_more} (messages in order, none lost{playout}), constant"
+        f" {texts.margin_text(on, margin)}."
+    )
 
 
 def _network_sentence(summary: Summary, points: list[Summary]) -> str:
-    """How many windows of the network were kept, and whether drive feedback helps."""
+    """How many windows of the network were lost, and with what equipment more are kept."""
 
-    def windows(one: Summary) -> str:
-        interval = texts.interval_text(share_kept(one["runs_kept"], one["runs"]))
-        return f"{one['runs_kept']} of {one['runs']} windows (95 % interval {interval})"
+    def kept(one: Summary) -> str:
+        return f"{one['runs_kept']} of {one['runs']}"
 
-    own, *others = _by_equipment(points)
-    best, better = max(others, key=lambda one: float(one["runs_kept"])), ""
+    equipment = _by_equipment(points)
+    plain = [one for one in equipment if not one["drive_feedback"]]
+    own, best = (max(each, key=lambda one: float(one["runs_kept"])) for each in (plain, equipment))
+    lost, name = own["runs"] - own["runs_kept"], Path(summary["network"]).name
+    interval = texts.interval_text(share_kept(own["runs_kept"], own["runs"]))
+    verdict = f"lost in {lost} of {own['runs']}" if lost else f"kept in {kept(own)}"
+    better = ""
     if best["runs_kept"] > own["runs_kept"]:
-        better = f"; {texts.equipment_text(best)}, in {windows(best)}"
+        better = (
+            f"; kept in {kept(best)} {texts.equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true"
+        )
     return (
-        f"On {Path(summary['network']).name}, with compensation, it kept them in {windows(own)} of"
-        f" {summary['duration_s']:g} s{better}."
+        f"{name}: {verdict} windows of {summary['duration_s']:g} s"
+        f" {texts.equipment_text(own)} (kept: 95 % interval {interval}){better}."
     )
 
 

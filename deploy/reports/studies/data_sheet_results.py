@@ -10,6 +10,7 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.run_rows import Row
+from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.again import Again
 from deploy.reports.results import Results, write_results, write_run
 from deploy.reports.studies.data_sheet_page import DrawnSheet, data_sheet_page, headline
@@ -104,6 +105,7 @@ def write_data_sheet(
         "folders": {name: f"{name}/report.html" for name in parts},
         "worst_window": None if window is None else window.summary["bounds"],
         "conditions": conditions,
+        TESTED_WITH: sheet.tested_with(margin.get(TESTED_WITH)),
         "parts": dict(parts),
     }
     summary["headline"] = headline(summary)

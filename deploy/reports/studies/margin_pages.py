@@ -11,6 +11,7 @@ from deploy.reports.studies import study_tables as tables
 from deploy.reports.studies import study_texts as texts
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict_texts import ReportHead
+from deploy.study.study import starts_text
 
 _SHOWN_EFFECTS = 12
 _MOST_NAMED = 8
@@ -36,7 +37,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
             Fact("Largest value tried", texts.value_text(summary["limit"], summary)),
-            Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
+            Fact("Starts", starts_text(summary)),
             _durations(summary),
             Fact("Held-arm ceiling",
                  ", ".join(f"{arm} {text}" for arm, text in ceilings.items() if text) or ABSENT,
@@ -117,8 +118,8 @@ def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Pan
             "Margins", f"margins-{arm}", f"Margins on {arm}",
             lambda study: study_figures.margin_bars(study, cases),
             "A taller bar is a larger margin. Click on it for the command that repeats the first"
-            " failure, from the worst start. Dotted: the held-arm ceiling, beyond which no loop"
-            " can start.",
+            " failure, from the worst start. Dotted, if near: the held-arm ceiling, beyond which no"
+            " loop can start.",
             is_clickable=True,
         ),
         _curves_panel(

@@ -59,6 +59,8 @@ def margin_table(summary: Summary) -> Table:
         value = case["first_failure"]
         return None if value is None else texts.value_text(value, summary)
 
+    held: TableColumn = Column("Held"), lambda case: texts.margin_text(case, summary)
+    in_theory: TableColumn = Column("Stable in theory", brief="In\ntheory"), texts.theory_text
     every_pattern: TableColumn = (
         Column("Every pattern", brief="Every\npattern"),
         lambda case: texts.pattern_text(case, summary),
@@ -80,7 +82,10 @@ def margin_table(summary: Summary) -> Table:
         _margin_title(summary),
         [
             *_case_columns(summary),
-            (Column("Margin", brief="Held"), lambda case: texts.margin_text(case, summary)),
+            (Column("Margin"),
+             lambda case: texts.quoted_text(case, summary)),
+            *([held] if any(map(texts.because_text, summary["cases"])) else []),
+            *([in_theory] if any(map(texts.theory_text, summary["cases"])) else []),
             *([every_pattern] if any(map(every_pattern[1], summary["cases"])) else []),
             *([smaller_rotors] if any(map(smaller_rotors[1], summary["cases"])) else []),
             *map(on, elsewhere),
@@ -93,11 +98,12 @@ def margin_table(summary: Summary) -> Table:
              lambda case: ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT),
         ],
         summary["cases"],
-        "A value holds if the bounds are kept from every start with every seed; the margin is"
-        f" the {texts.furthest(summary)} value up to which all tested values held. Held-arm"
+        "The margin is the smallest of all that is known. A value holds if the bounds are"
+        f" kept from every start with every seed; held is the {texts.furthest(summary)} value up to"
+        " which all tested values held, theory is for the linear loop. Held-arm"
         " ceiling: until the first command acts the brakes hold the arm, and from the worst"
         " start its error leaves the funnel after this time; no law can start under a longer"
-        " delay. Every pattern: the margin for delays that vary; guaranteed by the play-out, or"
+        " delay. Every pattern: the margin for delays that vary; guaranteed for a play-out time, or"
         " where so many patterns were tried, the largest value at which all of them held.",
     )  # fmt: skip
 
@@ -113,6 +119,7 @@ def help_tables(summary: Summary, folder: str = "") -> list[Table]:
     columns: list[TableColumn] = [
         (Column("Change", is_text=True), lambda each: each["change"]),
         (Column("Kept", is_text=True), lambda each: "yes" if each["held"] else "no"),
+        (Column("Starts tried", brief="Starts"), lambda each: each.get("starts")),
         (Column("Bound left", "%"), lambda each: scaled(each["margin_min"], 100.0)),
         (Column("RMS error of the worst joint", "mrad", "RMS error"),
          lambda each: scaled(each["worst_rms_rad"], 1e3)),
@@ -202,7 +209,7 @@ def margins_by_law(summary: Summary) -> Table:
     columns = {(case["arm"], texts.setting_text(case)): case for case in summary["cases"]}
     margins = {}
     for case in summary["cases"]:
-        pattern, margin = texts.pattern_text(case, summary), texts.margin_text(case, summary)
+        pattern, margin = texts.pattern_text(case, summary), texts.quoted_text(case, summary)
         cell = margin if pattern is None else f"{margin}; every pattern: {pattern}"
         margins[case["law"], case["arm"], texts.setting_text(case)] = cell
     headings = [f"{arm}, {setting}" if setting else arm for arm, setting in columns]

@@ -7,6 +7,8 @@ from collections import Counter
 from typing import Any
 
 from deploy.reports.tables import ABSENT, Column
+from deploy.scenario.playout import EXPECTED
+from deploy.study.quoted import Because
 
 Summary = dict[str, Any]
 
@@ -85,6 +87,59 @@ def margin_text(case: Summary, summary: Summary) -> str:
     return f"{margin_figure(case)} {summary['unit'] if has_unit else ''}".rstrip()
 
 
+def quoted_text(case: Summary, summary: Summary) -> str:
+    """The number to quote of a case, with its unit."""
+    if not case["completed"] or case.get("quoted_because", Because.HELD) == Because.HELD:
+        return margin_text(case, summary)
+    number = case["quoted"]
+    return "none" if number is None else value_text(number, summary)
+
+
+def quoted_or_none(case: Summary) -> float | None:
+    """The number to quote of a case; older results have only their margin."""
+    found: float | None = case.get("quoted", case["margin"])
+    return found
+
+
+def because_text(case: Summary) -> str:
+    """Why a smaller number than the held one is quoted; empty if the held one is."""
+    because = case.get("quoted_because")
+    if because == Because.THEORY and case["quoted"] is None:
+        return "unstable without a delay, in theory"
+    words: dict[str, str] = {
+        Because.THEORY: "unstable beyond it, in theory",
+        Because.PATTERN: "a pattern of delays is lost beyond it",
+        Because.ROTORS: "with a tenth of the estimated rotors",
+        Because.MODEL: f"with {_worst_model(case)}",
+    }
+    return words.get(because or "", "")
+
+
+def _worst_model(case: Summary) -> str:
+    """The model error with the smallest margin."""
+    errors = case.get("model_errors") or [{"change": "model", "margin": None}]
+    none = -math.inf
+    least = min(errors, key=lambda each: none if each["margin"] is None else each["margin"])
+    return str(least["change"])
+
+
+def theory_text(case: Summary) -> str | None:
+    """The largest constant delay that is stable in theory; None where theory knows none."""
+    theory = case.get("theory") or {}
+    if theory.get("unstable_without_delay") is not None:
+        return "unstable"
+    return f"{theory['constant_ms']:g} ms" if "constant_ms" in theory else None
+
+
+def unknowns_text(summary: Summary) -> str:
+    """What is not known of an arm and was tried at its worst; empty for nothing."""
+    (case, *_) = summary["cases"]
+    errors = [each["change"] for each in case.get("model_errors") or ()]
+    rotors = ["a tenth of the estimated rotors"] if case.get("smaller_rotors") else []
+    tried = [*rotors, *errors]
+    return f", the worst of the exact arm, {', '.join(tried)}" if tried else ""
+
+
 def pattern_text(case: Summary, summary: Summary) -> str | None:
     """Up to where every pattern of delays holds: guaranteed, or with the number that was tried."""
     if case.get("guaranteed") is not None:
@@ -103,10 +158,12 @@ def rotors_text(case: Summary, summary: Summary) -> str | None:
 def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
     """What is known of a case under delays that vary."""
     if case.get("guaranteed"):
+        playout, remedy = _playout_texts(case)
         return (
             f"{case_title(case)}: holds for every delay up to"
-            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost;"
-            f" the motion is the same to the bit in {case['patterns']['tried']} patterns."
+            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost,"
+            f" with {playout}; the motion is the same to the bit in"
+            f" {case['patterns']['tried']} patterns.{remedy}"
         )
     if (worst := case.get("worst_pattern")) is None:
         return None
@@ -115,6 +172,17 @@ def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
         f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst, at"
         f" {value_text(worst['value'], summary)}: {name}."
     )
+
+
+def _playout_texts(case: Summary) -> tuple[str, str]:
+    """For which play-out time d a guarantee holds; how to set it where the scenario does not."""
+    if (d_ms := case.get("guaranteed_d_ms")) is None:  # of an older version
+        return "the play-out of the constant delay", ""
+    playout = f"a play-out of d = {d_ms:.9g} ms"
+    if case["guaranteed_command"] is None:
+        return playout, ""
+    own = f" The scenario's own link gives d = {case['scenario_d_ms']:.9g} ms at the start"
+    return playout, f"{own}: add --set {EXPECTED}={d_ms:.9g}."
 
 
 def probe_at(case: Summary, value: float | None) -> Summary | None:
@@ -134,13 +202,19 @@ def margin_headline(summary: Summary) -> str:
         for case in cases:
             if case["arm"] == arm:
                 settings.setdefault(setting_text(case), []).append(case)
-        best = list(map(_largest, settings.values()))
-        shown = best if len(best) <= 2 else [_largest(best)]
-        margins = (f"{margin_text(case, summary)} {setting_text(case)}".rstrip() for case in shown)
-        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(margins)}")
+        best = list(map(furthest_case, settings.values()))
+        shown = best if len(best) <= 2 else [furthest_case(best)]
+        margins = (f"{quoted_text(case, summary)} {setting_and_reason(case)}" for case in shown)
+        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(map(str.rstrip, margins))}")
     who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
     kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
+
+
+def setting_and_reason(case: Summary) -> str:
+    """With what a law has the number to quote, and why that is smaller than what held."""
+    reason = because_text(case)
+    return f"{setting_text(case)} ({reason})".lstrip() if reason else setting_text(case)
 
 
 def model_text(cases: list[Summary]) -> str:
@@ -152,31 +226,34 @@ def model_text(cases: list[Summary]) -> str:
     return f", with a model of {' or '.join(f'{each:g}' for each in sorted(scales))} × its masses"
 
 
-def _largest(cases: list[Summary]) -> Summary:
+def furthest_case(cases: list[Summary]) -> Summary:
     """The case with the furthest margin; one without a margin is behind all others."""
-    return max(cases, key=lambda c: -math.inf if c["margin"] is None else c["growth"] * c["margin"])
+
+    def reached(case: Summary) -> float:
+        number = quoted_or_none(case)
+        return -math.inf if number is None else case["growth"] * number
+
+    return max(cases, key=reached)
 
 
 def margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, the best first."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
-    found = [*_headlines(summary), *patterns, *_held_again(summary), *_growing(summary)]
+    found = [*_headlines(summary), *patterns, *_held_again(summary), *_flawed(summary)]
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
         f" {smaller} if the rotors are a tenth."
         for case in summary["cases"]
         if (smaller := rotors_text(case, summary))
     ]
-    return [*found, *rotors, *theory_sentences(summary), *_saved(summary)]
+    return [*found, *rotors, *theory_sentences(summary), *_gaps(summary), *_saved(summary)]
 
 
 def brief_margin_sentences(summary: Summary) -> list[str]:
     """Return margins in words, without what a table beside them says."""
-    patterns = (
-        _pattern_sentence(case, summary) for case in summary["cases"] if case.get("worst_pattern")
-    )
-    found = [*_doubts(summary), *filter(None, patterns)]
-    return [*found, *_held_again(summary), *_in_theory(summary)]
+    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
+    found = [*_doubts(summary), *patterns]
+    return [*found, *_held_again(summary), *_in_theory(summary), *_gaps(summary)]
 
 
 def robustness_sentences(summary: Summary) -> list[str]:
@@ -225,17 +302,19 @@ def _headlines(summary: Summary) -> list[str]:
 
 def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
     """Who takes the most of the cases of an arm."""
-    known = [case for case in cases if case["margin"] is not None]
+    known = [case for case in cases if quoted_or_none(case) is not None]
     where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
     if not known:
         return f"{where}: no law keeps its bounds at all."
-    best = _largest(known)
+    best = furthest_case(known)
     laws: dict[str, list[str]] = {}
     for case in known:
-        if case["margin"] == best["margin"]:
+        if quoted_or_none(case) == quoted_or_none(best):
             laws.setdefault(equipment_text(case), []).append(case["law"])
     whose = [f"{_listed(names)} {equipment}".rstrip() for equipment, names in laws.items()]
-    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
+    reason = because_text(best)
+    margin = f"{furthest(summary)} margin is {quoted_text(best, summary)}"
+    margin += f" ({reason})" if reason else ""
     return f"{where}: the {margin}, of {'; of '.join(whose)}." + "".join(
         f" {text}" for text in _doubts({"cases": cases})
     )
@@ -264,21 +343,28 @@ def _held_again(summary: Summary) -> list[str]:
     ]
 
 
-def _growing(summary: Summary) -> list[str]:
-    """A sentence for each case whose margin ends where an error grows as in an unstable loop."""
+_FLAWS = {
+    "runs_growing": "an error grows exponentially in {} of {} runs: this loop is unstable",
+    "runs_vibrating": "a torque swings between its limits in {} of {} runs: this loop vibrates",
+}
+"""What is said of runs that do not hold although they kept their bounds."""
+
+
+def _flawed(summary: Summary) -> list[str]:
+    """A sentence for each case whose margin ends where a loop grows or vibrates in its bounds."""
     return [
-        f"{case_title(case)}: at {value_text(probe['value'], summary)} an error grows exponentially"
-        f" in {probe['runs_growing']} of {probe['runs']} runs: this loop is unstable."
+        f"{case_title(case)}: at {value_text(probe['value'], summary)}"
+        f" {words.format(probe[name], probe['runs'])}."
         for case in summary["cases"]
-        if (probe := probe_at(case, case["first_failure"])) and probe.get("runs_growing")
+        if (probe := probe_at(case, case["first_failure"]))
+        for name, words in _FLAWS.items()
+        if probe.get(name)
     ]
 
 
 def losses_text(runs: Summary) -> str:
     """Why runs left their funnel, the most frequent reason first, and most often which joint."""
     losses, joints = (Counter(runs.get(key) or {}) for key in ("losses", "loss_joints"))
-    if not losses and runs.get("runs_growing"):
-        losses["growing"] = runs["runs_growing"]
     return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
 
 
@@ -302,12 +388,56 @@ def theory_sentences(summary: Summary) -> list[str]:
 
 def _in_theory(summary: Summary) -> list[str]:
     return [
-        f"{case_title(case)}: in theory stable up to a constant {theory['constant_ms']:g}"
-        f" ms, and below {theory['any_pattern_ms']:g} ms for every pattern (round trip;"
-        f" linear, nominal arm at its start, no friction; weakest: {theory['joint']})."
+        f"{case_title(case)}: in theory {_stability(theory)}{_windows(theory['unstable_ms'])}."
         for case in summary["cases"]
         if (theory := case.get("theory")) and "reason" not in theory
     ]
+
+
+def _gaps(summary: Summary) -> list[str]:
+    """How far apart the tried values are, where theory knows no window of instability."""
+    gaps = [
+        case.get("widest_gap", 0.0)
+        for case in summary["cases"]
+        if "constant_ms" not in (case.get("theory") or {})
+    ]
+    if max(gaps, default=0.0) <= summary["resolution"]:
+        return []
+    width = value_text(max(gaps), summary)
+    return [
+        f"Up to the margins, values at most {width} apart were tried: a narrower window in which a"
+        " loop is unstable may lie between them."
+    ]
+
+
+def _stability(theory: Summary) -> str:
+    if (growth := theory["unstable_without_delay"]) is not None:
+        return (
+            f"unstable without a delay: it grows by {growth['rate_per_s']:g}/s at"
+            f" {growth['frequency_hz']:g} Hz ({_OF_THEORY}; {growth['joint']} moves most)"
+        )
+    weakest = f"; weakest: {theory['joint']}" if theory["joint"] else ""
+    return (
+        f"stable up to a constant {theory['constant_ms']:g} ms, and below"
+        f" {theory['any_pattern_ms']:g} ms for every pattern (round trip; {_OF_THEORY}{weakest})"
+    )
+
+
+_OF_THEORY = "linear, the arm at its start, viscous friction alone"
+_SHOWN_WINDOWS = 3
+
+
+def _windows(unstable_ms: list[list[float | None]]) -> str:
+    """Return the windows of unstable delays in words, if a larger delay is stable again."""
+    if not unstable_ms or unstable_ms[0][1] is None:
+        return ""
+    shown = ", ".join(
+        f"{begin:g} ms on" if end is None else f"{begin:g} to {end:g} ms"
+        for begin, end in unstable_ms[:_SHOWN_WINDOWS]
+    )
+    count = len(unstable_ms)
+    more = f", and so on ({count} windows)" if count > _SHOWN_WINDOWS else ""
+    return f"; unstable from {shown}{more}"
 
 
 def furthest(summary: Summary) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import queue
+import secrets
 import sys
 import time
 from collections import Counter
@@ -78,6 +79,7 @@ class Launcher:
         self._relay: Child | None = None
         self._viewer: LiveViewer | None = None
         self._starts: Counter[Role] = Counter()
+        self._run_key = f"f{secrets.token_hex(8)[1:]}"  # a session's id must not begin with 0
         self._injector = ProcessFaultInjector(self._children, self._start)
         self._outcome = RunOutcome()
         self._failures: list[Failure] = []
@@ -146,6 +148,7 @@ class Launcher:
             overrides=self._overrides if role is Role.CONTROLLER else [],
             await_recorder=True,
             log=None if log is None else _numbered(log, self._starts[role]),
+            run_key=self._run_key,
         )
         return Child(role, roles.ROLES[role], options, self._folder.path, self._inbox)
 

@@ -57,12 +57,15 @@ class Recorder:
         setup: the scenario.
         path: file of the recording.
         feed: takes all messages, for a live view.
+        run_key: key of the run; empty if this recorder was started on its own.
 
     Raises:
         OSError: the recording cannot be begun.
     """
 
-    def __init__(self, setup: Setup, path: Path, feed: LiveFeed | None = None) -> None:
+    def __init__(
+        self, setup: Setup, path: Path, feed: LiveFeed | None = None, run_key: str = ""
+    ) -> None:
         self._setup, self._feed = setup, feed
         self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.link_kind.name)
         self._progress: dict[bytes, int] = {}
@@ -70,8 +73,9 @@ class Recorder:
         self._last_stamp_ns = 0
         lossless = self._is_virtual = setup.scenario.clock == "lockstep"
         self._pacing = {topic.name for topic in topics.TOPICS if lossless and topic.paces}
+        agreement = agreement_of(setup, run_key)
         self._node = ZenohNode(
-            setup.scenario.link, Role.RECORDER, lossless=lossless, agreement=agreement_of(setup)
+            setup.scenario.link, Role.RECORDER, lossless=lossless, agreement=agreement
         )
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG_BYTES, lossless=lossless)
         rejected = self._mailbox.rejected

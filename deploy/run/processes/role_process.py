@@ -266,6 +266,17 @@ def _run_role(
         sys.exit(function(options, reporter))
 
 
+class _Reporting(logging.Handler):
+    """Reports warnings about the bus, which otherwise stand only in the output of a process."""
+
+    def __init__(self, reporter: StatusReporter) -> None:
+        super().__init__()
+        self._reporter = reporter
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._reporter.report("warning", text=record.getMessage())
+
+
 def _set_up_output(reporter: StatusReporter) -> None:
     """Write all output at once, and report when kernels are compiled."""
     from bus_schema.runtime import compiled
@@ -279,7 +290,9 @@ def _set_up_output(reporter: StatusReporter) -> None:
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     compiled.logger.addFilter(is_written)
     logging.basicConfig(level=logging.ERROR, format="%(message)s")
-    logging.getLogger("bus_schema").setLevel(logging.WARNING)
+    bus = logging.getLogger("bus_schema")
+    bus.setLevel(logging.WARNING)
+    bus.addHandler(_Reporting(reporter))
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
 
 

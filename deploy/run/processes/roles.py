@@ -59,12 +59,14 @@ class RoleOptions:
         overrides: ``key=value`` each.
         await_recorder: start only once a recorder listens.
         log: file for the recording; of a plant, for the frames of a CAN bus, or None.
+        run_key: key of the run, by which the others know its recorder; empty if none did start it.
     """
 
     scenario: str
     overrides: Sequence[str] = ()
     await_recorder: bool = False
     log: Path | None = None
+    run_key: str = ""
 
 
 @noting_draws()
@@ -80,7 +82,7 @@ def plant(options: RoleOptions, reporter: StatusReporter) -> int:
     clock = VirtualClock() if lockstep else MonotonicClock(awake_ns)
     link = None
     try:
-        run = _between_processes(setup, options.log)
+        run = _between_processes(setup, options, options.log)
         link = setup.link_kind.open_plant(run, arm, clock)
         if setup.scenario.link.publish_reference:
             link = with_reference(link, setup.reference, setup.robot.joint_names)
@@ -132,7 +134,7 @@ def controller(options: RoleOptions, reporter: StatusReporter) -> int:
     require_keys(setup, Role.CONTROLLER)
     stop = StopRequest()
     set_up_scheduling(setup, reporter, Role.CONTROLLER)
-    run = _between_processes(setup)
+    run = _between_processes(setup, options)
     link = None
     try:
         link = setup.link_kind.open_controller(run)
@@ -189,10 +191,12 @@ def recorder(options: RoleOptions, reporter: StatusReporter) -> int:
     setup = load_setup(options.scenario, options.overrides)
     require_keys(setup, Role.RECORDER)
     assert options.log is not None  # the file
-    return run_recorder(setup, options.log, reporter, StopRequest())
+    return run_recorder(setup, options.log, reporter, StopRequest(), options.run_key)
 
 
-def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
+def run_recorder(
+    setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest, run_key: str = ""
+) -> int:
     """Run the recorder for one run, and feed its live views; return the exit code."""
     leave_loops_their_cpus()
     if setup.scenario.clock == "realtime":
@@ -201,7 +205,7 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
         use_batch_scheduling()
     feed = _live_feed(setup, path)
     try:
-        recorder = Recorder(setup, path, feed)
+        recorder = Recorder(setup, path, feed, run_key)
     except (BusError, OSError) as error:
         reporter.report("fault", text=f"{path}: {error}")
         if feed is not None:
@@ -244,9 +248,9 @@ def _live_feed(setup: Setup, recording: Path) -> LiveFeed | None:
         return None
 
 
-def _between_processes(setup: Setup, can_log: Path | None = None) -> LinkRun:
+def _between_processes(setup: Setup, options: RoleOptions, can_log: Path | None = None) -> LinkRun:
     run = setup.link_run(lockstep=setup.scenario.clock == "lockstep", can_log=can_log)
-    return replace(run, agreement=agreement_of(setup))
+    return replace(run, agreement=agreement_of(setup, options.run_key))
 
 
 def _exit_code(error: Exception) -> int:

@@ -14,6 +14,10 @@ from deploy.run.console import Console
 from plant_emulator.faults.process_faults import ProcessAction
 
 _PROGRESS_EVERY_S = 5.0
+_FOR_THE_JUDGE = ("kernel", "start_s", "newest_cycle_s")
+"""Values that tell people nothing: identity of a clock, and times on it."""
+_FLAGS = {"seed_used": ("random numbers drawn", "no random numbers drawn")}
+"""What flags mean whose names do not read as words."""
 
 
 class StatusMessage(NamedTuple):
@@ -21,8 +25,8 @@ class StatusMessage(NamedTuple):
 
     Attributes:
         role: the process: a `Role`, or the name of a process that is not on the bus.
-        kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action``,
-            ``result``, or ``compiles`` if it has to compile numerical kernels.
+        kind: ``note``, ``lacks``, ``warning``, ``fault``, ``realtime``, ``progress``,
+            ``process_action``, ``result``, or ``compiles`` if it has to compile numerical kernels.
         values: content of this kind of message.
     """
 
@@ -33,7 +37,8 @@ class StatusMessage(NamedTuple):
 
 def in_words(values: Mapping[str, Any]) -> str:
     """Format values by name as a sentence: ``ticks 500, wall 0.5 s, rejected: none``."""
-    return ", ".join(_value_in_words(name, value) for name, value in values.items())
+    told = (item for item in values.items() if item[0] not in _FOR_THE_JUDGE)
+    return ", ".join(_value_in_words(name, value) for name, value in told)
 
 
 def _value_in_words(name: str, value: Any) -> str:
@@ -41,7 +46,8 @@ def _value_in_words(name: str, value: Any) -> str:
     title, suffix = stem.replace("_", " "), f" {unit}" if unit else ""
     match value:
         case bool():
-            return title if value else f"not {title}"
+            true, false = _FLAGS.get(name, (title, f"not {title}"))
+            return true if value else false
         case dict():
             counted = {key: count for key, count in value.items() if count}
             return f"{title}: {in_words(counted) or 'none'}{suffix if counted else ''}"

@@ -64,7 +64,7 @@ def scenario_warnings(setup: Setup) -> list[str]:
         sentences.append(f"{why}; elsewhere --set '{tenth}'")
     sentences += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
-    largest_nm = _largest_torques(setup)
+    largest_nm = setup.largest_torques_nm
     sentences += placeholder_warnings(robot, largest_nm)
     viscous = friction_table(scenario.plant.friction, _rated_torques(setup))["viscous_nm_s"]
     of_file = np.isclose(viscous, robot.drives.damping_nm_s, rtol=1e-3)
@@ -86,7 +86,7 @@ def tenth_of_rotors(setup: Setup) -> str | None:
 
 def _torque_warning(setup: Setup) -> list[str]:
     """Warn if the reference needs more than a joint's rated torque."""
-    robot, limits = setup.robot, _largest_torques(setup)
+    robot, limits = setup.robot, setup.largest_torques_nm
     times_s = np.linspace(0.0, setup.scenario.duration_s, _TORQUE_SAMPLES)
     torques = np.abs(reference_torques(setup, times_s))
     usage = torques / np.where(limits > 0.0, limits, np.inf)
@@ -102,13 +102,6 @@ def _torque_warning(setup: Setup) -> list[str]:
     ]
 
 
-def _largest_torques(setup: Setup) -> Vector:
-    """Return the largest torques that act on the arm, shape (joints,), N m."""
-    limits = setup.scenario.limits.of_plant(setup.robot).torque_nm
-    saturation_nm = setup.scenario.plant.actuator.saturation_nm
-    return limits if saturation_nm is None else np.minimum(limits, saturation_nm)
-
-
 def require_hold(setup: Setup) -> None:
     """Require that the arm can hold itself up on its reference.
 
@@ -116,7 +109,7 @@ def require_hold(setup: Setup) -> None:
         ScenarioError: it cannot; the message names the joint and both torques.
     """
     times_s = np.linspace(0.0, setup.scenario.duration_s, _TORQUE_SAMPLES)
-    needed, most = np.abs(reference_torques(setup, times_s, at_rest=True)), _largest_torques(setup)
+    needed, most = np.abs(reference_torques(setup, times_s, at_rest=True)), setup.largest_torques_nm
     if (needed > most).mean(axis=0).max() > _WEAK_SHARE:
         at, joint = np.unravel_index(int((needed - most).argmax()), needed.shape)
         raise ScenarioError(

@@ -63,6 +63,9 @@ class CanKind(LinkKind[DrivenArm]):
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
             allowed = f"false over CAN with {protocol.title}: these drives accept only torques"
             raise ConfigurationError(f"{side}.drive_feedback.enabled", True, allowed, _PROTOCOL)
+        if delay_ms := run.plant.actuator.delay_ms:
+            allowed = "must be 0 over CAN, where link.downlink.delay_ms delays the frames"
+            raise ConfigurationError("plant.actuator.delay_ms", delay_ms, allowed, _KIND)
         check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_delays(run, protocol)
         for text in can.faults.drives:

@@ -108,8 +108,8 @@ class LawComparison(StudyOfRuns):
     def _starts(self, index: int, law: str, overrides: Sequence[str]) -> Iterator[PlannedRun]:
         """Return the starts of a law with small and large errors."""
         duration_s = min(LONGEST_S, self.setups[law].scenario.duration_s)
-        for place, size_rad in enumerate(self.definition.settling_rad):
-            start = override("robot.initial_offset_rad", offset_of(self.setups[law], size_rad))
+        for place, (size_rad, offset_rad) in enumerate(self._offsets(law).items()):
+            start = override("robot.initial_offset_rad", offset_rad)
             kept = [text for text in overrides if not text.startswith("duration_s=")]
             yield PlannedRun(
                 f"{index:03d}-{place:02d}", self.definition.scenario,
@@ -130,13 +130,21 @@ class LawComparison(StudyOfRuns):
 
     def settling(self, rows: list[Row]) -> list[SettlingTest]:
         """Return the laws whose starts are all done."""
-        sizes, found = self.definition.settling_rad, []
-        for law, setup in self.setups.items():
+        found = list[SettlingTest]()
+        for law in self.setups:
             started = {row["offset_rad"]: row for row in rows if row["law"] == law}
-            if sizes and all(size in started for size in sizes):
-                starts = [(offset_of(setup, size), started[size]) for size in sizes]
+            offsets = self._offsets(law)
+            if offsets and all(size in started for size in offsets):
+                starts = [(offset_rad, started[size]) for size, offset_rad in offsets.items()]
                 found.append(settling_test(law, starts))
         return found
+
+    def _offsets(self, law: str) -> dict[float, list[float]]:
+        """Return the initial errors of a law's starts, each once, by the smallest size."""
+        sizes = {}
+        for size_rad in sorted(self.definition.settling_rad, reverse=True):
+            sizes[tuple(offset_of(self.setups[law], size_rad))] = size_rad  # its range may end
+        return {size_rad: list(offset_rad) for offset_rad, size_rad in reversed(sizes.items())}
 
     def provenance(self) -> dict[str, Any]:
         return {**run_folder.manifest_of(self.variants), "laws": list(self.setups)}

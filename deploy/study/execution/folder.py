@@ -5,7 +5,8 @@ written whole or not at all, so the folder of a killed study can always be used.
 
 Rows are identified by the varied values and the seed: points are named by their position in a
 study, and so are renamed when it grows. Each row names its provenance, of which
-``provenance.json`` has all; a folder with rows of another provenance than today's is refused.
+``provenance.json`` has all; a folder with rows of another provenance than today's is refused. Rows
+of a law that may have read something unseen are not used again: each command makes its own.
 """
 
 from __future__ import annotations
@@ -34,7 +35,13 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.study.execution.growth import changes, hindrances
-from deploy.study.execution.provenance import Provenance, current, differences, provenance_of_law
+from deploy.study.execution.provenance import (
+    UNSEEN,
+    Provenance,
+    current,
+    differences,
+    provenance_of_law,
+)
 from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
 
 STUDY_FILE = "study.yaml"
@@ -74,7 +81,7 @@ class StudyFolder(run_folder.ResultFolder):
         known = run_folder.read_json(path / _PROVENANCES_FILE).items()
         self._provenances = {key: parts for key, parts in known if isinstance(parts, dict)}
         self._of_law = cache(provenance_of_law)
-        self.reused = 0
+        self.reused = self.made_again = 0
         self._due_s = time.monotonic() + _WRITE_EVERY_S
 
     @property
@@ -90,12 +97,34 @@ class StudyFolder(run_folder.ResultFolder):
         """
         values: dict[str, set[str]] = {}
         for row in self.rows:
-            for part, value in self._provenances.get(str(row.get(PROVENANCE)), {}).items():
+            for part, value in self._made_by(row).items():
                 values.setdefault(part, set()).add(value)
+        values.pop(UNSEEN, None)
         changed = ", ".join(part for part, found in values.items() if len(found) > 1)
         count = f"{self.reused} of {len(self._rows)} runs are from before, with the same inputs"
-        notes = {count: self.reused, f"{changed} changed between its runs": changed}
+        notes = {
+            count: self.reused,
+            f"{self.made_again} runs were made again": self.made_again,
+            f"{changed} changed between its runs": changed,
+        }
         return "; ".join(text for text, is_so in notes.items() if is_so)
+
+    @property
+    def unseen(self) -> str:
+        """A sentence about rows that no later command uses again, with the reason; else empty."""
+        reasons = {self._made_by(row).get(UNSEEN): None for row in self.rows}
+        texts = [reason for reason in reasons if reason]
+        return f"{'; '.join(texts)}: each command makes these runs again" if texts else ""
+
+    def drop_unseen(self) -> None:
+        """Drop earlier rows whose law may have read something that is not seen."""
+        for identity, rows in self._earlier.items():
+            kept = [row for row in rows if UNSEEN not in self._made_by(row)]
+            self.made_again += len(rows) - len(kept)
+            self._earlier[identity] = kept
+
+    def _made_by(self, row: Row) -> Provenance:
+        return self._provenances.get(str(row.get(PROVENANCE)), {})
 
     def become(self) -> None:
         """Make the folder hold this study, which has grown from the one in it.
@@ -153,6 +182,7 @@ class StudyFolder(run_folder.ResultFolder):
         if not keys <= self._provenances.keys():
             return [_NO_PROVENANCE]
         made_by = [self._provenances[key] for key in sorted(keys)]
+        made_by = [each for each in made_by if UNSEEN not in each]
         laws = {k: v for law in self._study.laws for k, v in self._of_law(law).items()}
         hosts = now({part for each in made_by for part in each})
         found = [
@@ -291,6 +321,7 @@ def opened(
     place = path or create_folder(study, out, overwrite=overwrite)
     with StudyFolder(place, study).lock() as folder:
         folder.become()
+        folder.drop_unseen()
         yield folder
 
 

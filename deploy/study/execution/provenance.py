@@ -6,36 +6,42 @@ of its parts have the same values.
 
 from __future__ import annotations
 
-import ast
-import contextlib
 import hashlib
-import importlib.util
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType
 
-from bus_schema.user_files import is_file, read_bytes
-from controller.laws.custom import EXTERNAL, find_law, is_custom, read_by_imports
-from controller.laws.read_files import OUR_FOLDER, OURS, digest_of_file, is_of_the_user
+from bus_schema.user_files import is_file
+from controller.configuration import is_program
+from controller.laws.custom import find_law, is_custom, is_given, read_by_imports
+from controller.laws.read_files import (
+    ABSENT,
+    OUR_FOLDER,
+    OURS,
+    digest_of_file,
+    is_of_the_user,
+)
 from deploy.judge.arithmetic import libm_fingerprint
 from deploy.run.confirmation import other_physics
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import leaves, plain
+from deploy.study.execution.law_code import code_of
 from plant_emulator.physics.engines import ENGINES, engine_name
 
 Provenance = dict[str, str]
 
+UNSEEN = "not seen"
+"""Part of rows whose law may have read something that is not seen, with the reason."""
 _LIBM = "C library"
+_MODULE, _FOLDER = "module ", "current folder"
 _OURS = "funnel-hil"
 _COMPUTING = ("numpy", "numba", "pin")
 _MAKING_ROWS = ("bus_schema", "controller", "plant_emulator", "deploy/judge", "deploy/run",
                 "deploy/scenario")  # fmt: skip
 _LONGEST = 255
-_ABSENT = "absent"
 
 
 def provenance_of(setup: Setup, confirm: bool, read: Mapping[str, str]) -> Provenance:
@@ -57,29 +63,28 @@ def provenance_of_law(name: str) -> Provenance:
     """Return the code of a custom law: its modules, files that they name, versions of packages.
 
     Its modules are those of the user that it imports, directly or not, as loaded in this process.
+    If it may also read something that is not seen, `UNSEEN` says so.
     """
-    if not is_custom(name) or name == EXTERNAL:
+    if is_program(name):
+        return {UNSEEN: f"{name} is a program"}
+    if not is_custom(name):
         return {}
+    if is_given(name):
+        return {UNSEEN: f"{name} was given as an object"}
     find_law(name)
-    modules, packages, files = dict[str, ModuleType](), set[str](), set[str]()
-    left = [name.partition(":")[0]]
-    while left:
-        module = sys.modules.get(each := left.pop())
-        if module is None or each in modules:
-            continue
-        left.append(each.rpartition(".")[0])
-        file = Path(getattr(module, "__file__", None) or "").resolve()
-        if not (file.is_file() and is_of_the_user(str(file))):
-            packages.add(each.partition(".")[0])
-            continue
-        modules[each] = module
-        imported, texts = _parsed(module, file)
-        left += imported
-        files |= {str(file), *_files_named(texts, file.parent)}
-    parts = current([*files, *_distributions(packages)])
-    return {
+    code = code_of(name.partition(":")[0])
+    named = (
+        each for file, texts in code.files.items() for each in _files_named(texts, file.parent)
+    )
+    parts = current([*map(str, code.files), *named, *_distributions(code.packages)])
+    parts = {
         k: v for read in (parts, *read_by_imports) if parts.keys() & read for k, v in read.items()
     }
+    parts |= {_MODULE + module: place for module, place in code.places.items()}
+    parts[_FOLDER] = str(Path.cwd())
+    if code.unseen:
+        parts[UNSEEN] = f"{name} uses {', '.join(sorted(code.unseen))}"
+    return parts
 
 
 def current(parts: Iterable[str]) -> Provenance:
@@ -90,9 +95,9 @@ def current(parts: Iterable[str]) -> Provenance:
 def differences(old: Provenance, now: Mapping[str, str]) -> list[str]:
     """Name the parts of a provenance that have changed since, each with both values."""
     return [
-        f"{part}: {value} before, {now.get(part, _ABSENT)} now"
+        f"{part}: {value} before, {now.get(part, ABSENT)} now"
         for part, value in old.items()
-        if now.get(part, _ABSENT) != value
+        if now.get(part, ABSENT) != value
     ]
 
 
@@ -100,7 +105,7 @@ def _value(part: str) -> str:
     if part == _LIBM:
         return libm_fingerprint()
     if "/" in part:
-        return digest_of_file(Path(part)) or _ABSENT
+        return digest_of_file(Path(part)) or ABSENT
     return _version(part) + (_own_source() if part == _OURS else "")
 
 
@@ -109,7 +114,7 @@ def _version(name: str) -> str:
     try:
         return metadata.version(name)
     except (metadata.PackageNotFoundError, ValueError):
-        return _ABSENT
+        return ABSENT
 
 
 @cache
@@ -141,35 +146,12 @@ def _files_named(texts: Iterable[str], folder: Path) -> Iterator[str]:
         for name in {text, text.partition("=")[2]}:
             if "." in name and len(name) <= _LONGEST and name.isprintable():
                 found = (place / name for place in (folder, Path.cwd()))
-                yield from (str(path.resolve()) for path in found if is_file(path))
-
-
-def _parsed(module: ModuleType, file: Path) -> tuple[list[str], list[str]]:
-    """Return the names that a module imports, also in functions, and its texts."""
-    imported, texts = list[str](), [str(v) for v in vars(module).values() if isinstance(v, Path)]
-    try:
-        tree = ast.parse(read_bytes(file))
-    except (OSError, SyntaxError, ValueError):  # compiled, or changed since
-        return imported, texts
-    package = module.__package__ or ""
-    for node in ast.walk(tree):
-        match node:
-            case ast.Constant(value=str(text)):
-                texts.append(text)
-            case ast.Import():
-                imported += [alias.name for alias in node.names]
-            case ast.ImportFrom():
-                with contextlib.suppress(ImportError):
-                    name = importlib.util.resolve_name(
-                        "." * node.level + (node.module or ""), package
-                    )
-                    imported += [name, *(f"{name}.{alias.name}" for alias in node.names)]
-    return imported, texts
+                yield from (str(path.absolute()) for path in found if is_file(path))
 
 
 def _distributions(packages: Iterable[str]) -> set[str]:
     """Return the distributions of installed packages; not Python's own, nor ours."""
     found = set(packages) - sys.stdlib_module_names - set(OURS)
-    unlike = {name for name in found if _version(name) == _ABSENT}
+    unlike = {name for name in found if _version(name) == ABSENT}
     named = metadata.packages_distributions() if unlike else {}  # takes time
     return (found - unlike) | {each for name in unlike for each in named.get(name, ())}

@@ -1,1 +1,1 @@
-"""Questions after a margin: theory, patterns of delays, disturbances, remedies."""
+"""Questions after a margin: patterns of delays, disturbances, remedies."""

@@ -10,6 +10,7 @@ from typing import Any
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.run_rows import Row
+from deploy.scenario.playout import EXPECTED
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, plain
@@ -17,7 +18,6 @@ from deploy.study.cases import Setting
 from deploy.study.follow_ups.trials import command_of
 from plant_emulator.channel.conditions import ConditionsSchedule
 
-_EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
 _PER_TICK = 8
 """Samples; commands are sent between ticks, when states arrive."""
 
@@ -42,7 +42,7 @@ def write_worst_traces(
     compensation = setup.scenario.controller.delay_compensation
     if compensation.enabled and compensation.expected_round_trip_ms is None:
         expected_ms = 1e-6 * setup.link.emulated_round_trip_ns
-        instead.append(override(_EXPECTED, expected_ms))
+        instead.append(override(EXPECTED, expected_ms))
     for section, _, _ in (key.rpartition(".") for key in setting.quantity.keys):
         direction = section.removeprefix("link.")
         channel: ChannelConfiguration = getattr(setup.scenario.link, direction)

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import random
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from bus_schema.link.configuration import LinkConfiguration
 from deploy.judge.run_rows import Row
+from deploy.scenario.playout import EXPECTED, levels, playout_range_ns
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import Case
-from deploy.study.follow_ups.trials import command_of, overrides_of, worst_of
+from deploy.study.cases import Case, Setting
+from deploy.study.follow_ups.trials import command_of, variant_of, worst_of
+from deploy.study.margin_search import MarginSearch
 from deploy.study.plants import Variant
-from deploy.study.quantities import MarginSearch, Quantity
+from deploy.study.quantities import Quantity
 from deploy.study.study import rows_by
-from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
 
 Pattern = dict[str, Any]
 """A section ``pattern`` of a direction, without its defaults."""
@@ -30,13 +32,15 @@ HANDFUL: list[Pattern] = [
     {"shape": "sawtooth", "period_ms": 200.0},
     {"shape": "random", "period_ms": 20.0},
 ]
-"""Patterns that test a guarantee, which holds by construction."""
+"""Patterns that test a guarantee, which holds by construction, beside bursts and splits."""
 _PERIODS = {"square": 9, "sawtooth": 5, "falling": 4, "random": 3, "walk": 3}
 """Number of periods with which the catalogue has each shape."""
 _BURSTS: list[Pattern] = [
     {"shape": "square", "period_ms": period_ms, "duty": 0.05} for period_ms in (100.0, 400.0)
 ]
 _LONGEST_MS = 1000.0
+_BURST_MS = 4.0
+_CHANNELS = ("uplink", "downlink")
 _NEIGHBOURS = 10
 
 
@@ -69,44 +73,86 @@ def neighbours(pattern: Pattern, seed: str, tick_ms: float) -> list[Pattern]:
     return found
 
 
-def shaped(start: Variant, pattern: Pattern | None, number: int, quantity: Quantity) -> Variant:
+def bursts(tick_ms: float) -> list[Pattern]:
+    """Return bursts of a few messages just after the start, and again every second."""
+    burst_ms = _whole_ticks(_BURST_MS, tick_ms)
+    period_ms = _whole_ticks(_LONGEST_MS, tick_ms)
+    # Half a tick more, and earlier, so that rounding moves no message out of the burst.
+    duty = round((burst_ms + 0.5 * tick_ms) / period_ms, 9)
+    return [
+        {"shape": "square", "period_ms": period_ms, "duty": duty,
+         "phase_ms": round(period_ms - burst_ms - before_ms, 6)}
+        for before_ms in (0.0, 5.0 * burst_ms)
+    ]  # fmt: skip
+
+
+def shaped(start: Variant, pattern: Pattern | None, quantity: Quantity) -> Variant:
     """Return a start with a pattern in all delays of a quantity; None for constant delays."""
     channels = [key.rpartition(".")[0] for key in quantity.keys]
     return replace(
         start,
-        number=number,
         overrides=(*start.overrides, *(override(f"{each}.pattern", pattern) for each in channels)),
         columns={**start.columns, "pattern": pattern and json.dumps(pattern)},
     )
 
 
-def levels(link: LinkConfiguration) -> bool:
-    """Whether the play-out of a link makes all delays as long as the longest one."""
-    up_ns, down_ns = configured_delays_ns(link.uplink), configured_delays_ns(link.downlink)
-    return link.plays_automatically or link.playout_ns >= round_trip_ns(up_ns, down_ns, 1.0)
+def splits(setting: Setting, value: float) -> list[Pattern]:
+    """Return splits of a constant round trip between the directions: all, or all whole ticks, in
+    one.
+
+    Args:
+        setting: the setting.
+        value: value of its delay, ms.
+    """
+    link, tick_ms = setting.base.scenario.link, setting.base.grid.period_ns * 1e-6
+    varied = [key.split(".")[1] for key in setting.quantity.keys]
+    total_ms = value + sum(getattr(link, each).delay_ms for each in _CHANNELS if each not in varied)
+    whole_ms = math.floor(total_ms / tick_ms + 1e-9) * tick_ms  # except for rounding
+    uplinks_ms = dict.fromkeys(round(each, 6) for each in (total_ms, whole_ms, 0.0))
+    return [{"uplink_ms": up_ms, "downlink_ms": round(total_ms - up_ms, 6)} for up_ms in uplinks_ms]
+
+
+def divided(start: Variant, split: Pattern, setting: Setting) -> Variant:
+    """Return a start with another split of the round trip between the directions."""
+    last = list[str]()
+    for name in _CHANNELS:
+        alone = replace(setting.quantity, keys=(f"link.{name}.delay_ms",), share=1.0)
+        last += alone.overrides(split[f"{name}_ms"], running=setting.tags["running"])
+    columns = {**start.columns, "pattern": json.dumps(split)}
+    return replace(start, columns=columns, last=tuple(last))
 
 
 @dataclass(kw_only=True)
 class PatternSearch(MarginSearch):
     """Search for the value up to which all patterns hold, down from the margin of a constant delay.
 
-    Where a play-out levels all delays, a handful of patterns tests that. Otherwise neighbours of
-    the worst pattern are tried at the last value that held.
+    Where a play-out levels all delays, a handful of patterns tests that, with the play-out time of
+    the constant delay. Otherwise neighbours of the worst pattern are tried at the last value that
+    held.
 
     Attributes:
         case: the case with this margin.
+        at_margin: its scenario with the constant delay of this margin.
         is_levelled: whether the play-out levels all delays up to it.
         worst_overrides: overrides of the run with the worst pattern, once that is known.
     """
 
     case: Case
-    is_levelled: bool
+    at_margin: Setup
+    is_levelled: bool = False
     worst_overrides: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._tick_ms = self.case.setting.base.grid.period_ns * 1e-6
         self._refined: set[int] = set()
-        self._add(HANDFUL if self.is_levelled else catalogue(self._tick_ms))
+        self.is_levelled = levels(self.at_margin)
+        if not self.is_levelled:
+            self._add(self._shaped(catalogue(self._tick_ms)))
+            return
+        setting, starts = self.case.setting, self.case.variants
+        found = splits(setting, self.steps.value(self.steps.limit))
+        self._add(self._shaped([*HANDFUL, *bursts(self._tick_ms)]))
+        self._add(divided(start, split, setting) for split in found for start in starts)
 
     def next(self) -> int | None:
         """Return the value to try next, with more variants if it is the last one that held."""
@@ -115,7 +161,8 @@ class PatternSearch(MarginSearch):
             steps = self.margin
             self._refined.add(steps)
             worst = worst_of(self.rows[steps])["pattern"]
-            self._add(neighbours(json.loads(worst), f"{worst} {steps}", self._tick_ms))
+            near = neighbours(json.loads(worst), f"{worst} {steps}", self._tick_ms)
+            self._add(self._shaped(near))
         return steps
 
     def findings(self, constant: list[Row]) -> dict[str, Any]:
@@ -133,15 +180,33 @@ class PatternSearch(MarginSearch):
         has_worst = is_over and not holds and self.rows
         return {
             "guaranteed": self.steps.value(limit) if holds else None,
+            **(self._condition(constant[0]) if holds else {}),
             "worst_pattern": self._worst() if has_worst else None,
             "patterns": {"tried": tried, "motions": motions if self.is_levelled else None},
+        }
+
+    @property
+    def _playout_ms(self) -> float:
+        return round(1e-6 * playout_range_ns(self.at_margin)[0], 6)
+
+    def _condition(self, row: Row) -> dict[str, Any]:
+        """Return d, for which a guarantee holds, and how to set it where the scenario does not."""
+        setting, d_ms = self.case.setting, self._playout_ms
+        first_ms, later_ms = (1e-6 * each for each in playout_range_ns(setting.base))
+        command, is_own = None, first_ms == later_ms == d_ms
+        if not is_own:
+            command = command_of(setting, [*setting.overrides, override(EXPECTED, d_ms)], row)
+        return {
+            "guaranteed_d_ms": d_ms,
+            "scenario_d_ms": round(first_ms, 6),
+            "guaranteed_command": command,
         }
 
     def _worst(self) -> dict[str, Any]:
         """Return the pattern with the smallest margin where patterns begin to lose, or last."""
         steps, setting = self.first_failure or self.margin or 0, self.case.setting
         row, value = worst_of(self.rows[steps]), self.steps.value(steps)
-        self.worst_overrides = setting.at(value, overrides_of(self, row))
+        self.worst_overrides = setting.of(value, variant_of(self, row))
         return {
             "pattern": json.loads(row["pattern"]),
             "margin": self.steps.value(self.margin or 0),
@@ -152,12 +217,22 @@ class PatternSearch(MarginSearch):
             "command": command_of(setting, self.worst_overrides, row),
         }
 
-    def _add(self, patterns: Iterable[Pattern]) -> None:
-        """Add patterns from all starts; their numbers follow those of the starts."""
+    def _shaped(self, patterns: Iterable[Pattern]) -> Iterator[Variant]:
+        """Return all starts with each of the patterns."""
         starts, quantity = self.case.variants, self.case.setting.quantity
         for pattern, start in itertools.product(patterns, starts):
-            number = len(starts) + len(self.variants)
-            self.variants.append(shaped(start, pattern, number, quantity))
+            yield shaped(start, pattern, quantity)
+
+    def _add(self, variants: Iterable[Variant]) -> None:
+        """Add variants; their numbers follow those of the starts."""
+        playout: tuple[str, ...] = ()
+        if self.is_levelled and self.at_margin.link.plays_automatically:
+            playout = (override(EXPECTED, self._playout_ms),)
+        first = len(self.case.variants) + len(self.variants)
+        self.variants += [
+            replace(each, number=number, overrides=(*each.overrides, *playout))
+            for number, each in enumerate(variants, first)
+        ]
 
     def _beyond(self, _failure: int) -> list[int]:
         return []

@@ -14,8 +14,8 @@ from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.cases import Case, Setting
+from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.plants import Variant
-from deploy.study.quantities import MarginSearch, Steps
 from deploy.study.statistics import in_order
 from deploy.study.statistics import worst as largest
 from deploy.study.study import rows_by
@@ -46,7 +46,8 @@ class Trials(MarginSearch):
             for name, rows in rows_by(in_order(self.rows[steps]), lambda row: row[COLUMN]).items():
                 worst, held = worst_of(rows), all(map(tolerated, rows))
                 tried = {key: worst[key] for key in ("margin_min", "point", "seed")}
-                error = {"worst_rms_rad": largest(worst["rms_rad"])}
+                starts = len({row["point"] for row in rows})
+                error = {"worst_rms_rad": largest(worst["rms_rad"]), "starts": starts}
                 found.append({
                     COLUMN: name, "value": self.steps.value(steps), "held": held, **tried, **error
                 })  # fmt: skip
@@ -90,10 +91,10 @@ def worst_of(rows: list[Row]) -> Row:
     return min(in_order(rows), key=merit)
 
 
-def overrides_of(search: MarginSearch, row: Row) -> tuple[str, ...]:
-    """Return the overrides of the variant of a row of this search."""
+def variant_of(search: MarginSearch, row: Row) -> Variant:
+    """Return the variant of a row of this search."""
     number = int(row["point"].rpartition("-")[2])
-    return next(each.overrides for each in search.variants if each.number == number)
+    return next(each for each in search.variants if each.number == number)
 
 
 def command_of(setting: Setting, overrides: Iterable[str], row: Row) -> str:

@@ -77,13 +77,7 @@ def judged(wanted: TuneDefinition, base: Setup) -> list[Place]:
         wanted: the definition.
         base: its scenario, under any of the laws.
     """
-    offset = (_OTHER_START * base.scenario.robot.initial_offset_rad).tolist()
-    places = [
-        Place("another seed", (), {}),
-        Place("another start", (override("robot.initial_offset_rad", offset),),
-              {"offset_scale": _OTHER_START}),
-        *_another_reference(base),
-    ]  # fmt: skip
+    places = [Place("another seed", (), {}), *_another_start(base), *_another_reference(base)]
     if wanted.plants is not None:
         drawn = draw_plants(wanted, base, [study_keys.LAW, study_keys.SEED])
         places += [Place("other plants", each.overrides, each.columns) for each in drawn]
@@ -98,6 +92,14 @@ def _on_real_arm(wanted: TuneDefinition, place: Place) -> Iterator[Place]:
             place.name, (*place.overrides, *delays),
             {**place.columns, "round_trip_ms": delay_ms},
         )  # fmt: skip
+
+
+def _another_start(base: Setup) -> Iterator[Place]:
+    """Yield the start on the other side of the reference, if the arm does not start on it."""
+    offset_rad = base.scenario.robot.initial_offset_rad
+    if offset_rad.any():
+        start = override("robot.initial_offset_rad", (_OTHER_START * offset_rad).tolist())
+        yield Place("another start", (start,), {"offset_scale": _OTHER_START})
 
 
 def _another_reference(base: Setup) -> Iterator[Place]:

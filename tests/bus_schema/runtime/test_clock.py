@@ -41,6 +41,15 @@ def test_stages_hold_each_substep_once_and_in_order(substeps):
     assert len(stages[-1]) == 1  # only the last one is left to the end of the tick
 
 
+@given(st.floats(1.0, 10_000.0), st.sampled_from(SUBSTEPS), st.integers(0, 10**15))
+def test_next_substep_is_the_first_that_begins_no_earlier(rate_hz, substeps, instant_ns):
+    grid = TickGrid(rate_hz, substeps)
+    first = grid.tick_at_or_before(instant_ns) * substeps
+    starts = (grid.substep_ns(number) for number in range(first, first + substeps + 1))
+    expected_ns = next(start_ns for start_ns in starts if start_ns >= instant_ns)
+    assert grid.next_substep_ns(instant_ns) == expected_ns
+
+
 @given(st.floats(1.0, 10_000.0), st.integers(0, 10**15))
 def test_tick_at_or_before_is_the_last_tick_that_has_begun(rate_hz, instant_ns):
     grid = TickGrid(rate_hz, 1)

@@ -126,13 +126,26 @@ def test_included_and_attached_files_are_read(tmp_path):
     compare_dynamics(chosen, whole)
 
 
+def test_more_than_fifty_files_are_included(tmp_path):
+    (tmp_path / "parts").mkdir()
+    names = [f"parts/{number}.xml" for number in range(60)]
+    for number, name in enumerate(names):
+        geom = f'<geom size="0.01" mass="0.001" pos="{0.001 * number} 0 0"/>'
+        (tmp_path / name).write_text(f"<mujocoinclude>{geom}</mujocoinclude>")
+    inside = "".join(f'<include file="{name}"/>' for name in names)
+    whole = "".join((tmp_path / name).read_text()[15:-16] for name in names)
+    compare_dynamics(load(tmp_path, arm(inside)), arm(whole))
+
+
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
         ("parts/../../../out.xml", "<mujoco/>", "must be below"),
         ("own/hand.txt", "<mujoco/>", "its name must end with .xml or .mjcf"),
         ("own/hand.xml", "no model", "hand.xml cannot be read as MJCF"),
-        ("own/hand.xml", '<mujoco><include file="hand.xml"/></mujoco>', "at most 50 files"),
+        ("own/hand.xml", '<mujoco><include file="hand.xml"/></mujoco>', "hand.xml includes itself"),
+        ("own/hand.xml", '<mujoco><asset><model name="h" file="hand.xml"/></asset></mujoco>',
+         "hand.xml attaches itself"),
         ("own/hand.xml", '<mujoco><worldbody><composite/></worldbody></mujoco>', "<composite>"),
         ("own/hand.xml", '<mujoco><asset><texture file="/dev/zero"/></asset></mujoco>', ""),
     ],

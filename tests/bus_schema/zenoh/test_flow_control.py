@@ -8,7 +8,6 @@ import threading
 import pytest
 
 from bus_schema.messages.topics import PLANT_TRUTH
-from bus_schema.zenoh import outbox
 from bus_schema.zenoh.outbox import LARGEST_LEAD_BYTES, FlowControl
 from tests.bus_schema.zenoh.recorder_ear import ear_on
 from tests.bus_schema.zenoh.zenoh_pair import HANG_S, fresh_link, plant_on
@@ -32,9 +31,8 @@ def test_without_a_recorder_no_process_waits_for_one() -> None:
     assert not flow._marks  # they would grow for hours
 
 
-def test_recorder_that_never_reported_is_awaited_for_less_time(monkeypatch):
-    monkeypatch.setattr(outbox, "_FIRST_PATIENCE_S", NEVER_S)
-    flow = FlowControl(HANG_S)
+def test_recorder_that_never_reported_is_awaited_for_less_time():
+    flow = FlowControl(HANG_S, NEVER_S)
     flow.join("recorder")
     flow.send(1, 1)
     flow.acknowledge("recorder", 2**62)  # it cannot be further than what was sent

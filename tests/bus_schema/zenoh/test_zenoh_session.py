@@ -13,7 +13,7 @@ import pytest
 
 from bus_schema.zenoh.bundle_mailbox import Mailbox
 from bus_schema.zenoh.lingering import never_linger
-from bus_schema.zenoh.session import Delivery, ZenohSession
+from bus_schema.zenoh.session import Delivery, SessionError, ZenohSession
 from tests.waiting import await_true, free_endpoint
 
 
@@ -134,3 +134,15 @@ def test_full_mailbox_drops_the_oldest_or_has_senders_wait() -> None:
     sender.join()
     assert found == list(range(10))
     session.close()
+
+
+def test_taken_endpoint_is_named_once_and_without_zenohs_sources() -> None:
+    endpoint = free_endpoint()
+    first = ZenohSession([endpoint], [], low_latency=False)
+    with pytest.raises(SessionError) as caught:
+        ZenohSession([endpoint], [], low_latency=False)
+    first.close()
+    port = endpoint.rpartition(":")[2]
+    assert str(caught.value).count(port) == 1
+    assert str(caught.value).startswith(f"cannot listen at {endpoint}: Address already in use")
+    assert "/" not in str(caught.value).removeprefix(f"cannot listen at {endpoint}")

@@ -53,7 +53,16 @@ def test_results_and_passing_files_are_no_inputs(tmp_path):
         with pytest.raises(OSError, match="missing"):
             (tmp_path / "missing").read_text()
         list(tmp_path.iterdir())
-    assert read == {str(tmp_path / "log"): ""}
+    assert read == {str(tmp_path / "log"): "", str(tmp_path / "missing"): "absent"}
+
+
+def test_link_is_an_input_too(tmp_path):
+    """It may lead to another file later."""
+    (tmp_path / "target").write_text("x")
+    (tmp_path / "link").symlink_to("target")
+    with files_read() as read:
+        (tmp_path / "link").read_text()
+    assert read == {str(tmp_path / "link"): digest_of_file(tmp_path / "target")}
 
 
 def test_modules_are_known_by_their_source_also_if_compiled_before(tmp_path, monkeypatch):

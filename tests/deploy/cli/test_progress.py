@@ -38,11 +38,31 @@ def test_without_a_terminal_the_last_state_is_a_plain_line(console):
 
 
 def test_runs_of_earlier_commands_are_counted_apart_and_have_no_speed(console):
-    with CommandProgress(console, "study", 3, "runs") as progress:
+    with CommandProgress(console, "study", 4, "runs") as progress:
         counter = RunCounter(progress)
         counter.done({"error": None}, 4, True)
         counter.done({"error": "it broke"}, 4, True)
     assert lines(console) == ["2 of 4 runs, 2 runs were there from before, 1 failed"]
+
+
+def test_a_total_that_moves_is_a_share_that_never_falls(console, monkeypatch):
+    """A search asks for more runs after some, and for fewer after others; each takes 2 s."""
+    now_s = [0.0]
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
+    with CommandProgress(console, "search", 40, "runs") as progress:
+        counter = RunCounter(progress)
+        for done, expected in enumerate([40] * 5 + [60] * 10 + [30] * 15, start=1):
+            now_s[0] = 2.0 * done
+            counter.done({"error": None}, expected, False)
+    shown = lines(console)
+    assert shown[0] == "2 of 40 runs, 0.5 runs/s"
+    moved = [line for line in shown if " of " not in line]
+    assert len(moved) > 10
+    shares = [int(re.search(r" runs, (\d+) %, ", line)[1]) for line in moved]
+    assert shares == sorted(shares)
+    assert moved[-1] == "30 runs, 100 %, 0.5 runs/s"
+    assert "20 runs, 67 %, 0.5 runs/s, about 20 s left" in moved
+    assert sum("about" in line for line in moved) > len(moved) - 3
 
 
 def test_the_speed_of_runs_is_that_of_all_that_this_command_did(console, monkeypatch):

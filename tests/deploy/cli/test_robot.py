@@ -143,6 +143,25 @@ def test_robot_shows_gains_only_when_asked(funnel_hil):
     assert "Gains of" not in funnel_hil.output("robot", "panda")
 
 
+@pytest.mark.parametrize(
+    ("speeds", "said", "listed"),
+    [
+        ((4.8, 4.8, 4.8), "0.0417 s", "0.0417, 0.0417, 0.0417"),
+        ((1.0, 10.0, 4.0), "0.02 to 0.06 s", "0.06, 0.02, 0.05"),
+    ],
+)
+def test_estimated_friction_is_the_same_in_words_and_table(
+    tmp_path, funnel_hil, speeds, said, listed
+):
+    """20 % of the largest torque at top speed, but at most 0.06 s of it."""
+    arm, left = tmp_path / "arm.urdf", iter(speeds)
+    text = (ROBOTS / "paper_arm.urdf").read_text()
+    arm.write_text(re.sub(r'velocity="[^"]*"', lambda _: f'velocity="{next(left)}"', text))
+    output = " ".join(funnel_hil.output("robot", arm).split())
+    assert f"viscous friction ESTIMATED as {said} of the largest torque" in output
+    assert f"viscous_share_s {listed}" in output
+
+
 def test_robot_shows_the_inertia_and_gains_of_a_run(funnel_hil, tmp_path):
     arm = tmp_path / "arm.urdf"  # a file whose rotors are estimated
     arm.write_text((ROBOTS / "ur10e.urdf").read_text())

@@ -60,13 +60,33 @@ def truth_of(robot: RobotDescription, model: ManipulatorModel, random) -> Truth:
     )
 
 
-def write_log(file: Path, name: str, truth: Truth, random, duration_s: float = 25.0, noise=0.01):
-    """Write the log of a virtual robot on its designed trajectory; return its arm."""
+def coloured(random, shape: tuple[int, int], correlation_s: float) -> np.ndarray:
+    """Return noise of variance 1 with autocorrelation exp(−|t| / correlation); white for 0."""
+    white = random.normal(size=shape)
+    if not correlation_s:
+        return white
+    decay = np.exp(-1.0 / (RATE_HZ * correlation_s))
+    noise = np.empty(shape)
+    noise[0] = white[0]
+    for row in range(1, shape[0]):
+        noise[row] = decay * noise[row - 1] + np.sqrt(1.0 - decay**2) * white[row]
+    return noise
+
+
+def write_log(
+    file: Path, name: str, truth: Truth, random, duration_s: float = 25.0, noise=0.01,
+    correlation_s: float = 0.0,
+):  # fmt: skip
+    """Write the log of a virtual robot on its designed trajectory; return its arm.
+
+    The torques have noise of this share of their largest value, correlated over this time.
+    """
     robot, _, times_s, (position, velocity, acceleration), regressors = excitation(name, duration_s)
     friction = truth.coulomb * np.tanh(velocity / truth.smoothing) + truth.viscous * velocity
     torque = regressors @ truth.bodies + truth.rotors * acceleration + friction
     ahead = np.column_stack([np.interp(times_s + truth.lag_s, times_s, c) for c in torque.T])
-    torque = ahead + noise * np.abs(torque).max(axis=0) * random.normal(size=torque.shape)
+    size = noise * np.abs(torque).max(axis=0)
+    torque = ahead + size * coloured(random, torque.shape, correlation_s)
     position = np.rint(position / 1e-5) * 1e-5
     velocity = velocity + 1e-3 * random.normal(size=velocity.shape)
     names = [f"{kind}.{joint}" for kind in ("position", "velocity", "effort")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.judge.findings.growing import growths
+from deploy.judge.findings.growing import growths, longest_growth_time_s
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -18,7 +18,7 @@ def times_s(duration_s):
 
 
 def growth_of(error, position=0.0):
-    (found,) = growths(error[:, None], error[:, None] + position, RATE_HZ)
+    (found,) = growths(error[:, None], error[:, None] + position, RATE_HZ).joints
     return found
 
 
@@ -37,10 +37,53 @@ def test_unstable_loop_is_found_with_rate_and_frequency(duration_s, rate, size_r
     assert found.frequency_hz == pytest.approx(7.7, abs=1.0)
 
 
+@pytest.mark.parametrize("duration_s", [4.0, 8.0, 30.0])
+@pytest.mark.parametrize("periods", [2.05, 3.0, 5.5])
+@pytest.mark.parametrize("factor", [1.7, 2.7, 7.4])
+@pytest.mark.parametrize("slow_rad", [0.0, 1e-3])
+def test_slow_unstable_loop_is_found_from_two_periods_up(duration_s, periods, factor, slow_rad):
+    """In the last half of the run; a spectrum of 7 segments needs 12."""
+    t, half_s = times_s(duration_s), 0.5 * duration_s
+    rate, hertz = np.log(factor) / half_s, periods / half_s
+    error = 1e-3 * np.exp(rate * (t - duration_s)) * np.sin(2 * np.pi * hertz * t + 1.0)
+    found = growth_of(error + slow_rad * np.sin(0.4 * t))
+    assert found.rate_per_s == pytest.approx(rate, rel=0.02)
+    assert found.frequency_hz == pytest.approx(hertz, rel=0.01)
+
+
+def test_what_a_run_is_too_short_to_show():
+    t = times_s(8.0)
+    smooth, noise = np.sin(0.5 * t), np.random.default_rng(0).standard_normal(len(t))
+    errors = np.stack([smooth, smooth + 0.01 * noise], axis=1)
+    # two periods in the last half for a linear model, three in a segment of 1 s for a spectrum
+    assert growths(errors[:, :1], errors[:, :1], RATE_HZ).not_tested_below_hz == 0.5
+    assert growths(errors, errors, RATE_HZ).not_tested_below_hz == 3.0
+    assert growths(errors[:20], errors[:20], RATE_HZ).not_tested_below_hz is None
+    # e^(3 s / T) = 1.6 between the middles of the first segment and the last
+    assert longest_growth_time_s(8.0) == pytest.approx(3.0 / np.log(1.6))
+
+
+def grown(t):
+    """A size that grows until 0.45 of the time."""
+    return np.minimum(1.0, np.exp(2.0 * (t - 0.45 * t[-1])))
+
+
 OTHERS = {
+    "slow decay": lambda t: np.exp(-0.3 * t) * np.sin(4 * t),
+    "slow oscillation": lambda t: np.sin(4 * t) + np.sin(0.5 * t),
+    "slow resonance": lambda t: t * np.sin(4 * t),
+    "slow beat": lambda t: np.sin(4 * t) - np.sin(4.1 * t),
+    "slow amplitude": lambda t: (1.2 + np.sin(0.3 * t)) * np.sin(4 * t),
+    "slow limit cycle after growth": lambda t: grown(t) * np.sin(5 * t),
+    "polynomial": lambda t: t**3 - 3 * t,
+    "minimum jerk": lambda t: np.polyval([6, -15, 10, 0, 0, 0], t / t[-1]),
+    "dry friction": lambda t: np.tanh(20 * np.sin(2 * t)) * (1 + 0.1 * t),
+    "triangle": lambda t: np.arcsin(np.sin(4 * t)),
+    "steps": lambda t: np.floor(3 * np.sin(2 * t)),
+    "cusps": lambda t: np.abs(np.sin(3 * t)),
     "decay": lambda t: np.exp(-t) * np.sin(30 * t),
     "oscillation": lambda t: np.sin(30 * t),
-    "limit cycle after growth": lambda t: np.minimum(1.0, np.exp(2 * t - 5)) * np.sin(30 * t),
+    "limit cycle after growth": lambda t: grown(t) * np.sin(30 * t),
     "resonance": lambda t: t * np.sin(30 * t),
     "beat": lambda t: np.sin(30 * t) - np.sin(30.1 * t),
     "reference that speeds up": lambda t: np.sin(5 * t + 3 * t**2),

@@ -26,6 +26,7 @@ from bus_schema.messages.topics import (
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.metrics import settling_times_s, summarise
 from deploy.judge.run_data import build_run_data, digest
+from deploy.judge.run_rows import row
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
@@ -153,6 +154,23 @@ def test_settling_is_the_last_entry_into_the_band() -> None:
         ]
 
 
+def test_tip_error_is_the_distance_that_the_joints_make(setup: Setup) -> None:
+    """An arm of 0.7 and 0.6 m lies straight along x: a turned base moves its end on a circle."""
+    ticks = [at(1.0)] * 10  # before `metrics.from_s`, 10 ms
+    ticks += [at(0.02, 0.0, 0.0), at(-0.03, 0.0, 0.0), at(0.0), at(0.0, 0.0, 0.01)]
+    found = judged(setup, ticks)["tip_error_mm"]
+    chords = [2e3 * r * np.sin(e / 2) for r, e in ((1.3, 0.02), (1.3, 0.03), (1, 0), (0.6, 0.01))]
+    assert found["largest"] == pytest.approx(max(chords), rel=1e-9)
+    assert found["rms"] == pytest.approx(np.sqrt(np.mean(np.square(chords))), rel=1e-9)
+
+
+@pytest.mark.parametrize("ticks", [[], [at(0.0)] * 5, [at(0.0)] * 12 + [at(np.nan)]])
+def test_tip_error_is_unknown_without_positions(setup: Setup, ticks) -> None:
+    found = judged(setup, ticks)
+    assert found["tip_error_mm"] == {"rms": None, "largest": None}
+    assert row(found, 1)["tip_largest_mm"] is None
+
+
 def test_torque_figures(setup: Setup) -> None:
     commands = [{"effort": effort} for effort in ([3, 0, -1], [-4, 0, 1], [3, 0, -1])]
     truth = [at(0.0, saturated=flag) for flag in (0, 1, 0, 0)]
@@ -162,6 +180,26 @@ def test_torque_figures(setup: Setup) -> None:
     assert torque["rms_nm"] == pytest.approx([np.sqrt(34 / 3), 0.0, 1.0])
     assert torque["peak_nm"] == [4.0, 0.0, 1.0]
     assert torque["saturated_fraction"] == 0.25
+
+
+def test_torques_of_drives_with_their_own_loops_are_the_delivered_ones(setup: Setup) -> None:
+    """The commands are positions; before the first one acts, nothing is judged."""
+    commands = [{"effort": [0, 0, 0]}] * 3
+    truth = [
+        at(0.0, torque=torque, command_age_ns=age)
+        for torque, age in (([9, 9, 9], -1), ([3, 0, -1], 1), ([-4, 0, 1], 1), ([3, 0, -1], 1))
+    ]
+    torque = judged(setup, truth, commands)["torque"]
+    assert torque["total_variation_nm_per_s"] == pytest.approx([7000.0, 0.0, 2000.0])
+    assert torque["rms_nm"] == pytest.approx([np.sqrt(34 / 3), 0.0, 1.0])
+    assert torque["peak_nm"] == [4.0, 0.0, 1.0]
+
+
+def test_torque_commands_are_judged_as_commanded_whatever_is_delivered(setup: Setup) -> None:
+    commands = [{"effort": [2, 0, 0]}, {"effort": [4, 0, 0]}]
+    truth = [at(0.0, torque=[9, 9, 9], command_age_ns=1)] * 3
+    torque = judged(setup, truth, commands)["torque"]
+    assert torque["peak_nm"] == [4.0, 0.0, 0.0]
 
 
 def test_timing_leaves_out_what_is_not_known(setup: Setup) -> None:

@@ -95,6 +95,49 @@ def test_candump_is_the_time_from_frame_to_frame(imported) -> None:
     assert imported("can.log", CAN_LOG, *words) == [700, LOST_NS, 900]
 
 
+def test_buses_with_the_same_identifiers_are_kept_apart(tmp_path: Path, funnel_hil) -> None:
+    """Of two buses a few µs apart, each answers all requests."""
+    log = tmp_path / "two.log"
+    lines = [
+        (time_s + step_s, bus, frame)
+        for bus, delay_s, answers in (("can0", 3e-4, True), ("slcan:1", 9e-4, True), ("can2", 0, 0))
+        for time_s in np.arange(50) * 2e-3 + (4e-4 if bus == "slcan:1" else 0.0)
+        for step_s, frame in ((0.0, "201#01"), (delay_s, "181#02" if answers else "182#"))
+    ]
+    log.write_text("\n".join(f"({1.7e9 + t:.6f}) {bus} {frame}" for t, bus, frame in sorted(lines)))
+    words = ("trace", "import", "candump", log, "--from", "201", "--to", "181")
+    output = funnel_hil.output(*words, "--out", tmp_path / "bus.parquet")
+    assert output.count("50 messages") == output.count("lost 0") == 2
+    for name, delay_us in (("can0", 300), ("slcan_1", 900)):
+        assert f"{{trace: {{file: {tmp_path / f'bus_{name}.parquet'}}}}}" in output
+        delays_ns = read_trace(tmp_path / f"bus_{name}.parquet").delays_ns
+        np.testing.assert_allclose(delays_ns / 1e3, delay_us, atol=1.0)
+    words = (*words, "--interface", "slcan:1", "--out", tmp_path / "one.parquet")
+    assert funnel_hil.output(*words).count("50 messages") == 1
+    np.testing.assert_allclose(read_trace(tmp_path / "one.parquet").delays_ns, 900_000, atol=1000)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "words"),
+    [
+        ("time_s,delay_us", "{s},700", ("--from", "time_s", "--delay", "delay_us", "--unit", "us")),
+        ("time_s,delay_us", "{s},700", ("--from", "time_s", "--delay", "delay_us")),
+        ("t [s],rtt (µs)", "{s},700", ("--from", "t [s]", "--delay", "rtt (µs)", "--unit", "ms")),
+        ("t,d", "{s},700", ("--from", "t", "--delay", "d", "--delay-unit", "us")),
+        ("t,d_ms", "{s},700", ("--from", "t", "--delay", "d_ms", "--delay-unit", "us")),
+        ("t,got_ns", "{ms},{got_ns}", ("--from", "t", "--to", "got_ns", "--unit", "ms")),
+        ("a_ns,b_usec", "{ns},{got_us}", ("--from", "a_ns", "--to", "b_usec")),
+    ],
+)
+def test_each_column_has_its_unit(imported, header, row, words) -> None:
+    """Messages 2 ms apart take 0.7 ms, whatever the units of the columns."""
+    rows = [
+        row.format(s=n / 500, ms=2 * n, ns=2_000_000 * n, got_us=2000 * n + 700,
+                   got_ns=2_000_000 * n + 700_000) for n in range(20)
+    ]  # fmt: skip
+    assert imported("log.csv", "\n".join([header, *rows]), "csv", *words) == [700] * 20
+
+
 def test_csv_is_the_difference_of_two_columns_or_one_of_delays(imported) -> None:
     words = ("csv", "--from", "sent", "--unit", "ms")
     assert imported("log.csv", CSV, *words, "--to", "got") == [2500, LOST_NS, 1000]
@@ -165,10 +208,32 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
         ),
         (
             CSV.replace("2,20,\n", ""),
-            ("csv", "--from", "got", "--to", "sent"),
+            ("csv", "--from", "got", "--to", "sent", "--unit", "ms"),
             "give the true smallest delay with --least MS",
         ),
         ("", ("mcap", "--from", "/a"), "cannot be read as MCAP"),
+        (
+            CAN_LOG.replace("can0 181", "can1 181"),
+            ("candump", "--from", "201", "--to", "181"),
+            "no frame 201 is followed by 181 on its bus: requests on can0, answers on can1",
+        ),
+        (
+            CAN_LOG,
+            ("candump", "--from", "201", "--to", "181", "--interface", "can1"),
+            "--interface can1: has no frame 201: these frames are on can0",
+        ),
+        (PING, ("ping", "--interface", "can0"), "--interface is for candump"),
+        (CAN_LOG, ("candump", "--from", "201", "--delay-unit", "us"), "--delay-unit is for csv"),
+        (
+            "".join(["t,delay\n", *(f"{n / 1e3},700\n" for n in range(50))]),
+            ("csv", "--from", "t", "--delay", "delay", "--unit", "us"),
+            "usually 1e-09 s apart, must be 10 µs to 10 s: is their unit another?",
+        ),
+        (
+            "".join(["t,delay\n", *(f"{n * 1_000_000},0.7\n" for n in range(50))]),
+            ("csv", "--from", "t", "--delay", "delay", "--delay-unit", "ms"),
+            "usually 1e+06 s apart, must be 10 µs to 10 s",
+        ),
     ],
 )
 def test_what_is_no_measurement_is_refused(tmp_path, funnel_hil, text, words, complaint):

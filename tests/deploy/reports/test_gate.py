@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
@@ -20,8 +21,11 @@ from deploy.judge.gate import (
     read_history,
     since_when,
 )  # fmt: skip
+from deploy.judge.tested_with import require_same_test, tested_with
 from deploy.reports.gate_files import write_history, write_junit, write_markdown
 from deploy.reports.kinds import gauged
+from deploy.scenario.referenced_files import ROBOTS
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from tests.warm_process import ROOT
 
@@ -91,9 +95,35 @@ def test_commands_end_with_3_and_leave_files_for_ci(funnel_hil, tmp_path, monkey
     assert [json.loads(entry)["commit"] for entry in entries] == ["01234567"] * 2
     assert "history over commits" not in (tmp_path / "history" / "history.html").read_text()
     output = funnel_hil.output(
-        "compare", "--laws", "pid", "--set", "funnel.rate_per_s=200", *SHORT,
+        "compare", "--laws", "pid", *SHORT,
         "--baseline", tmp_path / "1", "--out", tmp_path / "3", code=3)  # fmt: skip
     assert "paper_arm, fixed_time_neural: is missing" in output
+
+
+def test_tip_error_is_gated_by_a_limit_in_millimetres(funnel_hil, tmp_path):
+    simulate = ["simulate", *SHORT, "--no-report"]
+    output = funnel_hil.output(*simulate, "--at-least", "500mm", "--out", tmp_path / "1")
+    rms, largest = re.search(
+        r"tip was off by ([\d.]+) mm RMS, ([\d.]+) mm at most", output
+    ).groups()
+    summary = json.loads((tmp_path / "1" / "summary.json").read_text())
+    tip = summary["tip_error_mm"]
+    assert (tip["rms"], tip["largest"]) == pytest.approx((float(rms), float(largest)), rel=0.01)
+    assert 0.0 < tip["rms"] < tip["largest"]
+    limit = f"{0.99 * tip['largest']:.6f}mm"
+    output = funnel_hil.output(*simulate, "--at-least", limit, "--out", tmp_path / "2", code=3)
+    assert "paper_arm, fixed_time_neural, largest tip error: " in output
+    assert f"must be at most {0.99 * tip['largest']:g} mm" in output
+    baseline = ["--baseline", tmp_path / "1", "--tolerance", "0.5mm"]
+    assert funnel_hil(*simulate, *baseline, "--out", tmp_path / "3")[0] == 0
+    worse = ["--set", "plant.payload_kg=20", *baseline]
+    output = funnel_hil.output(*simulate, *worse, "--out", tmp_path / "4", code=3)
+    assert "largest tip error: rose by" in output
+    (tmp_path / "old.json").write_text(json.dumps(summary | {"tip_error_mm": None}))
+    old = ["--baseline", tmp_path / "old.json", "--tolerance", "1mm"]
+    output = funnel_hil.output(*simulate, *old, "--out", tmp_path / "5", code=2)
+    assert "has no number in mm" in output
+    assert [each.unit for each in gauged(summary)] == ["% of the bound"]
 
 
 def test_numbers_of_studies_are_margins_and_distances_to_the_bound():
@@ -124,7 +154,97 @@ def test_example_repository_passes_until_its_law_gets_worse(change, code, tmp_pa
 
 def test_number_without_unit_and_unit_of_tolerance_must_agree():
     with pytest.raises(ScenarioError, match="must have the unit of --at-least, ms"):
-        build_gate("20ms", "1%", ("runs", []))
+        build_gate("20ms", "1s", ("runs", []))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fails"),
+    [
+        (Gauged("a", 20.0, "ms"), 16.0, False),
+        (Gauged("a", 20.0, "ms"), 15.5, True),
+        (Gauged("a", 100.0, "Hz", -1), 120.0, False),
+        (Gauged("a", 100.0, "Hz", -1), 121.0, True),
+        (Gauged("a", 0.0, "ms"), -0.5, True),
+        (Gauged("a", 50.0, "% of the bound"), 30.0, False),  # percent of the bound, as the number
+        (Gauged("a", 50.0, "% of the bound"), 29.0, True),
+    ],
+)
+def test_tolerance_in_percent_is_a_share_of_the_earlier_number(before, after, fails):
+    gate = build_gate(None, "20%", ("runs", [before]))
+    failures = gate.failures([Gauged("a", after, before.unit, before.sign)])
+    assert bool(failures) == fails
+    if fails:
+        assert "more than the 20 %" in failures["a"]
+
+
+EASIER = {
+    "funnel.overshoot_margin_rad=0.4": "funnel.overshoot_margin_rad = 0.03 before, 0.4 now",
+    "duration_s=0.01": "duration_s = 0.2 before, 0.01 now",
+    "robot.initial_offset_rad=0": "robot.initial_offset_rad = [0.15, -0.12, 0.1] before, [0.0] now",
+    "rate_hz=2000": "rate_hz = 1000.0 before, 2000.0 now",
+    "seed=2": "seeds = [1] before, [2] now",
+    "plant.physics.integrator=runge_kutta_4": "semi_implicit_euler' before, 'runge_kutta_4' now",
+    "reference.speed=0.5": "reference.speed = 1.0 before, 0.5 now",
+    "plant.friction.viscous_nm_s=0": "plant.friction.viscous_nm_s = [10.0, 8.0, 5.0] before",
+    "controller.model_scale=1.0": "controller.model_scale = 0.9 before, 1.0 now",
+}
+SUBJECT = ["controller.law=pid", "controller.delay_compensation.enabled=true",
+           "controller.torque_rate_limit_nm_s=1000", "metrics.from_s=0"]  # fmt: skip
+
+
+def values_of_test(*overrides):
+    setup = load_setup("paper_arm", ["plant.physics.engine=mujoco", "duration_s=0.2", *overrides])
+    return json.loads(json.dumps(tested_with([setup], {"seeds": [setup.scenario.seed]})))
+
+
+@pytest.mark.parametrize("change", SUBJECT)
+def test_subject_of_a_test_may_change(change):
+    assert require_same_test(values_of_test(), values_of_test(change), allows_changes=False) == []
+
+
+@pytest.mark.parametrize("change", EASIER)
+def test_test_that_became_easier_is_refused_and_named(change):
+    with pytest.raises(ScenarioError, match="must have the same test") as refused:
+        require_same_test(values_of_test(), values_of_test(change), allows_changes=False)
+    assert EASIER[change] in str(refused.value)
+    (found,) = require_same_test(values_of_test(), values_of_test(change), allows_changes=True)
+    assert EASIER[change] in found
+
+
+def test_arm_with_other_contents_is_another_test_and_a_moved_file_is_not(tmp_path):
+    text = (ROBOTS / "paper_arm.urdf").read_text()
+    for name, mass in (("copy", "15.612"), ("light", "7.8")):
+        (tmp_path / f"{name}.urdf").write_text(text.replace('"15.612"', f'"{mass}"'))
+    before, same, other = (
+        values_of_test(f"robot.urdf={each}")
+        for each in ("paper_arm", tmp_path / "copy.urdf", tmp_path / "light.urdf")
+    )
+    assert require_same_test(before, same, allows_changes=False) == []
+    (found,) = require_same_test(before, other, allows_changes=True)
+    assert found.startswith("paper_arm: robot.urdf = ")
+
+
+def test_command_refuses_a_baseline_of_another_test_or_lists_the_differences(funnel_hil, tmp_path):
+    """For a margin: fewer starts, an easier limit; no process starts."""
+    words = ["margin", "paper_arm", "--laws", "smc", "--limit", "4", "--resolution", "2",
+             "--duration", "0.2"]  # fmt: skip
+    before = tmp_path / "before"
+    assert funnel_hil(*words, "--out", before)[0] == 0
+    easier = [*words, "--offsets", "1", "--baseline", before, "--out", tmp_path / "new"]
+    output = funnel_hil.output(*easier, code=2)
+    assert "error: --baseline: offsets = [1.0, -0.5] before, [1.0] now: must have" in output
+    assert not (tmp_path / "new").exists()
+    output = funnel_hil.output(*easier, "--allow-changes", code=3)  # too short to be tested
+    assert "gate: failed; --baseline: offsets = [1.0, -0.5] before, [1.0] now" in output
+    summary = json.loads((before / "summary.json").read_text())
+    del summary["tested_with"]
+    (tmp_path / "old.json").write_text(json.dumps(summary))
+    old = [*words, "--baseline", tmp_path / "old.json", "--out", tmp_path / "newer"]
+    assert "does not say how it was tested" in funnel_hil.output(*old, code=2)
+    assert "does not say how it was tested" in funnel_hil.output(*old, "--allow-changes", code=3)
+    assert "--allow-changes: needs --baseline" in funnel_hil.output(
+        *words, "--allow-changes", code=2
+    )
 
 
 MARGIN = json.loads((EXAMPLE / "baseline.json").read_text())

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from plotly.subplots import make_subplots
 
 from deploy.reports.figures.style import new_figure
 from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text
@@ -62,13 +63,70 @@ def test_only_lines_and_columns_in_the_plane_are_drawn(trace, is_drawn):
     assert not can_be_drawn(np.zeros(3))
 
 
-def drawn(figure, tmp_path, monkeypatch):
-    """The axes of a figure's first row."""
+def written(figure, tmp_path, monkeypatch):
+    """A figure as Matplotlib wrote it over one column."""
     kept = []
     save = Figure.savefig
     monkeypatch.setattr(Figure, "savefig", lambda f, *a, **k: (kept.append(f), save(f, *a, **k)))
     write_figure(figure, tmp_path / "figure.svg", 1)
-    return kept[0].axes[0]
+    return kept[0]
+
+
+def drawn(figure, tmp_path, monkeypatch):
+    """The axes of a figure's first row."""
+    return written(figure, tmp_path, monkeypatch).axes[0]
+
+
+@pytest.mark.parametrize("count", [2, 4, 9])
+@pytest.mark.parametrize(
+    "name", ["law {}", "fixed_time_adaptive with compensation {}", "x" * 45 + "{}"]
+)
+def test_legend_is_within_the_figure_and_above_the_plot(tmp_path, monkeypatch, count, name):
+    figure = new_figure(300)
+    for number in range(count):
+        figure.add_scatter(x=[0.0, 1.0], y=[0.0, number], name=name.format(number), mode="lines")
+    found = written(figure, tmp_path, monkeypatch)
+    (legend,) = found.legends
+    assert len(legend.get_texts()) == count
+    box, plot = legend.get_window_extent(), found.axes[0].get_window_extent()
+    assert 0.0 <= box.x0 < box.x1 <= found.bbox.width
+    assert plot.y1 <= box.y0 < box.y1 <= found.bbox.height
+    assert plot.height > 0.3 * 300  # px of 100 per inch
+
+
+def test_level_far_above_all_values_does_not_flatten_them(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    figure.add_bar(x=["a", "b"], y=[8.0, 24.0])
+    figure.add_hline(1000.0, line_dash="dot")
+    figure.add_hline(30.0, line_dash="dot")
+    at = drawn(figure, tmp_path, monkeypatch)
+    assert 30.0 < at.get_ylim()[1] < 40.0
+    assert [line.get_ydata()[0] for line in at.lines] == [30.0]
+
+
+def test_grid_of_subplots_stays_a_grid_and_fits_on_a_page(tmp_path, monkeypatch):
+    figure = make_subplots(rows=3, cols=4, shared_yaxes="rows")
+    for row in range(1, 4):
+        for column in range(1, 5):
+            figure.add_scatter(x=[0, 1], y=[0, row], row=row, col=column, name=str(column))
+    found = written(figure, tmp_path, monkeypatch)
+    places = [at.get_subplotspec() for at in found.axes]
+    assert {(place.rowspan.start, place.colspan.start) for place in places} == {
+        (row, column) for row in range(3) for column in range(4)
+    }
+    for at, place in zip(found.axes, places, strict=True):
+        assert max(at.lines[0].get_ydata()) == place.rowspan.start + 1
+    assert 25.4 * found.get_figheight() <= 120.0
+
+
+def test_edges_of_bands_are_no_lines(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    edge = {"mode": "lines", "line": {"width": 0}}
+    figure.add_scatter(x=[0, 1], y=[2, 3], **edge)
+    figure.add_scatter(x=[0, 1], y=[0, 1], fill="tonexty", fillcolor="rgba(0, 0, 0, 0.2)", **edge)
+    at = drawn(figure, tmp_path, monkeypatch)
+    assert not at.lines
+    assert len(at.collections) == 1
 
 
 def test_bars_stand_side_by_side_and_those_without_a_value_are_left_out(tmp_path, monkeypatch):

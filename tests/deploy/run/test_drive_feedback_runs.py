@@ -5,14 +5,17 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH
 from bus_schema.recording.mcap_log import read_log
 from deploy.judge.metrics import summarise
+from deploy.reports.figures.joints import torques
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from tests.deploy.own_laws import own_law
 
 ON = "controller.delay_compensation.enabled=true"
 DRIVES = "controller.drive_feedback.enabled=true"
@@ -98,3 +101,31 @@ def test_a_run_with_drives_repeats_and_replays_bit_for_bit(tmp_path, compensatio
     again = replay(simulation.setup, read_log(tmp_path / "run.mcap"))
     assert again.replayed > 450
     assert again.is_identical
+
+
+def test_torques_of_drives_that_follow_positions_are_in_all_figures(tmp_path, import_folder):
+    """A law without torque: the drives alone move the arm, with the torque of inverse dynamics."""
+    law = own_law(import_folder, "return 0.0 * tracking.position")
+    data = run(f"controller.law={law}", DRIVES, duration_s=2).data()
+    assert not data.tables[JOINT_COMMANDS.name]["effort"].any()
+    truth = data.tables[PLANT_TRUTH.name]
+    arm = pin.buildModelFromXML(data.setup.robot.text)
+    period_s = 1e-9 * data.setup.grid.period_ns
+    rates = np.gradient(truth["velocity"], period_s, axis=0)
+    needed = (
+        truth["friction"]
+        + truth["disturbance"]
+        + [
+            pin.rnea(arm, arm.createData(), *row)
+            for row in zip(truth["position"], truth["velocity"], rates, strict=True)
+        ]
+    )
+    moving = needed[200:]  # after the start, where torques reach their limits
+    torque = summarise(data)["torque"]
+    assert (np.array(torque["peak_nm"]) >= 0.98 * np.abs(moving).max(axis=0)).all()
+    assert (np.array(torque["rms_nm"]) > 0.9 * np.sqrt((moving**2).mean(axis=0))).all()
+    assert (np.array(torque["total_variation_nm_per_s"]) > 0.0).all()
+    assert (np.array(torque["share_above_50_hz"]) > 0.0).all()
+    assert torque["saturated_fraction"] > 0.0
+    figure = torques(data)
+    assert max(np.abs(trace.y).max() for trace in figure.data) > 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,42 @@ def test_path_that_is_set_starts_in_current_folder(setting, tmp_path, monkeypatc
         setup = load_setup(scenario, [setting, "duration_s=1"])
         paths = [setup.robot.path, *data_files(setup.scenario).values()]
         assert tmp_path / "here" in {path.parent for path in paths}
+
+
+def test_scenario_extends_one_that_extends_another(tmp_path, monkeypatch):
+    """The nearest file decides each key; a name is searched beside the file that has it."""
+    (tmp_path / "base").mkdir()
+    (tmp_path / "base" / "middle.yaml").write_text(
+        "extends: panda_motors\nseed: 5\nplant: {payload_kg: 1}\nfunnel: {rate_per_s: 3}\n"
+    )
+    (tmp_path / "base" / "near.yaml").write_text("extends: middle.yaml\nplant: {payload_kg: 2}\n")
+    (tmp_path / "mine.yaml").write_text("extends: base/near.yaml\nname: mine\nseed: 7\n")
+    monkeypatch.chdir(tmp_path / "base")
+    setup, shipped = load_setup("../mine.yaml"), load_setup("panda_motors")
+    assert setup.scenario.name == "mine"
+    assert setup.scenario.seed == 7
+    assert setup.scenario.plant.payload_kg == 2.0
+    assert setup.scenario.funnel.rate_per_s == 3.0
+    assert setup.robot.path == shipped.robot.path  # of panda, which panda_motors extends
+    assert plain(setup.scenario.plant.friction) == plain(shipped.scenario.plant.friction)
+
+
+@pytest.mark.parametrize("scenario", ["paper_arm", "panda"])
+@pytest.mark.parametrize("final", ["0.2", "2.5", "0.04"])
+def test_conflict_of_a_final_bound_names_values_that_resolve_it(scenario: str, final: str) -> None:
+    with pytest.raises(ScenarioError, match="must not exceed the bounds at time zero") as caught:
+        load_setup(scenario, [f"funnel.final_rad={final}", "robot.initial_offset_rad=0.001"])
+    named = dict(re.findall(r"(funnel\.\w+) to at least ([\d.]+)", str(caught.value)))
+    assert "funnel.overshoot_margin_rad" in named
+    assert ("funnel.widest_rad" in named) is (final == "2.5")
+    settings = [f"{key}={value}" for key, value in named.items()]
+    fixed = [f"funnel.final_rad={final}", "robot.initial_offset_rad=0.001", *settings]
+    assert load_setup(scenario, fixed).funnel.final_rad[0] == float(final)
+    for number, (key, value) in enumerate(named.items()):  # none is needlessly high
+        fixed[2 + number] = f"{key}={float(value) - 0.002}"
+        with pytest.raises(ScenarioError, match="must not exceed"):
+            load_setup(scenario, fixed)
+        fixed[2 + number] = f"{key}={value}"
 
 
 @pytest.mark.parametrize(

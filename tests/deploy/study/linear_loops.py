@@ -114,23 +114,46 @@ def _exponential(matrix: bytes, size: int, time_s: float) -> np.ndarray:
     return np.linalg.matrix_power(result, 2**12)
 
 
-def rigid(mass_matrix, proportional, derivative, integral, period_s) -> LinearLoop:
-    """Joints with a constant mass matrix under PID; gains per joint."""
+def rigid(
+    mass_matrix, proportional, derivative, integral, period_s, viscous=0.0, stiffness=0.0
+) -> LinearLoop:
+    """Joints with a constant mass matrix, friction and springs under PID; gains per joint."""
     joints = len(mass_matrix)
     dynamics, inputs = np.zeros((2 * joints, 2 * joints)), np.zeros((2 * joints, joints))
     dynamics[:joints, joints:] = np.eye(joints)
     inputs[joints:] = np.linalg.inv(mass_matrix)
+    dynamics[joints:] = -inputs[joints:] @ np.eye(joints, 2 * joints) * stiffness
+    dynamics[joints:, joints:] -= viscous * inputs[joints:]
     none = np.zeros((joints, joints))
     gains = np.hstack([np.diag(proportional), np.diag(derivative)])
     return LinearLoop(dynamics, inputs, gains, np.hstack([np.diag(integral), none]), period_s)
 
 
-def geared(rotor, link, stiffness, damping, proportional, derivative, integral, period_s):
-    """One joint with an elastic gear, measured and driven at the rotor."""
+def geared(
+    rotor, link, stiffness, damping, proportional, derivative, integral, period_s, *, viscous=0.0,
+    is_seen_at_link=False,
+):  # fmt: skip
+    """One joint with an elastic gear, driven at the rotor, which has the friction."""
     dynamics = np.zeros((4, 4))  # rotor, link, and their rates
     dynamics[:2, 2:] = np.eye(2)
     for row, (mass, sign) in enumerate([(rotor, 1.0), (link, -1.0)]):
         dynamics[2 + row] = sign / mass * np.array([-stiffness, stiffness, -damping, damping])
+    dynamics[2, 2] -= viscous / rotor
     inputs = np.array([[0.0], [0.0], [1.0 / rotor], [0.0]])
-    gains = np.array([[proportional, 0.0, derivative, 0.0]])
-    return LinearLoop(dynamics, inputs, gains, np.array([[integral, 0.0, 0.0, 0.0]]), period_s)
+    seen = np.eye(4)[[1, 3] if is_seen_at_link else [0, 2]]
+    gains, sums = np.array([[proportional, derivative]]), np.array([[integral, 0.0]])
+    return LinearLoop(dynamics, inputs, gains @ seen, sums @ seen, period_s)
+
+
+def lagging(loop: LinearLoop, lag_s: float) -> LinearLoop:
+    """The loop with torques that follow what is asked for with a time constant."""
+    states, torques = loop.inputs.shape
+    still = np.zeros((torques, states))
+    own = np.eye(torques) / lag_s
+    return LinearLoop(
+        np.block([[loop.dynamics, loop.inputs], [still, -own]]),
+        np.vstack([0.0 * loop.inputs, own]),
+        np.hstack([loop.gains, 0.0 * own]),
+        np.hstack([loop.integral, 0.0 * own]),
+        loop.period_s,
+    )

@@ -14,10 +14,10 @@ from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.execution.folder import create_folder
 from deploy.study.margin import MarginDefinition
-from deploy.study.quantities import MarginSearch, Steps
+from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
-from tests.deploy.study.studies import Here, conduct, limits, made_up, margin_of
+from tests.deploy.study.studies import NOISE, Here, conduct, limits, made_up, margin_of
 
 
 def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
@@ -33,6 +33,20 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
     # Of the 4 runs at 8 ms, the two from the second start are outside at 1 % of their ticks.
     assert probe["violation_fraction"] == {"mean": 0.005, "lowest": 0.0, "highest": 0.01}
     assert (probe["runs"], probe["runs_kept"]) == (4, 2)
+
+
+@pytest.mark.parametrize(("offset", "starts"), [(0.0, 1), (0.01, 3)])
+def test_identical_starts_run_once(offset, starts, tmp_path):
+    """Without an initial offset, every factor on it is the same start."""
+    given = {"robot.initial_offset_rad": offset, **NOISE}
+    margin = margin_of(laws=["pid"], offsets=[1, -0.5, 0.3], set=given, exhaustive=True)
+    _, folder = conduct(margin, tmp_path / "out", Here(made_up))
+    summary = margin.summary(folder.rows)
+    probes = summary["cases"][0]["probes"]
+    assert {probe["runs"] for probe in probes} == {starts * 2}  # with two seeds each
+    text = margin.conditions(summary, {})["starts"]
+    once = "; once on paper_arm, where the initial offset is 0" if starts == 1 else ""
+    assert text == f"initial offset × 1, -0.5, 0.3{once}"
 
 
 def test_a_run_that_fails_does_not_hold(tmp_path):
@@ -71,7 +85,7 @@ def test_a_run_that_fails_by_accident_leaves_the_margin_open(
     funnel_hil.output(*words)  # tries it again, and nothing else
     (case,) = json.loads((out / "summary.json").read_text())["cases"]
     assert (case["completed"], case["margin"]) == (True, 2.0)
-    assert len(runs.read_text()) == 3 + 1 + 1  # theory asks the law once more
+    assert len(runs.read_text()) == 3 + 1 + (1 if fails == 1 else 2)  # theory asks it too
 
 
 def test_margins_as_a_table_for_documents(tmp_path):
@@ -153,10 +167,31 @@ def test_the_largest_value_that_holds_is_found_to_one_step(margin):
     assert len(set(probed)) == len(probed)
 
 
-def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
+def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_between_and_beyond():
     _, probed = found(lambda value: value <= 9)
-    # 16 fails; 12 and 10 fail, 9 holds on the way down; beyond the first failure, 10: 15 and 20.
-    assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 15, 20]
+    # 16 fails; 12 and 10 fail, 9 holds on the way down; from 4 to 8 is more than an eighth of 9;
+    # beyond the first failure, 10: 15 and 20.
+    assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 6, 15, 20]
+
+
+def test_a_window_of_instability_wider_than_an_eighth_of_the_margin_is_found():
+    for start in range(12, 80):  # 100 holds, so the doubling steps over it
+        search, _ = found(lambda value: not start <= value < start + 14, limit=100)  # noqa: B023
+        assert search.first_failure == start
+        assert search.margin == start - 1
+    # Up to the margin, no gap is wider than an eighth of it.
+    search, _ = found(lambda _: True, limit=100)
+    low, high = search.widest_gap
+    assert high - low <= 13
+
+
+def test_the_search_goes_first_where_theory_expects_the_loss():
+    search, probed = MarginSearch(Steps(0.0, 0.5, 2, 256), hints=[4, 5], parts=1), []
+    while (value := search.next()) is not None:
+        probed.append(value)
+        search.outcomes[value] = value not in (5, 17, 18)
+    assert probed == [0, 4, 5, 8, 10]
+    assert (search.margin, search.first_failure) == (4, 5)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +199,7 @@ def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
 )
 def test_search_ends_at_a_failing_zero_or_at_the_limit(holds, last, margin, first_failure):
     search, probed = found(lambda _: holds, limit=50)
-    assert (probed[-1], search.margin, search.first_failure) == (last, margin, first_failure)
+    assert (max(probed), search.margin, search.first_failure) == (last, margin, first_failure)
 
 
 def test_larger_values_that_hold_again_are_reported_and_do_not_count():

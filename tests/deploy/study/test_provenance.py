@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
-import controller
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.folder import StudyFolder, find_folder, opened, require_same_provenance
 from deploy.study.execution.runner import carry_out
@@ -105,28 +102,6 @@ def test_study_refuses_its_folder_after_any_change_of_its_law(folder):
     assert "from before" not in output
     output = command(*margin("--at-least", "100ms"), codes=[3])
     assert "gate: failed; " in output
-
-
-def test_program_of_an_external_law_and_files_among_its_arguments_count(folder):
-    program = folder / "law.sh"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
-    program.chmod(0o755)
-    examples = Path(controller.__file__).parent / "external/examples"
-    shutil.copy(examples / "stiff_pd.py", "stiff.py")
-    grid = {"controller.law": ["external"]}
-    given = {"controller.external.command": ["./law.sh", "stiff.py"], "duration_s": 0.1}
-    (folder / "s.yaml").write_text(
-        json.dumps({"name": "s", "scenario": "paper_arm", "set": given, "grid": grid})
-    )
-    words = ("sweep", "s.yaml", "--out", "out", "--workers", "1")
-    for _ in range(2):
-        command(*words)
-    for name in ("law.sh", "stiff.py"):
-        before = (folder / name).read_text()
-        (folder / name).write_text(f"{before}\n")
-        output = command(*words, codes=[2])
-        assert f"{folder / name}: " in output
-        (folder / name).write_text(before)
 
 
 def test_comparison_reuses_a_custom_law_until_it_changes(folder):

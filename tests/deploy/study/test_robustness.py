@@ -178,6 +178,10 @@ def test_plants_that_cannot_start_are_counted(tmp_path):
         ({"uncertainty": None}, ["uncertainty: is needed", "--uncertainty", "paper_arm"]),
         ({"uncertainty": "narrow"}, ["narrow", "shipped ranges full, half"]),
         ({"uncertainty": {PAYLOAD: {"distribution": "uniform"}}}, [PAYLOAD, "from < to"]),
+        (
+            {"uncertainty": {PAYLOAD: {**RANGES[PAYLOAD], "relative": True}}},
+            [PAYLOAD, "must draw different plants", "a factor on 0"],
+        ),
         ({"set": {PAYLOAD: 1}}, [PAYLOAD, "must be given once"]),
         ({"quantity": PAYLOAD}, [PAYLOAD, "must be given once"]),
         ({"offsets": [1]}, ["offsets", "left out with plants"]),

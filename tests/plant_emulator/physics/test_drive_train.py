@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.arm.drive_train import drive_trains, largest_torque
 from plant_emulator.configuration import ActuatorConfiguration, PlantConfiguration
 from plant_emulator.physics.engines import engine_in_force, engine_name
 from tests.arms import PAPER_ARM, FreeArm, forward_dynamics
+from tests.one_joint import write_arm
 
 ROTORS = np.array([3.0, 5.0, 1.0])
 POSTURE = np.array([0.3, -0.9, 1.2])
@@ -38,6 +40,17 @@ def test_a_rotor_adds_its_inertia_to_its_joint():
     np.testing.assert_allclose(
         moved, forward_dynamics(model, POSTURE, np.zeros(3), torque), rtol=1e-6
     )
+
+
+def test_a_rotor_adds_its_inertia_to_the_only_joint(tmp_path):
+    """MuJoCo keeps the inertia of an axis through the link's centre of mass as a constant."""
+    robot = load_robot(write_arm(tmp_path, 1.0))
+    arm = FreeArm(robot, "mujoco", STEP_S, rotor_inertia_kg_m2=np.array([0.5]))
+    with closing(arm) as free:
+        assert free.mass_matrix(np.zeros(1)) == pytest.approx(1.5)
+        free.arm.set_brakes(engaged=True)
+        free.arm.set_brakes(engaged=False)
+        assert free.mass_matrix(np.zeros(1)) == pytest.approx(1.5)
 
 
 def test_a_brake_leaves_the_rotors_as_they_were():

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 
 from deploy.reports.verdict_texts import settling_sentence
 from deploy.scenario.scenario import load_setup
+from deploy.study.comparison.comparison import LawComparison
 from deploy.study.comparison.settling import (
     SETTLING,
     SettlingTest,
@@ -31,6 +33,14 @@ def test_a_start_goes_no_farther_than_the_joints_range_on_its_roomier_side():
     assert (target + offset <= robot.upper_rad).all()
     roomier = np.maximum(robot.upper_rad - target, target - robot.lower_rad)
     np.testing.assert_allclose(np.abs(offset), np.minimum(roomier, 3.0))
+
+
+def test_starts_that_a_range_makes_equal_run_once():
+    """The joints of a panda turn by less than 3 rad to each side of the reference."""
+    sizes = {"settling_rad": [0.01, 20.0, 30.0]}
+    comparison = LawComparison({"scenario": "panda", "laws": ["pid"], **sizes}, Path("compare"))
+    starts = [run.columns["offset_rad"] for run in comparison.first()]
+    assert starts == [None, 0.01, 20.0]
 
 
 def test_starts_settle_when_their_last_joint_does():

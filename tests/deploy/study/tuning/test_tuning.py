@@ -12,6 +12,7 @@ import pytest
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.tuning.places import TuneDefinition, judged
 from deploy.study.tuning.tuning import Tuning
 from tests.warm_process import output_of
 
@@ -59,6 +60,15 @@ def test_laws_are_judged_where_they_were_not_tuned(grown):
     seeds = {row["stage"]: row["seed"] for row in large.values()}
     assert seeds == {"search": 1, "judge": 2}
     assert "Not converged: " in output  # 8 candidates are not enough
+
+
+def test_arm_that_starts_on_its_reference_has_no_other_start():
+    wanted = TuneDefinition(name="t", scenario="paper_arm", laws=["pid"])
+    at_rest = load_setup("paper_arm", ["robot.initial_offset_rad=0"])
+    for base, names in ((at_rest, 2), (load_setup("paper_arm"), 3)):
+        places = [place.name for place in judged(wanted, base)]
+        assert len(set(places)) == names
+        assert ("another start" in places) == (names == 3)
 
 
 def test_its_scenarios_have_the_gains_that_were_found(grown):

@@ -1,0 +1,39 @@
+"""Units of times in tables: the name of a column says it, or the user."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+
+UNITS_MS = {"s": 1e3, "ms": 1.0, "us": 1e-3, "ns": 1e-6}
+_SUFFIX = re.compile(r"(?:_|\s*[\[(])([mnuµμ]?)s(?:ec)?[\])]?$")
+_PREFIXES = {"µ": "u", "μ": "u"}
+_SHORTEST_S, _LONGEST_S = 10e-6, 10.0
+
+
+def unit_of(column: str, otherwise: str) -> str:
+    """Return the unit of a column's times, as ``us`` of ``delay_us`` or ``delay [µs]``.
+
+    Args:
+        column: its name.
+        otherwise: the unit where the name has none.
+    """
+    found = _SUFFIX.search(column)
+    return otherwise if found is None else f"{_PREFIXES.get(found[1], found[1])}s"
+
+
+def check_interval(times_s: Vector) -> None:
+    """Refuse times that are in another unit than they seem to be.
+
+    Raises:
+        ValueError: messages are usually less than 10 µs apart, or more than 10 s.
+    """
+    median_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else _SHORTEST_S
+    if not _SHORTEST_S <= median_s <= _LONGEST_S:
+        raise ValueError(
+            f"the times are usually {median_s:.3g} s apart, must be {1e6 * _SHORTEST_S:g} µs to"
+            f" {_LONGEST_S:g} s: is their unit another?"
+        )
