@@ -61,7 +61,8 @@ def forget_motion(continued: ContinuedMotion) -> None:
 @compiled
 def continue_motion(
     continued: ContinuedMotion, terms: RigidBodyTerms, nominal: NominalArm, belief: ArmBelief,
-    drive: DriveGains, commands: Commands, acts_ns: int, horizon_ns: int, predicted: Matrix,
+    drive: DriveGains, commands: Commands, in_force: int, acts_ns: int, horizon_ns: int,
+    predicted: Matrix,
 ) -> None:  # fmt: skip
     """Move the last motion on by the newest command, and return it towards a prediction.
 
@@ -72,13 +73,15 @@ def continue_motion(
         belief: its friction, lag and disturbance.
         drive: gains of the drives' own loops.
         commands: all that were sent; the newest one acts from the end of the last motion on.
+        in_force: the command in force at the newest state; where it is `HELD`, the arm stands, and
+            the prediction needs no correction.
         acts_ns: time of the prediction.
         horizon_ns: time from the newest state until then.
         predicted: the prediction from that state, replaced by the motion, shape (2, joints).
     """
     newest, joints = commands.state[0].newest, predicted.shape[1]
     from_ns = continued.until_ns[0]
-    if newest > HELD and 0 < acts_ns - from_ns <= horizon_ns:
+    if in_force > HELD and 0 < acts_ns - from_ns <= horizon_ns:
         motion, impulse = np.empty((3, joints)), np.empty(joints)
         assign(motion[:2], continued.motion)
         stretch(
@@ -94,4 +97,4 @@ def continue_motion(
     else:
         assign(continued.actuator_nm, belief.actuator_nm)
     assign(continued.motion, predicted)
-    continued.until_ns[0] = acts_ns
+    continued.until_ns[0] = acts_ns if in_force > HELD else 0

@@ -112,9 +112,10 @@ def foresee(
     assign(arm.last, measured)
     acts_ns = move_ahead(arm, measured, stamp_ns, predicted)
     if bandwidth_rad_s > 0.0:
+        in_force = arm.last_answered[1]
         continue_motion(
             arm.continued, arm.terms, arm.nominal, arm.belief, arm.drive, arm.commands,
-            acts_ns, acts_ns - stamp_ns, predicted,
+            in_force, acts_ns, acts_ns - stamp_ns, predicted,
         )  # fmt: skip
     return aim(measured, predicted, target, acts_ns - stamp_ns)
 

@@ -25,7 +25,7 @@ EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
 """Key that sets an automatic play-out time, from the start of a run."""
 _IN_TIME, _IN_TIME_AT_START = 0.995, 0.95
 """Shares of the commands that arrive before they have to act."""
-_SHARE_OF_CEILING = 0.6
+_SHARE_OF_CEILING = 0.4
 """Of the time that the arm may be held at its start; until the first command acts, it is held."""
 
 
@@ -156,4 +156,4 @@ def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int]:
         return wanted_ns, wanted_ns
     ceiling_ms = held_arm_ceiling_ms(setup)
     bearable_ns = wanted_ns if ceiling_ms is None else round(1e6 * _SHARE_OF_CEILING * ceiling_ms)
-    return min(wanted_ns, max(at_start_ns, bearable_ns)), wanted_ns
+    return min(wanted_ns, bearable_ns), wanted_ns
