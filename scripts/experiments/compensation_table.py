@@ -108,9 +108,11 @@ def main() -> None:
     print("| arm | law | rotors | link | without | with |\n|---|---|---|---|---|---|")
     with get_context("spawn").Pool(given.workers) as pool:
         rows = list(cases(given))
-        for row, found in zip(rows, pool.imap(partial(_both, more, given.only), rows), strict=True):
+        found_all = pool.imap(partial(_both, more, given.only), rows)
+        for row, found in zip(rows, found_all, strict=True):
             shown = " | ".join(f"{found[n]:.3f}" if n in found else "" for n in ("off", "on"))
-            print(f"| {row.arm} | {row.law} | × {row.rotors:g} | {row.link} | {shown} |", flush=True)
+            named = f"{row.arm} | {row.law} | × {row.rotors:g} | {row.link}"
+            print(f"| {named} | {shown} |", flush=True)
 
 
 if __name__ == "__main__":
