@@ -380,6 +380,7 @@ class ControllerConfiguration(StrictModel):
             nominal_arm(nominal, loaded, robot.effort_limits_nm),
             identification(
                 inertia_kg_m2,
+                robot.effort_limits_nm,
                 model=settings.learns_model,
                 friction=settings.learns_friction,
                 rotors=rotors_kg_m2 is not None and bool(rotors_kg_m2.any()),

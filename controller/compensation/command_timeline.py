@@ -25,7 +25,7 @@ _FOLLOW = 0.1
 _PATIENCE = 2.0
 """Time that a late command is waited for, in mean deviations of the horizon."""
 
-_GROWS_BY = 0.05
+GROWS_BY = 0.05
 """How fast an announced horizon grows towards the wanted one; commands act so much less often."""
 _SHRINKS_IN_NS = 5e9
 """Time constant with which an announced horizon shrinks after commands came late."""
@@ -285,7 +285,7 @@ def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
     if arrival_ns > state.horizon_ns:
         exact_ns = max(exact_ns, needed_ns)
     elif exact_ns < state.wanted_ns:
-        exact_ns = min(exact_ns + _GROWS_BY * step_ns, state.wanted_ns)
+        exact_ns = min(exact_ns + GROWS_BY * step_ns, state.wanted_ns)
     else:
         exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
     state.exact_ns = exact_ns

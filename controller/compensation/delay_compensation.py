@@ -28,7 +28,9 @@ from controller.compensation.command_timeline import (
     no_commands,
     note,
 )
+from controller.compensation.continued_motion import forget_motion, no_motion
 from controller.compensation.model_identification import Identification, start_again
+from controller.compensation.motion_predictor import no_terms
 from controller.compensation.prediction import Arm, foresee
 from controller.compensation.rival_predictors import foresee_network, foresee_smith
 from controller.control_law import Tracking
@@ -100,6 +102,7 @@ class DelayCompensation:
         self._arm = Arm(
             nominal, self.belief, identification, drive, self.commands,
             np.zeros((2, joints)), np.zeros(2, np.int64), np.zeros((4, joints)),
+            no_terms(joints), no_motion(joints),
         )  # fmt: skip
         self._measured: Tracking | None = None
         self._torque_nm: Vector = np.zeros(joints)
@@ -125,6 +128,7 @@ class DelayCompensation:
         start_again(self.identification)
         self._arm.last_answered[:] = 0, HELD
         self._arm.memory[:] = 0.0
+        forget_motion(self._arm.continued)
 
     def warm_up(self, measured: Tracking, reference: Reference, funnel: Funnel) -> None:
         """Compile everything before the run, without a trace in the state."""

@@ -20,12 +20,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import assign, compiled
-from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
+from controller.compensation.arm_belief import ArmBelief, NominalArm
+from controller.compensation.motion_window import WINDOW_S, Window, add_step, empty_window
 from controller.rigid_bodies.dynamics import ROTOR, inverse_dynamics
 
 INERTIA, PAYLOAD, LAG, PER_JOINT = range(4)
 """Indices in θ; from `PER_JOINT` on, f, c, b and, where there are rotors, ρ of all joints."""
-WINDOW_S = 0.016
 
 
 class _Entry(NamedTuple):
@@ -49,38 +49,20 @@ _PAYLOAD_KG = _Entry(2.0, 0.1, 0.0, math.inf)
 _LAG_S = _Entry(2e-3, 1e-4, 0.0, 8e-3)
 # Per kg m² of the inertia that governs a joint:
 _DISTURBANCE = _Entry(1.0, 0.5, -math.inf, math.inf)
+# Per kg m² of the same, and `_OF_LIMIT`:
 _COULOMB = _Entry(5.0, 0.05, 0.0, 30.0)
 _VISCOUS = _Entry(3.0, 0.05, 0.0, 30.0)
+_OF_LIMIT = 0.01, 0.02
+"""What friction has beside the inertia's share, Coulomb and viscous, in units of `_COULOMB` and
+`_VISCOUS` per N m of the actuator's limit. A drive is as large as its friction, so 5 and 6 % of the
+limit are usual, however light the arm is that it moves."""
 
 _NOISE_RAD_S2 = 1.0
-_SATURATED = 0.999
-"""Share of its limit above which an actuator may deliver less than requested."""
+_NOISE_OF_SPREAD = 0.02
+"""Standard deviation of a window's average, as a share of its largest torque less its smallest:
+where a law chatters, small errors in time make large ones in the average."""
 _ROUNDS_TO_LIMITS = 3
 """Correcting one entry may push another out; after these rounds, the rest is clipped."""
-
-
-class Window(NamedTuple):
-    """Sums over the motion since the last update; arrays of shape (joints,).
-
-    Attributes:
-        elapsed_s: shape (1,); 0 before the window begins.
-        impulse: ∫ τ dt.
-        sign: ∫ tanh(q̇ / v) dt.
-        angle: ∫ q̇ dt.
-        position: ∫ q dt.
-        first_velocity: q̇ at its start.
-        first_actuator: τ_a at its start.
-        saturated: above 0 for joints whose actuator was at its limit.
-    """
-
-    elapsed_s: Vector
-    impulse: Vector
-    sign: Vector
-    angle: Vector
-    position: Vector
-    first_velocity: Vector
-    first_actuator: Vector
-    saturated: Vector
 
 
 class Identification(NamedTuple):
@@ -94,7 +76,7 @@ class Identification(NamedTuple):
         per_root_s: standard deviation of θ's random walk over a second, shape (n,).
         lowest: shape (n,).
         highest: shape (n,).
-        noise_nm: standard deviation of a window's average, shape (joints,).
+        noise_nm: standard deviation of a window's average where torques rest, shape (joints,).
         window: the window that is being averaged.
     """
 
@@ -110,23 +92,26 @@ class Identification(NamedTuple):
 
 
 def identification(
-    inertia_kg_m2: Vector, *, model: bool, friction: bool, rotors: bool = False
+    inertia_kg_m2: Vector, limits_nm: Vector, *, model: bool, friction: bool, rotors: bool = False
 ) -> Identification:
     """Return a filter before its first measurement.
 
     Args:
         inertia_kg_m2: inertia that governs each joint, shape (joints,).
+        limits_nm: largest torques of the actuators, shape (joints,); inf for none.
         model: learn inertia, payload, lag and viscous friction.
         friction: learn Coulomb friction.
         rotors: whether the nominal model has rotors, whose inertia is then learned too.
     """
-    joints, one = inertia_kg_m2.size, np.ones_like(inertia_kg_m2)
+    one = np.ones_like(inertia_kg_m2)
+    known_nm = np.where(np.isfinite(limits_nm), limits_nm, 0.0)
+    dry, viscous = (inertia_kg_m2 + share * known_nm for share in _OF_LIMIT)
     # Each entry with the scale of its numbers, and whether it is learned.
     scalars = [(entry, np.ones(1), model) for entry in (_FACTOR, _PAYLOAD_KG, _LAG_S)]
     of_joints = [
         (_DISTURBANCE, inertia_kg_m2, model or friction),
-        (_COULOMB, inertia_kg_m2, friction),
-        (_VISCOUS, inertia_kg_m2, model),
+        (_COULOMB, dry, friction),
+        (_VISCOUS, viscous, model),
         (_FACTOR, one, model),
     ]
     entries = scalars + of_joints[: None if rotors else -1]
@@ -134,10 +119,10 @@ def identification(
     learned = np.concatenate([np.full(scale.size, wanted) for _, scale, wanted in entries])
     at_start, per_root_s = table[:2] * learned
     lowest, highest = table[2:].copy()
-    window = Window(np.zeros(1), *(np.zeros(joints) for _ in Window._fields[1:]))
     return Identification(
         bool(at_start.any()), np.zeros(at_start.size), np.diag(at_start**2),
-        at_start, per_root_s, lowest, highest, _NOISE_RAD_S2 * inertia_kg_m2, window,
+        at_start, per_root_s, lowest, highest, _NOISE_RAD_S2 * inertia_kg_m2,
+        empty_window(inertia_kg_m2.size),
     )  # fmt: skip
 
 
@@ -174,23 +159,7 @@ def take_in(
         step_s: its length.
     """
     window = filter_.window
-    if window.elapsed_s[0] == 0.0:
-        for sums in (
-            window.impulse, window.sign, window.angle, window.position, window.saturated
-        ):  # fmt: skip
-            sums[:] = 0.0
-        assign(window.first_velocity, before[1])
-        assign(window.first_actuator, actuator_before)
-    window.elapsed_s[0] += step_s
-    for i in range(impulse.size):
-        position = 0.5 * (before[0, i] + after[0, i])
-        velocity = 0.5 * (before[1, i] + after[1, i])
-        if abs(impulse[i]) >= _SATURATED * nominal.limits_nm[i] * step_s:
-            window.saturated[i] = 1.0
-        window.impulse[i] += impulse[i]
-        window.sign[i] += step_s * math.tanh(velocity / SMOOTHING_RAD_S)
-        window.angle[i] += step_s * velocity
-        window.position[i] += step_s * position
+    add_step(window, nominal.limits_nm, before, after, actuator_before, impulse, step_s)
     if window.elapsed_s[0] < WINDOW_S * (1.0 - 1e-9):
         return False
     _update(nominal, filter_, belief, after[1])
@@ -232,7 +201,8 @@ def _update(
         row[PER_JOINT + joints + i] = -window.sign[i] / elapsed_s
         row[PER_JOINT + 2 * joints + i] = -mean_velocity[i]
         measured = nominal_torque[i] - window.impulse[i] / elapsed_s
-        _correct(filter_, row, measured, filter_.noise_nm[i])
+        spread_nm = window.highest_nm[i] - window.lowest_nm[i]
+        _correct(filter_, row, measured, filter_.noise_nm[i] + _NOISE_OF_SPREAD * spread_nm)
     _believe(nominal, filter_, belief)
 
     changed = np.empty(joints)

@@ -8,6 +8,7 @@ implicitly in the velocity. The drives' own loops are soft in comparison.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,12 +29,34 @@ from controller.rigid_bodies.vectors import invert
 
 _STRETCH_NS = 16_000_000
 _STEP_NS = 1_000_000
+_LARGEST_MOTION = 1e4
+"""Position and velocity that no arm reaches, rad and rad/s, or m and m/s."""
+
+
+class RigidBodyTerms(NamedTuple):
+    """Rigid-body terms of the motion computed last, kept for what continues it.
+
+    Attributes:
+        mass: M, kg m², shape (joints, joints).
+        inverse: M⁻¹, shape (joints, joints).
+        load: C q̇ + G, N m, shape (joints,).
+    """
+
+    mass: Matrix
+    inverse: Matrix
+    load: Vector
+
+
+def no_terms(joints: int) -> RigidBodyTerms:
+    """Return terms before any motion is computed."""
+    return RigidBodyTerms(np.zeros((joints, joints)), np.zeros((joints, joints)), np.zeros(joints))
 
 
 @compiled
 def move(
     nominal: NominalArm, belief: ArmBelief, drive: DriveGains, commands: Commands, flight: Flight,
-    from_ns: int, until_ns: int, motion: Matrix, actuator: Vector, impulse: Vector,
+    from_ns: int, until_ns: int, terms: RigidBodyTerms, motion: Matrix, actuator: Vector,
+    impulse: Vector,
 ) -> None:  # fmt: skip
     """Move an arm from one instant to another; until a first command acts, it stands still.
 
@@ -45,12 +68,13 @@ def move(
         flight: which of them act from `from_ns` on, and when.
         from_ns: start.
         until_ns: end.
+        terms: the rigid-body terms, overwritten.
         motion: position, velocity and, in the end, mean acceleration as rows, shape (3, joints).
         actuator: torque that the actuators deliver, N m, shape (joints,).
         impulse: time integral of what they are asked for, N m s, shape (joints,).
     """
     joints = actuator.size
-    mass, inverse, load = np.empty((joints, joints)), np.empty((joints, joints)), np.empty(joints)
+    mass, inverse, load = terms
     middle = np.empty((2, joints))
     motion[2] = 0.0
     impulse[:] = 0.0
@@ -70,8 +94,8 @@ def move(
             middle[0, i] = motion[0, i] + half_s * middle[1, i]
         mass_and_load(nominal.bodies, belief.inertia, middle[0], middle[1], mass, load)
         invert(mass, inverse)
-        in_force, upcoming = _stretch(
-            inverse, load, nominal.limits_nm, belief, drive, commands,
+        in_force, upcoming = stretch(
+            terms, nominal.limits_nm, belief, drive, commands,
             Flight(in_force, upcoming, newest, delay_ns), now_ns, end_ns,
             motion, actuator, impulse,
         )  # fmt: skip
@@ -79,14 +103,15 @@ def move(
 
 
 @compiled
-def _stretch(
-    inverse_mass: Matrix, load: Vector, limits: Vector, belief: ArmBelief, drive: DriveGains,
+def stretch(
+    terms: RigidBodyTerms, limits: Vector, belief: ArmBelief, drive: DriveGains,
     commands: Commands, flight: Flight, from_ns: int, until_ns: int,
     motion: Matrix, actuator: Vector, impulse: Vector,
 ) -> tuple[int, int]:  # fmt: skip
     """Move with constant rigid-body terms; return the command in force at the end, and the next."""
     position, velocity, acceleration = motion[0], motion[1], motion[2]
     in_force, upcoming, newest, delay_ns = flight
+    _, inverse_mass, load = terms
     joints, lag_s = position.size, belief.lag_s[0]
     asked, total, slope = np.empty(joints), np.empty(joints), np.empty(joints)
     row = np.empty((3, joints))
@@ -151,3 +176,12 @@ def _push(
         change = step_s * pull / (1.0 + step_s * inverse_mass[i, i] * damping)
         position[i] += step_s * (velocity[i] + 0.5 * change)
         velocity[i] += change
+
+
+@compiled
+def is_possible(motion: Matrix) -> bool:
+    """Whether no joint is predicted at a place, or a speed, that no arm can have."""
+    for value in motion.flat:  # noqa: SIM110 (numba compiles no generators)
+        if not abs(value) < _LARGEST_MOTION:  # NaN is not below it either
+            return False
+    return True

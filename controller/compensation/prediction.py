@@ -29,15 +29,13 @@ from controller.compensation.command_timeline import (
     observe,
     schedule,
 )
+from controller.compensation.continued_motion import ContinuedMotion, continue_motion
 from controller.compensation.model_identification import Identification, take_in
-from controller.compensation.motion_predictor import move
+from controller.compensation.motion_predictor import RigidBodyTerms, is_possible, move
 from controller.control_law import LOWER, UPPER
-from controller.rigid_bodies.dynamics import mass_matrix
 
 _LARGEST_NM = 1e6
 """Largest disturbance of a plausible state: nothing is learned from a larger one."""
-_LARGEST_MOTION = 1e4
-"""Position and velocity that no arm reaches, rad and rad/s, or m and m/s."""
 
 
 class Arm(NamedTuple):
@@ -53,6 +51,8 @@ class Arm(NamedTuple):
             predictor's own model at its stamp.
         last_answered: its stamp in ns and the command in force at it, `HELD` for none; shape (2,).
         memory: what else a predictor remembers, zero at first, shape (4, joints).
+        terms: of the rigid bodies in the motion computed last.
+        continued: the motion that the law acts on.
     """
 
     nominal: NominalArm
@@ -63,6 +63,8 @@ class Arm(NamedTuple):
     last: Matrix
     last_answered: NDArray[np.int64]
     memory: Matrix
+    terms: RigidBodyTerms
+    continued: ContinuedMotion
 
 
 @compiled
@@ -109,6 +111,12 @@ def foresee(
         _learn(arm, measured, error, bounds, flight, last_ns, stamp_ns, gain)
     assign(arm.last, measured)
     acts_ns = move_ahead(arm, measured, stamp_ns, predicted)
+    if bandwidth_rad_s > 0.0:
+        in_force = arm.last_answered[1]
+        continue_motion(
+            arm.continued, arm.terms, arm.nominal, arm.belief, arm.drive, arm.commands,
+            in_force, acts_ns, acts_ns - stamp_ns, predicted,
+        )  # fmt: skip
     return aim(measured, predicted, target, acts_ns - stamp_ns)
 
 
@@ -140,18 +148,20 @@ def _learn(
     last_ns: int, stamp_ns: int, gain: float,
 ) -> None:  # fmt: skip
     """Compare the arm's motion since the last state with the prediction."""
-    nominal, belief, identification, drive, commands, last, _, _ = arm
+    nominal, belief, identification, drive, commands, last, _, _, terms, _ = arm
     joints, step_s = error.size, (stamp_ns - last_ns) * 1e-9
     motion, impulse = np.empty((3, joints)), np.empty(joints)
     actuator, actuator_before = belief.actuator_nm.copy(), belief.actuator_nm.copy()
     assign(motion[:2], last)
-    move(nominal, belief, drive, commands, flight, last_ns, stamp_ns, motion, actuator, impulse)
-    mass = np.empty((joints, joints))
-    mass_matrix(nominal.bodies, belief.inertia, measured[0], mass)
+    move(
+        nominal, belief, drive, commands, flight, last_ns, stamp_ns, terms,
+        motion, actuator, impulse,
+    )  # fmt: skip
     if not all_finite(actuator):
         return
     assign(belief.actuator_nm, actuator)
-    if not learn_disturbance(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
+    known = belief.disturbance_nm
+    if not learn_disturbance(terms.mass, measured[1], motion[1], step_s, gain, known):
         return
     if identification.is_active and _is_inside(error, bounds):
         take_in(nominal, identification, belief, last, measured, actuator_before, impulse, step_s)
@@ -178,32 +188,26 @@ def move_ahead(arm: Arm, state: Matrix, stamp_ns: int, moved: Matrix) -> int:
         stamp_ns: stamp of the newest state.
         moved: the same afterwards.
     """
-    nominal, belief, _, drive, commands, _, last_answered, _ = arm
+    nominal, belief, _, drive, commands, _, last_answered, _, terms, _ = arm
     joints = state.shape[1]
     motion, impulse = np.empty((3, joints)), np.empty(joints)
     actuator = belief.actuator_nm.copy()
     assign(motion[:2], state)
     flight = ahead(commands, last_answered[1], stamp_ns)
     acts_ns = stamp_ns + commands.state[0].horizon_ns + int(1e9 * belief.lag_s[0])
-    move(nominal, belief, drive, commands, flight, stamp_ns, acts_ns, motion, actuator, impulse)
+    move(
+        nominal, belief, drive, commands, flight, stamp_ns, acts_ns, terms,
+        motion, actuator, impulse,
+    )  # fmt: skip
     assign(moved, motion[:2])
     return acts_ns  # type: ignore[no-any-return]
-
-
-@compiled
-def _is_possible(motion: Matrix) -> bool:
-    """Whether no joint is predicted at a place, or a speed, that no arm can have."""
-    for value in motion.flat:  # noqa: SIM110 (numba compiles no generators)
-        if not abs(value) < _LARGEST_MOTION:  # NaN is not below it either
-            return False
-    return True
 
 
 @compiled
 def aim(measured: Matrix, predicted: Matrix, target: Matrix, horizon_ns: int) -> float:
     """Write the drives' target for a prediction, and return its horizon in s."""
     horizon_s = horizon_ns * 1e-9
-    if not _is_possible(predicted):  # the model has diverged, and a law would compute with that
+    if not is_possible(predicted):  # the model has diverged, and a law would compute with that
         assign(predicted, measured)
     for i in range(measured.shape[1]):
         target[1, i] = predicted[1, i]

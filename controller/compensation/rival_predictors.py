@@ -49,7 +49,7 @@ def foresee_smith(
     if knows:
         actuator = arm.belief.actuator_nm
         move(
-            arm.nominal, arm.belief, arm.drive, arm.commands, flight, last_ns, stamp_ns,
+            arm.nominal, arm.belief, arm.drive, arm.commands, flight, last_ns, stamp_ns, arm.terms,
             motion, actuator, impulse,
         )  # fmt: skip
     pull = 1.0 - math.exp(-bandwidth_rad_s * 1e-9 * (stamp_ns - last_ns))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.link.channel_configuration import ChangeableConditions, ChannelConfiguration
+from bus_schema.link.channel_configuration import ChannelConfiguration, Ramp, Step
 from plant_emulator.channel.jitter import quantile_of
 from plant_emulator.channel.trace_file import read_trace
 
@@ -60,17 +61,49 @@ def largest_delay_ns(configuration: ChannelConfiguration) -> int | None:
         ValueError: its file of delays cannot be used.
     """
     is_random = configuration.distribution == "empirical"
-    if is_random or any(stage.jitter_ms or stage.rate_kbit_s for stage in _stages(configuration)):
+    stages = _stages(configuration)
+    if is_random or any(stage.jitter_ms or stage.rate_kbit_s for stage in stages):
         return None
     return int(configured_delays_ns(configuration)[-1])
 
 
-def _stages(
-    configuration: ChannelConfiguration,
-) -> list[ChannelConfiguration | ChangeableConditions]:
+def _stages(configuration: ChannelConfiguration) -> list[ChannelConfiguration | Step | Ramp]:
     """Return a direction's conditions at the start, and after each change of its schedule."""
-    changes = (each for each in configuration.schedule if isinstance(each, ChangeableConditions))
+    changes = (each for each in configuration.schedule if isinstance(each, Step | Ramp))
     return [configuration, *changes]
+
+
+def spare_at_start_ns(sides: Sequence[ChannelConfiguration], growth: float) -> int:
+    """Return by how much a round trip that grows with time may be below the longest at first, ns.
+
+    It is then never below the one that the schedules of the directions have reached.
+
+    Args:
+        sides: sections ``link.uplink`` and ``link.downlink``.
+        growth: what it grows by, as a share of the time.
+    """
+    stages = [_stages(side) for side in sides]
+    ends_s = {_span_s(stage)[1] for side in stages for stage in side}
+    needed_ms = max(
+        sum(_delay_at_ms(side, end_s) for side in stages) - 1e3 * growth * end_s for end_s in ends_s
+    )
+    longest_ms = sum(max(stage.delay_ms or 0.0 for stage in side) for side in stages)
+    return round(1e6 * (longest_ms - needed_ms))
+
+
+def _delay_at_ms(stages: list[ChannelConfiguration | Step | Ramp], time_s: float) -> float:
+    """Return a direction's constant delay at a time, and the longer one during a ramp."""
+    delay_ms = 0.0
+    for stage in stages:
+        begin_s, end_s = _span_s(stage)
+        if begin_s <= time_s and stage.delay_ms is not None:
+            delay_ms = stage.delay_ms if end_s <= time_s else max(delay_ms, stage.delay_ms)
+    return delay_ms
+
+
+def _span_s(stage: ChannelConfiguration | Step | Ramp) -> tuple[float, float]:
+    """Return when conditions begin to change, and when they have changed."""
+    return (0.0, 0.0) if isinstance(stage, ChannelConfiguration) else (stage.at_s, stage.end_s)
 
 
 def round_trip_ns(up_ns: NDArray[np.int64], down_ns: NDArray[np.int64], share: float) -> int:

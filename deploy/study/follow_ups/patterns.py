@@ -187,14 +187,19 @@ class PatternSearch(MarginSearch):
 
     @property
     def _playout_ms(self) -> float:
-        return round(1e-6 * playout_range_ns(self.at_margin)[0], 6)
+        return round(1e-6 * playout_range_ns(self.at_margin)[1], 6)
+
+    @property
+    def _grows(self) -> bool:
+        """Whether the play-out time grows with the delay of a running loop."""
+        return self.case.setting.tags["running"] and self.at_margin.link.plays_automatically
 
     def _condition(self, row: Row) -> dict[str, Any]:
         """Return d, for which a guarantee holds, and how to set it where the scenario does not."""
         setting, d_ms = self.case.setting, self._playout_ms
         first_ms, later_ms = (1e-6 * each for each in playout_range_ns(setting.base))
         command, is_own = None, first_ms == later_ms == d_ms
-        if not is_own:
+        if not (is_own or self._grows):  # a command would set d from the start
             command = command_of(setting, [*setting.overrides, override(EXPECTED, d_ms)], row)
         return {
             "guaranteed_d_ms": d_ms,
@@ -226,7 +231,7 @@ class PatternSearch(MarginSearch):
     def _add(self, variants: Iterable[Variant]) -> None:
         """Add variants; their numbers follow those of the starts."""
         playout: tuple[str, ...] = ()
-        if self.is_levelled and self.at_margin.link.plays_automatically:
+        if self.is_levelled and self.at_margin.link.plays_automatically and not self._grows:
             playout = (override(EXPECTED, self._playout_ms),)
         first = len(self.case.variants) + len(self.variants)
         self.variants += [

@@ -36,7 +36,7 @@ def compensation_of(
         loaded = ManipulatorModel(ROBOT, payload_kg=1.0, rotor_inertia_kg_m2=rotors)
     return DelayCompensation(
         nominal_arm(nominal, loaded, limits),
-        identification(INERTIA, model=model, friction=friction, rotors=rotors is not None),
+        identification(INERTIA, limits, model=model, friction=friction, rotors=rotors is not None),
         drive or no_drive_feedback(3),
         observer_bandwidth_rad_s=bandwidth_rad_s,
         horizon=horizon or HorizonSettings(least_ns=least_ns, first_ns=first_ns),

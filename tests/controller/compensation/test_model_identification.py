@@ -219,7 +219,10 @@ def test_what_the_model_explains_is_no_disturbance_any_longer():
     """An observer that is faster has made up for a wrong model; the better one makes no jump."""
     limits = np.full(3, np.inf)
     nominal = nominal_arm(MODEL, LOADED, limits)
-    belief, filter_ = first_belief(nominal), identification(INERTIA, model=True, friction=True)
+    belief, filter_ = (
+        first_belief(nominal),
+        identification(INERTIA, limits, model=True, friction=True),
+    )
     true = ManipulatorModel(ROBOT, scale=1.3, payload_kg=2.0)
     velocity, acceleration = np.array([0.8, -0.6, 1.1]), np.array([5.0, -7.0, 9.0])
     step_s, start = 1e-3, np.array([START, velocity])
