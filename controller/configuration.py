@@ -6,7 +6,7 @@ import math
 import re
 from functools import cache
 from pathlib import PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -185,6 +185,8 @@ class ControllerConfiguration(StrictModel):
             once.
         between_answers: targets for the drives until the next answer: ``hold`` them, or
             ``linear``: continue at their velocity.
+        preview_ms: how far ahead laws for positions and velocities read the reference: ``auto`` for
+            the round trip and the lag of the robot's own controller.
     """
 
     law: str = "fixed_time_adaptive"
@@ -200,6 +202,7 @@ class ControllerConfiguration(StrictModel):
     inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
     between_answers: BetweenAnswers = "hold"
+    preview_ms: Annotated[NonNegative, Field(le=10_000)] | Literal["auto"] = "auto"
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 

@@ -20,6 +20,7 @@ from bus_schema.configuration import (
     expand,
 )
 from bus_schema.drive_feedback import DriveGains
+from plant_emulator.interfaces.configuration import InterfaceConfiguration
 
 
 def _zero() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -309,3 +310,4 @@ class PlantConfiguration(StrictModel):
     encoder: EncoderConfiguration = EncoderConfiguration()
     actuator: ActuatorConfiguration = ActuatorConfiguration()
     drive_feedback: DriveLoopConfiguration = DriveLoopConfiguration()
+    interface: InterfaceConfiguration = InterfaceConfiguration()

@@ -22,6 +22,12 @@ from controller.laws.sliding_mode import FtsmcGains, SlidingMode, SmcGains, Tsmc
 from controller.laws.slotine_li import SlotineLi, SlotineLiGains
 from controller.laws.super_twisting import SuperTwisting, SuperTwistingGains
 from controller.laws.time_delay_control import TimeDelayControl, TimeDelayControlGains
+from controller.outer_laws.position_correction import PositionCorrection, PositionCorrectionGains
+from controller.outer_laws.proportional_velocity import (
+    ProportionalVelocity,
+    ProportionalVelocityGains,
+)
+from controller.outer_laws.streaming import Streaming, StreamingGains
 
 
 class LawEntry(NamedTuple):
@@ -33,11 +39,14 @@ class LawEntry(NamedTuple):
         gains: the type of its gains: a NamedTuple of values as `bus_schema.configuration` has them,
             which can derive itself by `from_inertia`.
         settling_bound_s: bound on the settling time, s; only for laws that have one.
+        gives: ``torque``, or what else its commands contain for robots that take no torque:
+            ``position``, ``velocity`` or ``motion``, which is both.
     """
 
     build: Callable[[Any, Dynamics, Vector], ControlLaw]
     gains: Any
     settling_bound_s: Callable[[Any, LargestInertia], float] | None = None
+    gives: str = "torque"
 
 
 LAWS = {
@@ -59,6 +68,11 @@ LAWS = {
     "disturbance_observer": LawEntry(DisturbanceObserver, DisturbanceObserverGains),
     "funnel_control": LawEntry(FunnelControl, FunnelControlGains),
     "ppc_delay": LawEntry(PpcDelay, PpcDelayGains),
+    "streaming": LawEntry(Streaming, StreamingGains, gives="motion"),
+    "proportional_velocity": LawEntry(
+        ProportionalVelocity, ProportionalVelocityGains, gives="velocity"
+    ),
+    "position_correction": LawEntry(PositionCorrection, PositionCorrectionGains, gives="position"),
 }
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
 

@@ -1,0 +1,81 @@
+"""A controller for a robot that has a controller of its own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bus_schema.configuration import ConfigurationError
+from controller.control_law import ControlLaw
+from controller.laws import LAWS
+from controller.outer_laws.admittance import Admittance
+from controller.outer_laws.outer_law import OuterLaw
+from plant_emulator.interfaces.configuration import TORQUE
+
+if TYPE_CHECKING:
+    from deploy.scenario.setup import Setup
+
+_KEY = "plant.interface.kind"
+_LAW = "controller.law"
+
+
+def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
+    """Return a law whose commands are what the robot takes.
+
+    A law of positions or velocities reads the reference ahead; the torque of another one moves the
+    nominal model.
+    """
+    if isinstance(law, OuterLaw):
+        law.follow(setup.reference.copied(), preview_s(setup))
+        return law
+    if takes_torque(setup) or hasattr(law, "target"):
+        return law
+    rotors = setup.scenario.plant.actuator.rotor_inertia(setup.robot.joints)
+    return Admittance(law, setup.scenario.controller.nominal_model(setup.nominal, rotors))
+
+
+def takes_torque(setup: Setup) -> bool:
+    """Whether the robot's drives follow torques."""
+    return setup.scenario.plant.interface.kind == TORQUE
+
+
+def preview_s(setup: Setup) -> float:
+    """Return how far ahead of a state the reference is read.
+
+    ``auto`` is the emulated round trip, or the play-out time if that is longer, and the lag of the
+    robot's own controller.
+    """
+    wanted_ms = setup.scenario.controller.preview_ms
+    if wanted_ms != "auto":
+        return 1e-3 * wanted_ms
+    link, interface = setup.link, setup.scenario.plant.interface
+    robot_s = 0.0 if takes_torque(setup) else interface.lag_s
+    return 1e-9 * max(link.emulated_round_trip_ns, link.playout_ns) + robot_s
+
+
+def check_interface(setup: Setup) -> None:
+    """Check that the law gives what the robot takes, over a link that can carry it.
+
+    Raises:
+        ConfigurationError: it does not.
+    """
+    scenario = setup.scenario
+    controller, takes = scenario.controller, scenario.plant.interface.takes
+    entry = LAWS.get(controller.law)
+    gives = "torque" if entry is None else entry.gives
+    if takes == TORQUE:
+        if gives != TORQUE and not controller.drive_feedback.enabled:
+            allowed = f"gives no torque, and {_KEY} = {TORQUE} takes nothing else"
+            raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+        return
+    if gives not in (takes, "motion", TORQUE):
+        allowed = f"gives {gives}, and {_KEY} = {scenario.plant.interface.kind} takes {takes}"
+        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+    conflicts = {
+        "link.kind": (scenario.link.kind, scenario.link.kind == "can"),
+        "controller.drive_feedback.enabled": (True, controller.drive_feedback.enabled),
+        "controller.delay_compensation.enabled": (True, controller.delay_compensation.enabled),
+    }
+    for key, (value, is_in_conflict) in conflicts.items():
+        if is_in_conflict:
+            allowed = f"must be another value where {_KEY} is not {TORQUE}"
+            raise ConfigurationError(key, value, allowed, [_KEY])

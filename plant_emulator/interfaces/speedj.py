@@ -1,0 +1,52 @@
+"""``speedj``: joint velocities, which a robot repeats until it stops without new ones.
+
+The robot accelerates with a limit. Without a new velocity for the time-out, it decelerates to rest,
+as a Universal Robots controller with ``speedj`` and then ``stopj`` does (external control script,
+Universal_Robots_Client_Library).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from plant_emulator.interfaces.interface import Motion, Reflex
+
+
+class SpeedJ:
+    """Velocities with a limit of acceleration.
+
+    Args:
+        period_s: of a cycle.
+        acceleration_rad_s2: largest acceleration; inf for joints that follow at once.
+        timeout_s: time without a target after which the robot stops.
+        stop_rad_s2: deceleration of that stop.
+    """
+
+    def __init__(
+        self, period_s: float, acceleration_rad_s2: float, timeout_s: float, stop_rad_s2: float
+    ) -> None:
+        self._period_s, self._most = period_s, acceleration_rad_s2
+        self._timeout_s, self._stop = timeout_s, stop_rad_s2
+        self.reflex: Reflex | None = None
+
+    def start(self, position_rad: Vector) -> None:
+        self._position, self._silent_s = position_rad.copy(), 0.0
+        self._velocity, self._wanted = np.zeros((2, position_rad.size))
+
+    def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
+        period_s = self._period_s
+        self._silent_s = 0.0 if target is not None else self._silent_s + period_s
+        if target is not None:
+            self._wanted[:] = target[1]
+        stops = self._silent_s >= self._timeout_s
+        wanted = np.zeros_like(self._wanted) if stops else self._wanted
+        most = (self._stop if stops else self._most) * period_s
+        change = np.clip(wanted - self._velocity, -most, most)
+        if most == np.inf:
+            self._velocity += change
+            change[:] = 0.0
+        motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
+        self._position += period_s * (self._velocity + 0.5 * change)
+        self._velocity += change
+        return motion
