@@ -47,6 +47,7 @@ class ArmPlant:
     Attributes:
         mode: the arm's mode; it changes by `bus_schema.runtime.modes.TRANSITIONS`.
         stops_at: limits that require a safe stop.
+        joint_names: names of the joints.
         physics: engine, version and integrator.
         torques: torques of the last substep.
         position: true joint positions, rad, shape (joints,).
@@ -68,7 +69,7 @@ class ArmPlant:
         torques_along: TorquesAlong | None = None,
     ) -> None:
         self._safe_stop = configuration.safe_stop
-        self.stops_at = limits.stops_at
+        self.stops_at, self.joint_names = limits.stops_at, robot.joint_names
         randoms = [generator(child) for child in np.random.SeedSequence(seed).spawn(3)]
         self._stop_damping = _stop_damping(configuration, robot)
         gains = drive or no_drive_feedback(robot.joints)
@@ -164,8 +165,7 @@ class ArmPlant:
         if self.mode is Mode.READY:
             self.mode = follow(self.mode, Trigger.COMMAND)
         if self._robot is not None:
-            if target is not None:
-                self._robot.receive(target)
+            self._robot.receive(torque_nm, target)
             return
         self._send(DriveCommand(torque_nm, target, stamp_ns))
 

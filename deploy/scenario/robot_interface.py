@@ -9,7 +9,7 @@ from controller.control_law import ControlLaw
 from controller.laws import LAWS
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
-from plant_emulator.interfaces.configuration import TORQUE
+from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
     from deploy.scenario.setup import Setup
@@ -35,7 +35,7 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
 
 def takes_torque(setup: Setup) -> bool:
     """Whether the robot's drives follow torques."""
-    return setup.scenario.plant.interface.kind == TORQUE
+    return setup.scenario.plant.interface.takes == TORQUE
 
 
 def preview_s(setup: Setup) -> float:
@@ -48,8 +48,8 @@ def preview_s(setup: Setup) -> float:
     if wanted_ms != "auto":
         return 1e-3 * wanted_ms
     link, interface = setup.link, setup.scenario.plant.interface
-    robot_s = 0.0 if takes_torque(setup) else interface.lag_s
-    return 1e-9 * max(link.emulated_round_trip_ns, link.playout_ns) + robot_s
+    round_trip_ns = max(link.emulated_round_trip_ns, link.playout_ns)
+    return 1e-9 * round_trip_ns + interface.lag_s
 
 
 def check_interface(setup: Setup) -> None:
@@ -64,7 +64,8 @@ def check_interface(setup: Setup) -> None:
     gives = "torque" if entry is None else entry.gives
     if takes == TORQUE:
         if gives != TORQUE and not controller.drive_feedback.enabled:
-            allowed = f"gives no torque, and {_KEY} = {TORQUE} takes nothing else"
+            kind = scenario.plant.interface.kind
+            allowed = f"gives no torque, and {_KEY} = {kind} takes nothing else"
             raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
         return
     if gives not in (takes, "motion", TORQUE):

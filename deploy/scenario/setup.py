@@ -135,9 +135,12 @@ class Setup:
     @property
     def drive(self) -> DriveGains:
         """Gains of the drives' own loops."""
+        interface = self.scenario.plant.interface
         if not takes_torque(self):
-            bandwidth_rad_s = self.scenario.plant.interface.bandwidth_rad_s
-            return critically_damped(self.governing_inertia_kg_m2, bandwidth_rad_s)
+            inertia = self.governing_inertia_kg_m2
+            gains = critically_damped(inertia, interface.bandwidth_rad_s)
+            knows_arm = interface.settings.knows_arm
+            return gains if knows_arm else self.scenario.plant.drive_feedback.gains(gains)
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)
@@ -235,7 +238,9 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
             self.drive,
-            None if takes_torque(self) else self._true_model().inverse_dynamics,
+            self._true_model().inverse_dynamics
+            if self.scenario.plant.interface.has_controller
+            else None,
         )
 
     def _true_model(self) -> ManipulatorModel:

@@ -47,11 +47,12 @@ class RobotInterface(Protocol):
     def start(self, position_rad: Vector) -> None:
         """Begin at rest at a position, shape (joints,)."""
 
-    def step(self, target: Matrix | None, measured: Matrix) -> Motion:
-        """Return the motion from this cycle on.
+    def step(self, target: Matrix | None, measured: Matrix) -> Motion | Vector:
+        """Return the motion, or the torque in N m, from this cycle on.
 
         Args:
             target: newest position, rad, and velocity, rad/s, as rows, shape (2, joints), if one
-                has arrived since the last cycle; None otherwise.
+                has arrived since the last cycle; None otherwise. For robots that take torques, the
+                torque as its only row.
             measured: positions and velocities of the joints, likewise.
         """

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.arm.delay_line import NEVER, DriveCommand
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
-from plant_emulator.interfaces.interface import Reflex
+from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.settings import TORQUE
 
 TorquesAlong = Callable[[Vector, Vector, Vector], Vector]
 """Torques, N m, for positions, velocities and accelerations, all of shape (joints,)."""
@@ -34,6 +37,8 @@ class RobotController:
         self, configuration: InterfaceConfiguration, torques_along: TorquesAlong, grid: TickGrid
     ) -> None:
         self._interface, self._torques_along = configuration.build(), torques_along
+        self._takes_torque = configuration.takes == TORQUE
+        self._knows_arm = configuration.settings.knows_arm
         self._period_s, self._phase_s = configuration.true_period_s, 1e-3 * configuration.phase_ms
         self._grid, self._cycles = grid, 0
         self._target: Matrix | None = None
@@ -51,26 +56,26 @@ class RobotController:
         self._cycles = max(0, math.ceil((now_s - self._phase_s) / self._period_s - 1e-9))
         self._schedule()
 
-    def receive(self, target: Matrix) -> None:
-        """Note a target that has arrived; the next cycle reads the newest."""
-        self._target = target.copy()
+    def receive(self, torque_nm: Vector, target: Matrix | None) -> None:
+        """Note what has arrived; the next cycle reads the newest."""
+        if self._takes_torque:
+            self._target = torque_nm[None].copy()
+        elif target is not None:
+            self._target = target.copy()
 
     def cycle(self, measured: Matrix) -> DriveCommand:
         """Return what the drives are told at this cycle."""
         target, self._target = self._target, None
-        position, velocity, acceleration = self._interface.step(target, measured)
+        planned = self._interface.step(target, measured)
         stamp_ns = self._grid.substep_ns(self.next_due)
         self._cycles += 1
         self._schedule()
-        torque_nm = self._torques_along(position, velocity, acceleration)
-        return DriveCommand(torque_nm, _rows(position, velocity), stamp_ns)
+        if not isinstance(planned, Motion):
+            return DriveCommand(planned, None, stamp_ns)
+        wanted = np.stack(planned[:2])
+        torque_nm = self._torques_along(*planned) if self._knows_arm else 0.0 * wanted[0]
+        return DriveCommand(torque_nm, wanted, stamp_ns)
 
     def _schedule(self) -> None:
         begins_s = self._phase_s + self._cycles * self._period_s
         self.next_due = math.ceil(begins_s / self._grid.substep_s - 1e-6)
-
-
-def _rows(position: Vector, velocity: Vector) -> Matrix:
-    rows: Matrix = position[None].repeat(2, axis=0)
-    rows[1] = velocity
-    return rows

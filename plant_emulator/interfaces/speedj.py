@@ -7,10 +7,14 @@ Universal_Robots_Client_Library).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import Positive
 from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.settings import InterfaceSettings, Takes, TimeoutMs
 
 
 class SpeedJ:
@@ -50,3 +54,27 @@ class SpeedJ:
         self._position += period_s * (self._velocity + 0.5 * change)
         self._velocity += change
         return motion
+
+
+class SpeedJSettings(InterfaceSettings):
+    """Joint velocities, as Universal Robots' ``speedj`` takes them.
+
+    Attributes:
+        acceleration_rad_s2: largest acceleration of a joint.
+        ideal: the joints follow velocities at once.
+        timeout_ms: time without a velocity after which the robot stops.
+        stop_rad_s2: deceleration of that stop.
+    """
+
+    acceleration_rad_s2: Positive = 40.0
+    ideal: bool = False
+    timeout_ms: TimeoutMs = 20.0
+    stop_rad_s2: Positive = 4.0
+
+    @property
+    def takes(self) -> Takes:
+        return "velocity"
+
+    def build(self, period_s: float) -> SpeedJ:
+        most = math.inf if self.ideal else self.acceleration_rad_s2
+        return SpeedJ(period_s, most, 1e-3 * self.timeout_ms, self.stop_rad_s2)
