@@ -76,6 +76,9 @@ LAWS = {
 }
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
 
+TORQUE_LAWS = [name for name, entry in LAWS.items() if entry.gives == "torque"]
+"""Those of them that drive any arm; the others need a robot with a controller of its own."""
+
 COMPARED_LAWS = [
     "fixed_time_neural", "fixed_time_model_based", "fixed_time_adaptive", "pid", "smc", "tsmc",
     "ftsmc",

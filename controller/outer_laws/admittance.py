@@ -18,10 +18,12 @@ class Admittance:
     Args:
         law: gives the torque.
         model: of the arm.
+        limits_nm: largest torques that move the model, shape (joints,): without them, a motion
+            that the robot cannot follow grows without bound.
     """
 
-    def __init__(self, law: ControlLaw, model: ManipulatorModel) -> None:
-        self._law, self._model = law, model
+    def __init__(self, law: ControlLaw, model: ManipulatorModel, limits_nm: Vector) -> None:
+        self._law, self._model, self._limits_nm = law, model, limits_nm
         self.diagnostics = law.diagnostics
         self._zero: Vector = np.zeros(model.joints)
         self._torque: Vector = np.zeros(model.joints)
@@ -40,7 +42,7 @@ class Admittance:
 
     def torque(self, tracking: Tracking) -> Vector:
         """Ask the law, and return zeros: the robot's own controller finds its torques."""
-        self._torque[:] = self._law.torque(tracking)
+        np.clip(self._law.torque(tracking), -self._limits_nm, self._limits_nm, out=self._torque)
         return self._zero
 
     def target(self, tracking: Tracking) -> Matrix:

@@ -30,7 +30,8 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
     if takes_torque(setup) or hasattr(law, "target"):
         return law
     rotors = setup.scenario.plant.actuator.rotor_inertia(setup.robot.joints)
-    return Admittance(law, setup.scenario.controller.nominal_model(setup.nominal, rotors))
+    model = setup.scenario.controller.nominal_model(setup.nominal, rotors)
+    return Admittance(law, model, setup.largest_torques_nm)
 
 
 def takes_torque(setup: Setup) -> bool:

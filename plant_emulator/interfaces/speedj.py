@@ -22,7 +22,8 @@ class SpeedJ:
 
     Args:
         period_s: of a cycle.
-        acceleration_rad_s2: largest acceleration; inf for joints that follow at once.
+        acceleration_rad_s2: largest acceleration; inf for joints that follow within
+            a cycle.
         timeout_s: time without a target after which the robot stops.
         stop_rad_s2: deceleration of that stop.
     """
@@ -47,9 +48,6 @@ class SpeedJ:
         wanted = np.zeros_like(self._wanted) if stops else self._wanted
         most = (self._stop if stops else self._most) * period_s
         change = np.clip(wanted - self._velocity, -most, most)
-        if most == np.inf:
-            self._velocity += change
-            change[:] = 0.0
         motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
         self._position += period_s * (self._velocity + 0.5 * change)
         self._velocity += change
@@ -61,7 +59,7 @@ class SpeedJSettings(InterfaceSettings):
 
     Attributes:
         acceleration_rad_s2: largest acceleration of a joint.
-        ideal: the joints follow velocities at once.
+        ideal: the joints follow velocities within a cycle, whatever it takes.
         timeout_ms: time without a velocity after which the robot stops.
         stop_rad_s2: deceleration of that stop.
     """

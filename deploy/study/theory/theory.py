@@ -23,10 +23,13 @@ from deploy.study.theory.pattern_bound import pattern_bound_s
 from deploy.study.theory.probe import linear_law
 from deploy.study.theory.sampled_loop import SampledLoop
 from deploy.study.theory.windows import after_dead_time, unstable_windows
+from plant_emulator.interfaces.settings import TORQUE
 
 LONGEST_S = 1.0
 """The largest delay that theory looks at."""
 _DEAD = "its linear loop is unstable with the dead time of the actuators alone"
+_OWN_LOOPS = "the robot's own controller closes its loops"
+_OWN_TORQUES = "the robot's own controller reads torques at its own rate"
 _MOST_STATES = 1000
 """Of a law; more take minutes."""
 
@@ -69,6 +72,8 @@ def _law(setup: Setup) -> LinearLaw | str:
     law = setup.control_task().law
     if isinstance(law, SlowLaw):
         return "it is slower than the control loop"
+    if (interface := setup.scenario.plant.interface).has_controller:
+        return _OWN_TORQUES if interface.takes == TORQUE else _OWN_LOOPS
     if controller.drive_feedback.enabled and hasattr(law, "target"):
         return "its own targets close the loops of the drives"
     found = linear_law(law, setup)
