@@ -34,7 +34,7 @@ class Supervisor:
         awaited: the peer whose silence was the first fault; empty if it was another.
         limits: how often each limit was hit.
         reflexes: stops that the robot's own controller decided: ``kind``, ``time_s`` and ``joint``,
-            which is empty for none.
+            None for none.
     """
 
     def __init__(
@@ -85,10 +85,10 @@ class Supervisor:
         """Stop the arm as its own controller has decided, once."""
         if self._arm.mode is not Mode.TRACKING:
             return
-        joint = "" if reflex.joint < 0 else self._arm.joint_names[reflex.joint]
+        joint = None if reflex.joint < 0 else self._arm.joint_names[reflex.joint]
         time_s = 1e-9 * self._grid.tick_ns(self.tick)
         self.reflexes.append({"kind": reflex.kind, "time_s": time_s, "joint": joint})
-        of_joint = f" of {joint}" * bool(joint)
+        of_joint = "" if joint is None else f" of {joint}"
         self.stop_safely(f"the robot's reflex {reflex.kind}{of_joint} ({reflex.words})")
 
     def stop_after_error(self, error: Exception) -> None:

@@ -48,9 +48,18 @@ def preview_s(setup: Setup) -> float:
     wanted_ms = setup.scenario.controller.preview_ms
     if wanted_ms != "auto":
         return 1e-3 * wanted_ms
-    link, interface = setup.link, setup.scenario.plant.interface
+    link = setup.link
     round_trip_ns = max(link.emulated_round_trip_ns, link.playout_ns)
-    return 1e-9 * round_trip_ns + interface.lag_s
+    return 1e-9 * round_trip_ns + robot_lag_s(setup)
+
+
+def robot_lag_s(setup: Setup) -> float:
+    """Return how far joints that move steadily are behind targets that have arrived."""
+    interface = setup.scenario.plant.interface
+    if not interface.has_controller or interface.settings.knows_arm:
+        return interface.lag_s
+    drive = setup.drive  # which takes no velocities
+    return interface.lag_s + float((drive.damping_nm_s / drive.stiffness_nm_rad).mean())
 
 
 def check_interface(setup: Setup) -> None:

@@ -77,7 +77,7 @@ class InterfaceConfiguration(StrictModel):
     @property
     def lag_s(self) -> float:
         """Time from a target's arrival until joints that move steadily have it."""
-        return 0.5 * self.true_period_s + self.settings.lag_s if self.has_controller else 0.0
+        return self.settings.lag_s(self.true_period_s) if self.has_controller else 0.0
 
     @property
     def period_s(self) -> float:

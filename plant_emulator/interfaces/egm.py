@@ -14,7 +14,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import NonNegative, Positive
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflex, is_over
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes
 
 TIMEOUT = "egm_communication_timeout"
@@ -47,7 +47,7 @@ class Egm:
         self._silent_s = 0.0 if target is not None else self._silent_s + period_s
         if target is not None:
             self._target = target.copy()
-        if self._silent_s > self._timeout_s:
+        if is_over(self._silent_s, self._timeout_s):
             words = f"no correction for {1e3 * self._timeout_s:g} ms"
             self.reflex = Reflex(TIMEOUT, -1, words)
         wanted = self._target[1] + self._gain_per_s * (self._target[0] - self._position)
@@ -76,8 +76,7 @@ class EgmSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "position" if self.gain_per_s else "velocity"
 
-    @property
-    def lag_s(self) -> float:
+    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
         return 1.0 / (2.0 * math.pi * self.filter_hz) if not self.gain_per_s else 0.0
 
     def build(self, period_s: float) -> Egm:

@@ -4,7 +4,8 @@ After libfranka (its documentation and headers): without a new target the robot 
 constant acceleration; 20 lost in a row stop it. Limits are checked on backward differences of the
 targets after extrapolation; the reflex of a too large acceleration is called velocity
 discontinuity, that of a too large jerk acceleration discontinuity. Filter and rate limiter work on
-the robot's own last target.
+the robot's own last target. The limiter (libfranka's ``rate_limiting.h``) does not plan: after a
+jump of positions, it overshoots.
 """
 
 from __future__ import annotations
@@ -83,14 +84,12 @@ class FrankaMotion:
         if not self._limiter:
             return np.asarray(velocity)
         period_s, (fastest, most, jerk) = self._period_s, self._limits
-        wanted = (velocity - self._velocity) / period_s
-        step = jerk * period_s
-        # A braking distance is kept: the acceleration can vanish before the velocity is too large.
-        room = np.sqrt(2.0 * jerk * np.maximum(fastest - np.sign(wanted) * self._velocity, 0.0))
-        most_now = np.minimum(most, room)
-        wanted = np.clip(np.clip(wanted, -most_now, most_now), self._acceleration - step,
-                         self._acceleration + step)  # fmt: skip
-        return np.asarray(self._velocity + period_s * np.clip(wanted, -most, most))
+        wanted, step = (velocity - self._velocity) / period_s, jerk * period_s
+        wanted = np.clip(wanted, self._acceleration - step, self._acceleration + step)
+        # The acceleration vanishes as the velocity comes near its limit.
+        up, down = (np.minimum(most, jerk / most * (fastest - way * self._velocity))
+                    for way in (1.0, -1.0))  # fmt: skip
+        return np.asarray(self._velocity + period_s * np.clip(wanted, -down, up))
 
     def _check(self, velocity: Vector, acceleration: Vector) -> None:
         """Note a reflex if targets were lost or a limit is passed."""
@@ -128,8 +127,7 @@ class FrankaMotionSettings(InterfaceSettings):
     limiter: bool = False
     filter_hz: Positive | None = None
 
-    @property
-    def lag_s(self) -> float:
+    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
         return 0.0 if self.filter_hz is None else 1.0 / (2.0 * math.pi * self.filter_hz)
 
     def build(self, period_s: float) -> FrankaMotion:

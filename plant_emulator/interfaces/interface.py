@@ -6,6 +6,8 @@ from typing import NamedTuple, Protocol
 
 from bus_schema.arrays import Matrix, Vector
 
+_ROUNDING_S = 1e-9
+
 
 class Motion(NamedTuple):
     """Motion that a robot's controller asks of its drives, from the start of a cycle on.
@@ -33,6 +35,11 @@ class Reflex(NamedTuple):
     kind: str
     joint: int
     words: str
+
+
+def is_over(silent_s: float, timeout_s: float) -> bool:
+    """Whether a robot that has waited so long for a target has timed out."""
+    return silent_s >= timeout_s - _ROUNDING_S
 
 
 class RobotInterface(Protocol):

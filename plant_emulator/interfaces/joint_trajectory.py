@@ -27,6 +27,9 @@ class JointTrajectory:
         point_after_s: time from a message until the joints reach its point.
         is_cubic: splines take the velocities too; lines otherwise.
         from_desired: new messages start at the trajectory's state, not at the measured one.
+
+    Attributes:
+        planned: the trajectory's position and velocity of this cycle, as rows, shape (2, joints).
     """
 
     def __init__(
@@ -39,17 +42,17 @@ class JointTrajectory:
 
     def start(self, position_rad: Vector) -> None:
         self._response.start(position_rad)
-        self._desired: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
-        self._begin, self._end = self._desired.copy(), self._desired.copy()
+        self.planned: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
+        self._begin, self._end = self.planned.copy(), self.planned.copy()
         self._passed_s = self._after_s
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:
         if target is not None:
-            self._begin = (self._desired if self._from_desired else measured).copy()
+            self._begin = (self.planned if self._from_desired else measured).copy()
             self._end, self._passed_s = target.copy(), 0.0
         self._passed_s += self._period_s
-        self._desired = self._sample(min(1.0, self._passed_s / self._after_s))
-        return self._response.step(self._desired)
+        self.planned = self._sample(min(1.0, self._passed_s / self._after_s))
+        return self._response.step(self.planned)
 
     def _sample(self, share: float) -> Matrix:
         """Return position and velocity at a share of the way, shape (2, joints)."""
@@ -80,9 +83,8 @@ class JointTrajectorySettings(ResponseSettings):
     interpolation: Literal["linear", "cubic"] = "cubic"
     interpolate_from_desired_state: bool = False
 
-    @property
-    def lag_s(self) -> float:
-        return super().lag_s + 1e-3 * self.point_after_ms
+    def lag_s(self, period_s: float) -> float:
+        return super().lag_s(period_s) + 1e-3 * self.point_after_ms - period_s
 
     def build(self, period_s: float) -> JointTrajectory:
         return JointTrajectory(

@@ -42,10 +42,10 @@ class Response:
             self.position, self.velocity = wanted, velocity
             return Motion(wanted.copy(), velocity.copy(), acceleration)
         away = self.position - wanted
-        acceleration = -w * (w * away + 2.0 * self.velocity)
-        motion = Motion(self.position.copy(), self.velocity.copy(), acceleration)
         t, decay = self._period_s, math.exp(-w * self._period_s)
         slope = self.velocity + w * away
+        then = (self.velocity - w * slope * t) * decay
+        motion = Motion(self.position, self.velocity, (then - self.velocity) / t)
         self.position = wanted + (away + slope * t) * decay
-        self.velocity = (self.velocity - w * slope * t) * decay
+        self.velocity = then
         return motion

@@ -56,5 +56,8 @@ class ServoSettings(InterfaceSettings):
     dead_band_rad: NonNegative = 0.0
     resolution_rad: NonNegative = 0.0
 
+    def lag_s(self, period_s: float) -> float:
+        return 0.5 * period_s
+
     def build(self, period_s: float) -> Servo:  # noqa: ARG002
         return Servo(self.dead_band_rad, self.resolution_rad)

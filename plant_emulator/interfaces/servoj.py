@@ -15,7 +15,7 @@ from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Number, Positive
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflex, is_over
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings, TimeoutMs
 
@@ -63,7 +63,7 @@ class ServoJ:
 
     def _go_on(self) -> None:
         """Extrapolate the target; brake after the time-out."""
-        if self._silent_s > self._timeout_s:
+        if is_over(self._silent_s, self._timeout_s):
             most = self._stop * self._period_s
             self._target[1] -= np.clip(self._target[1], -most, most)
         self._target[0] += self._period_s * self._target[1]

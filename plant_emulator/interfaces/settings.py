@@ -33,9 +33,8 @@ class InterfaceSettings(StrictModel):
         """What the robot takes."""
         return "position"
 
-    @property
-    def lag_s(self) -> float:
-        """Lag of joints that move steadily, beside the wait for a cycle."""
+    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
+        """Return the lag of joints that move steadily behind what a cycle of a length reads."""
         return 0.0
 
     def build(self, period_s: float) -> RobotInterface:
@@ -68,10 +67,9 @@ class ResponseSettings(InterfaceSettings):
             lag if self.lag_ms == "auto" else self.lag_ms,
         )
 
-    @property
-    def lag_s(self) -> float:
-        """Dead time and lag."""
-        return 1e-3 * sum(self.response_ms)
+    def lag_s(self, period_s: float) -> float:
+        dead_ms, lag_ms = self.response_ms
+        return 1e-3 * (dead_ms + lag_ms) + (0.5 * period_s if lag_ms else 0.0)
 
     def response(self, period_s: float) -> Response:
         """Return the joints' response."""

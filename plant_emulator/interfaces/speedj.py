@@ -13,7 +13,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflex, is_over
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes, TimeoutMs
 
 
@@ -44,7 +44,7 @@ class SpeedJ:
         self._silent_s = 0.0 if target is not None else self._silent_s + period_s
         if target is not None:
             self._wanted[:] = target[1]
-        stops = self._silent_s >= self._timeout_s
+        stops = is_over(self._silent_s, self._timeout_s)
         wanted = np.zeros_like(self._wanted) if stops else self._wanted
         most = (self._stop if stops else self._most) * period_s
         change = np.clip(wanted - self._velocity, -most, most)
@@ -72,6 +72,9 @@ class SpeedJSettings(InterfaceSettings):
     @property
     def takes(self) -> Takes:
         return "velocity"
+
+    def lag_s(self, period_s: float) -> float:
+        return 0.5 * period_s
 
     def build(self, period_s: float) -> SpeedJ:
         most = math.inf if self.ideal else self.acceleration_rad_s2
