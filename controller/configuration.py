@@ -187,6 +187,8 @@ class ControllerConfiguration(StrictModel):
             ``linear``: continue at their velocity.
         preview_ms: how far ahead laws for positions and velocities read the reference: ``auto`` for
             the round trip and the lag of the robot's own controller.
+        clock_ppm: how much faster the control loop's clock runs than the run's, against which the
+            robot's own has ``plant.interface.clock_ppm``.
     """
 
     law: str = "fixed_time_adaptive"
@@ -203,6 +205,7 @@ class ControllerConfiguration(StrictModel):
     first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
     between_answers: BetweenAnswers = "hold"
     preview_ms: Annotated[NonNegative, Field(le=10_000)] | Literal["auto"] = "auto"
+    clock_ppm: Annotated[Number, Field(ge=-1e4, le=1e4)] = 0.0
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 

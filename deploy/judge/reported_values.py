@@ -45,7 +45,6 @@ _STRETCHES = TypeAdapter(
 _CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
 
 
-
 class _Reflex(BaseModel):
     kind: Annotated[str, Field(max_length=100)]
     time_s: Annotated[float, Field(strict=True, ge=0, lt=1e9, allow_inf_nan=False)]

@@ -9,9 +9,11 @@ from controller.control_law import ControlLaw
 from controller.laws import LAWS
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
+from plant_emulator.interfaces.configuration import InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
+    from deploy.scenario.definition import ScenarioConfiguration
     from deploy.scenario.setup import Setup
 
 _KEY = "plant.interface.kind"
@@ -37,6 +39,15 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
 def takes_torque(setup: Setup) -> bool:
     """Whether the robot's drives follow torques."""
     return setup.scenario.plant.interface.takes == TORQUE
+
+
+def interface_in_force(setup: Setup) -> InterfaceConfiguration:
+    """Return the robot's interface with its clock against that of the control loop's ticks."""
+    interface, controller = setup.scenario.plant.interface, setup.scenario.controller
+    ppm = interface.clock_ppm - controller.clock_ppm
+    return (
+        interface.model_copy(update={"clock_ppm": ppm}) if ppm != interface.clock_ppm else interface
+    )
 
 
 def preview_s(setup: Setup) -> float:
@@ -69,24 +80,35 @@ def check_interface(setup: Setup) -> None:
         ConfigurationError: it does not.
     """
     scenario = setup.scenario
-    controller, takes = scenario.controller, scenario.plant.interface.takes
-    entry = LAWS.get(controller.law)
-    gives = "torque" if entry is None else entry.gives
-    if takes == TORQUE:
-        if gives != TORQUE and not controller.drive_feedback.enabled:
-            kind = scenario.plant.interface.kind
-            allowed = f"gives no torque, and {_KEY} = {kind} takes nothing else"
-            raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
-        return
-    if gives not in (takes, "motion", TORQUE):
-        allowed = f"gives {gives}, and {_KEY} = {scenario.plant.interface.kind} takes {takes}"
+    controller, interface = scenario.controller, scenario.plant.interface
+    takes, where = interface.takes, f"{_KEY} = {interface.kind}"
+    gives = LAWS[controller.law].gives if controller.law in LAWS else TORQUE
+    if takes == TORQUE and gives != TORQUE and not controller.drive_feedback.enabled:
+        allowed = f"gives no torque, and {where} takes nothing else"
         raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+    if takes != TORQUE and gives not in (takes, "motion", TORQUE):
+        allowed = f"gives {gives}, and {where} takes {takes}"
+        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+    if interface.has_controller:
+        _check_link(scenario, is_predicted=takes == TORQUE)
+    elif controller.clock_ppm:
+        allowed = f"must be 0 where {where}: there is no second clock"
+        raise ConfigurationError("controller.clock_ppm", controller.clock_ppm, allowed, [_KEY])
+
+
+def _check_link(scenario: ScenarioConfiguration, *, is_predicted: bool) -> None:
+    """Check what does not go with a robot that has a controller of its own."""
+    feedback, compensation = (
+        section.enabled
+        for section in (scenario.controller.drive_feedback, scenario.controller.delay_compensation)
+    )
     conflicts = {
         "link.kind": (scenario.link.kind, scenario.link.kind == "can"),
-        "controller.drive_feedback.enabled": (True, controller.drive_feedback.enabled),
-        "controller.delay_compensation.enabled": (True, controller.delay_compensation.enabled),
+        "controller.drive_feedback.enabled": (True, feedback),
+        "controller.delay_compensation.enabled": (True, compensation and not is_predicted),
     }
     for key, (value, is_in_conflict) in conflicts.items():
         if is_in_conflict:
-            allowed = f"must be another value where {_KEY} is not {TORQUE}"
+            kind = scenario.plant.interface.kind
+            allowed = f"must be another value with {_KEY} = {kind}"
             raise ConfigurationError(key, value, allowed, [_KEY])

@@ -28,7 +28,7 @@ from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
 from deploy.scenario.plant_count import FunnelCounter
 from deploy.scenario.playout import horizon_settings, resolved_link
-from deploy.scenario.robot_interface import law_for_robot, takes_torque
+from deploy.scenario.robot_interface import interface_in_force, law_for_robot, takes_torque
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -229,8 +229,9 @@ class Setup:
 
     def arm_of_type(self, arm_type: type[Arm]) -> Arm:
         """Return a new arm at its start."""
+        plant = self.scenario.plant
         return arm_type(
-            self.scenario.plant,
+            plant.model_copy(update={"interface": interface_in_force(self)}),
             self.robot,
             self.start_position_rad,
             self.grid,
@@ -238,9 +239,7 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
             self.drive,
-            self._true_model().inverse_dynamics
-            if self.scenario.plant.interface.has_controller
-            else None,
+            self._true_model().inverse_dynamics if plant.interface.has_controller else None,
         )
 
     def _true_model(self) -> ManipulatorModel:

@@ -78,7 +78,9 @@ ROBOTS = {
     "rsi": (),
     "egm": (),
     "servo": (),
-    "franka_position": ("plant.interface.franka_position={velocity_rad_s: 100, acceleration_rad_s2: 1e6, jerk_rad_s3: 1e9}",),
+    "franka_position": (
+        "plant.interface.franka_position={velocity_rad_s: 100, acceleration_rad_s2: 1e6, jerk_rad_s3: 1e9}",
+    ),
     "joint_trajectory": ("plant.interface.joint_trajectory.interpolate_from_desired_state=true",),
 }
 """Those that take positions; where an integrator of velocities is depends on when it began."""
@@ -87,7 +89,13 @@ ROBOTS = {
 @pytest.mark.parametrize("kind", ROBOTS)
 def test_an_arm_at_constant_speed_is_behind_by_delay_and_lag(file, kind, tmp_path):
     """v (d + L) without preview, within 2 %; at most 2 % of it with."""
-    common = (*moving(tmp_path), STREAMING, KIND.format(kind), *ROBOTS[kind], "link.downlink.delay_ms=24")
+    common = (
+        *moving(tmp_path),
+        STREAMING,
+        KIND.format(kind),
+        *ROBOTS[kind],
+        "link.downlink.delay_ms=24",
+    )
     behind = []
     for preview in (NO_PREVIEW, "controller.preview_ms=auto"):
         setup = load_setup(str(file), [*common, preview, "duration_s=4"])

@@ -59,8 +59,17 @@ def test_a_return_to_the_plan_after_an_extrapolation_is_a_discontinuity():
     robot = started(FrankaMotionSettings())
     found = driven(robot, targets)
     # Backward differences of what was commanded, against the limit.
-    line = np.array([*positions, *(positions[-1] + speed * np.arange(1, 5)
-                                   + ACCELERATION * H**2 * np.array([1, 3, 6, 10])), plan[4]])
+    line = np.array(
+        [
+            *positions,
+            *(
+                positions[-1]
+                + speed * np.arange(1, 5)
+                + ACCELERATION * H**2 * np.array([1, 3, 6, 10])
+            ),
+            plan[4],
+        ]
+    )
     acceleration = np.diff(line, 2)[-1] / H**2
     assert abs(acceleration) > 10.0
     assert robot.reflex.kind == "joint_motion_generator_velocity_discontinuity"
