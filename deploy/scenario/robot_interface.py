@@ -45,9 +45,7 @@ def interface_in_force(setup: Setup) -> InterfaceConfiguration:
     """Return the robot's interface with its clock against that of the control loop's ticks."""
     interface, controller = setup.scenario.plant.interface, setup.scenario.controller
     ppm = interface.clock_ppm - controller.clock_ppm
-    return (
-        interface.model_copy(update={"clock_ppm": ppm}) if ppm != interface.clock_ppm else interface
-    )
+    return interface.model_copy(update={"clock_ppm": ppm})
 
 
 def preview_s(setup: Setup) -> float:

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from bus_schema.recording.mcap_log import read_log
 from deploy.judge.metrics import summarise
+from deploy.run.execute import InProcesses, execute, lockstep_setup
+from deploy.run.replay import replay
 from deploy.run.simulate import simulate
 from deploy.scenario.robot_interface import robot_lag_s
 from deploy.scenario.scenario import load_setup
@@ -78,8 +81,9 @@ ROBOTS = {
     "rsi": (),
     "egm": (),
     "servo": (),
-    "franka_position": (
-        "plant.interface.franka_position={velocity_rad_s: 100, acceleration_rad_s2: 1e6, jerk_rad_s3: 1e9}",
+    "franka_position": tuple(
+        f"plant.interface.franka_position.{key}=1e9"
+        for key in ("velocity_rad_s", "acceleration_rad_s2", "jerk_rad_s3")
     ),
     "joint_trajectory": ("plant.interface.joint_trajectory.interpolate_from_desired_state=true",),
 }
@@ -168,3 +172,29 @@ KINDS = {
     "franka_velocity": "proportional_velocity", "franka_torque": "pid", "egm": "streaming",
     "rsi": "position_correction", "joint_trajectory": "streaming", "servo": "streaming",
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lockstep_simulation_and_replay_have_equal_digests(kind, tmp_path):
+    """Also with clocks that differ and cycles out of phase."""
+    words = [
+        "duration_s=0.2", f"controller.law={KINDS[kind]}", KIND.format(kind),
+        "plant.interface.clock_ppm=300", "plant.interface.phase_ms=0.3",
+        "link.uplink.delay_ms=3", "link.downlink={delay_ms: 2, jitter_ms: 1, loss: 0.1}",
+    ]  # fmt: skip
+    setup = load_setup("paper_arm", words)
+    simulation = simulate(setup)
+    simulation.write_log(tmp_path / "run.mcap")
+    in_processes = execute(lockstep_setup(setup), InProcesses()).summary
+    assert in_processes["digest"] == simulation.data().digest
+    assert in_processes["motion"] == simulation.data().motion
+    assert replay(setup, read_log(tmp_path / "run.mcap")).is_identical
+
+
+def test_lag_is_a_time_per_joint_and_none_at_rest(file, tmp_path):
+    common = (STREAMING, NO_PREVIEW, KIND.format("servoj"), *ROBOTS["servoj"], "duration_s=4")
+    moves = summarise(run(file, *common, *moving(tmp_path), "link.downlink.delay_ms=24"))
+    # 30 ms in the robot, of which a cycle is the wait; 24 on the way.
+    assert moves["lag_ms"] == [pytest.approx(54.0, abs=1.0)]
+    assert moves["reflexes"] == []
+    assert summarise(run(file, *common))["lag_ms"] == [None]
