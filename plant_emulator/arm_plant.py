@@ -25,9 +25,9 @@ from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.arm_faults import ArmFaults, PayloadFault
 from plant_emulator.faults.fault import Fault
 from plant_emulator.interfaces.interface import Reflex
-from plant_emulator.interfaces.robot_controller import RobotController, TorquesAlong
 from plant_emulator.physics.engine import ANY_PAYLOAD_KG, ArmSpecification
 from plant_emulator.physics.engines import engine_in_force, physics_in_force
+from plant_emulator.robot_controller import RobotController, TorquesAlong
 
 
 class ArmPlant:

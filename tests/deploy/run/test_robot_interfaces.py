@@ -10,7 +10,7 @@ from deploy.run.replay import replay
 from deploy.run.simulate import simulate
 from deploy.scenario.robot_interface import interface_in_force, robot_lag_s
 from deploy.scenario.scenario import load_setup
-from plant_emulator.interfaces.robot_controller import RobotController
+from plant_emulator.robot_controller import RobotController
 from tests.deploy.study.theory.linear_arms import Arm, constant
 
 H = 1e-3
