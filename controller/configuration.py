@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection
 from functools import cache
 from pathlib import PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -196,6 +196,10 @@ class ControllerConfiguration(StrictModel):
             once.
         between_answers: targets for the drives until the next answer: ``hold`` them, or
             ``linear``: continue at their velocity.
+        preview_ms: how far ahead laws for positions and velocities read the reference: ``auto`` for
+            the round trip and the lag of the robot's own controller.
+        clock_ppm: how much faster the control loop's clock runs than the run's, against which the
+            robot's own has ``plant.interface.clock_ppm``.
     """
 
     law: Annotated[str, NameIn("laws")] = "fixed_time_adaptive"
@@ -211,6 +215,8 @@ class ControllerConfiguration(StrictModel):
     inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
     between_answers: BetweenAnswers = "hold"
+    preview_ms: Annotated[NonNegative, Field(le=10_000)] | Literal["auto"] = "auto"
+    clock_ppm: Annotated[Number, Field(ge=-1e4, le=1e4)] = 0.0
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 

@@ -58,13 +58,20 @@ class Reference:
 
 def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matrix:
     """Return reference positions at each time, shape (times, joints), rad."""
-    positions = np.empty((len(times_s), joints))
+    return np.asarray(sample_motion(reference, times_s, joints)[0])
+
+
+def sample_motion(
+    reference: Reference, times_s: Vector, joints: int
+) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
+    """Return reference positions and velocities at each time, shape (2, times, joints)."""
+    motion = np.empty((2, len(times_s), joints))
     position, velocity, acceleration = np.empty((3, joints))
     follow = reference.onto(position, velocity, acceleration)
     for row, time_s in enumerate(times_s.tolist()):
         follow(time_s)
-        positions[row] = position
-    return positions
+        motion[0, row], motion[1, row] = position, velocity
+    return motion
 
 
 @compiled

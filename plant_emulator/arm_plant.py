@@ -17,15 +17,17 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow
 from bus_schema.runtime.randomness import generator
-from plant_emulator.arm.delay_line import DelayLine, DriveCommand
+from plant_emulator.arm.delay_line import NEVER, DelayLine, DriveCommand
 from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.arm_faults import ArmFaults, PayloadFault
 from plant_emulator.faults.fault import Fault
+from plant_emulator.interfaces.interface import Reflex
 from plant_emulator.physics.engine import ANY_PAYLOAD_KG, ArmSpecification
 from plant_emulator.physics.engines import engine_in_force, physics_in_force
+from plant_emulator.robot_controller import RobotController, TorquesAlong
 
 
 class ArmPlant:
@@ -40,10 +42,12 @@ class ArmPlant:
         limits: section ``limits`` of the scenario.
         faults: the scheduled faults.
         drive: gains of its drives' own loops; None if they follow torques alone.
+        torques_along: inverse dynamics of the arm, for a robot with a controller of its own.
 
     Attributes:
         mode: the arm's mode; it changes by `bus_schema.runtime.modes.TRANSITIONS`.
         stops_at: limits that require a safe stop.
+        joint_names: names of the joints.
         physics: engine, version and integrator.
         torques: torques of the last substep.
         position: true joint positions, rad, shape (joints,).
@@ -62,9 +66,10 @@ class ArmPlant:
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
         drive: DriveGains | None = None,
+        torques_along: TorquesAlong | None = None,
     ) -> None:
         self._safe_stop = configuration.safe_stop
-        self.stops_at = limits.stops_at
+        self.stops_at, self.joint_names = limits.stops_at, robot.joint_names
         randoms = [generator(child) for child in np.random.SeedSequence(seed).spawn(3)]
         self._stop_damping = _stop_damping(configuration, robot)
         gains = drive or no_drive_feedback(robot.joints)
@@ -74,6 +79,10 @@ class ArmPlant:
         )  # fmt: skip
         self._commanded: Vector = np.zeros(robot.joints)
         self._line = DelayLine(configuration.actuator.delay_steps(grid.substep_s))
+        self._robot = (
+            None if torques_along is None
+            else RobotController(configuration.interface, torques_along, grid)
+        )  # fmt: skip
         self._grid = grid
         engine = engine_in_force(configuration)
         self.physics = physics_in_force(configuration)
@@ -126,6 +135,11 @@ class ArmPlant:
             robot, bool(configuration.payload_kg) * ANY_PAYLOAD_KG, gui=configuration.gui
         )
 
+    @property
+    def reflex(self) -> Reflex | None:
+        """Why the robot's own controller has stopped it; None while it has not."""
+        return None if self._robot is None else self._robot.reflex
+
     def read_encoders(self, now_ns: int = 0) -> None:
         """Update `measured`; faults that begin and end depend on `now_ns`."""
         self._encoders.read()
@@ -150,12 +164,18 @@ class ArmPlant:
             return
         if self.mode is Mode.READY:
             self.mode = follow(self.mode, Trigger.COMMAND)
-        command = DriveCommand(torque_nm, target, stamp_ns)
-        if self._line.substeps:
-            copied = None if target is None else target.copy()
-            self._line.put(DriveCommand(torque_nm.copy(), copied, stamp_ns))
-        else:
+        if self._robot is not None:
+            self._robot.receive(torque_nm, target)
+            return
+        self._send(DriveCommand(torque_nm, target, stamp_ns))
+
+    def _send(self, command: DriveCommand) -> None:
+        """Give the drives a command; it acts after their dead time."""
+        if not self._line.substeps:
             self._follow(command)
+            return
+        target = None if command.target is None else command.target.copy()
+        self._line.put(command._replace(torque_nm=command.torque_nm.copy(), target=target))
 
     def _follow(self, command: DriveCommand) -> None:
         """Let a command act: release the brakes, and give the drives its torque and target."""
@@ -198,15 +218,26 @@ class ArmPlant:
             first: number of the first substep in the run.
             end: number of the first substep to leave out.
         """
-        while first < end and self._line.substeps:
-            for command in self._line.take_due(first):
-                self._follow(command)
-            until = min(end, self._line.next_due)
+        while first < end and (self._line.substeps or self._robot is not None):
+            until = min(end, self._pass_commands_on(first))
             self._advance(first, until)
             self._line.pass_by(until)
             first = until
         if first < end:
             self._advance(first, end)
+
+    def _pass_commands_on(self, number: int) -> int:
+        """Let commands act that are due at a substep; return the substep of the next ones."""
+        due, line = NEVER, self._line
+        if (robot := self._robot) is not None and self.mode is Mode.TRACKING:
+            if robot.next_due == NEVER:
+                robot.start(self.measured[0], number)
+            if robot.next_due <= number:
+                self._send(robot.cycle(self.measured))
+            due = robot.next_due
+        for command in line.take_due(number):
+            self._follow(command)
+        return min(line.next_due, due)
 
     def _advance(self, first: int, end: int) -> None:
         """Advance by substeps between which no command begins to act."""

@@ -21,6 +21,7 @@ from bus_schema.configuration import (
 )
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.registry import NameIn
+from plant_emulator.interfaces.configuration import InterfaceConfiguration
 
 
 def _zero() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -310,3 +311,4 @@ class PlantConfiguration(StrictModel):
     encoder: EncoderConfiguration = EncoderConfiguration()
     actuator: ActuatorConfiguration = ActuatorConfiguration()
     drive_feedback: DriveLoopConfiguration = DriveLoopConfiguration()
+    interface: InterfaceConfiguration = InterfaceConfiguration()

@@ -249,7 +249,9 @@ class PlantLoop:
         self._react()
 
     def _react(self) -> None:
-        """Stop if a limit requires it, and check the age of the command in force."""
+        """Stop if a limit or the robot requires it, and check the command's age."""
+        if self._arm.reflex is not None:
+            self._supervisor.handle_reflex(self._arm.reflex)
         if self._arm.torques.limit_hits:
             self._supervisor.handle_limit_hits()
         self._command_age_ns = self._commands.age_ns(self._tick_ns)
@@ -279,6 +281,7 @@ class PlantLoop:
             "downlink": downlink.statistics().summary() | {"rejected": rejected},
             **({} if self._playout is None else {"playout": self._playout.report()}),
             "limits": supervisor.limits.summary(),
+            **({"reflexes": supervisor.reflexes} if supervisor.reflexes else {}),
         } | self._link.report()
         if supervisor.stop_requested:
             supervisor.announce(EventKind.STOPPED, "stopped on request")

@@ -10,6 +10,7 @@ from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import COMMANDABLE, Mode, mode_event
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.interfaces.interface import Reflex
 from plant_emulator.telemetry import PlantTelemetry
 
 logger = logging.getLogger(__name__)
@@ -32,6 +33,8 @@ class Supervisor:
         faults: the faults, one sentence each.
         awaited: the peer whose silence was the first fault; empty if it was another.
         limits: how often each limit was hit.
+        reflexes: stops that the robot's own controller decided: ``kind``, ``time_s`` and ``joint``,
+            None for none.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Supervisor:
         self.faults: list[str] = []
         self.awaited = ""
         self.limits = LimitCounts()
+        self.reflexes: list[dict[str, object]] = []
 
     def announce(self, kind: EventKind, detail: str) -> None:
         """Report an event at this tick."""
@@ -76,6 +80,16 @@ class Supervisor:
     def stop_safely(self, reason: str) -> None:
         """Stop the arm, and add to the reason that it is stopped safely."""
         self.stop(f"{reason}: {self._safe_stop}")
+
+    def handle_reflex(self, reflex: Reflex) -> None:
+        """Stop the arm as its own controller has decided, once."""
+        if self._arm.mode is not Mode.TRACKING:
+            return
+        joint = None if reflex.joint < 0 else self._arm.joint_names[reflex.joint]
+        time_s = 1e-9 * self._grid.tick_ns(self.tick)
+        self.reflexes.append({"kind": reflex.kind, "time_s": time_s, "joint": joint})
+        of_joint = "" if joint is None else f" of {joint}"
+        self.stop_safely(f"the robot's reflex {reflex.kind}{of_joint} ({reflex.words})")
 
     def stop_after_error(self, error: Exception) -> None:
         """Stop the arm because of an error in the loop."""

@@ -24,6 +24,12 @@ from controller.laws.sliding_mode import FtsmcGains, SlidingMode, SmcGains, Tsmc
 from controller.laws.slotine_li import SlotineLi, SlotineLiGains
 from controller.laws.super_twisting import SuperTwisting, SuperTwistingGains
 from controller.laws.time_delay_control import TimeDelayControl, TimeDelayControlGains
+from controller.outer_laws.position_correction import PositionCorrection, PositionCorrectionGains
+from controller.outer_laws.proportional_velocity import (
+    ProportionalVelocity,
+    ProportionalVelocityGains,
+)
+from controller.outer_laws.streaming import Streaming, StreamingGains
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,8 @@ class LawEntry:
         gains: the type of its gains: a NamedTuple of values as `bus_schema.configuration` has them,
             which can derive itself by `from_inertia`.
         settling_bound_s: bound on the settling time, s; only for laws that have one.
+        gives: ``torque``, or what else its commands contain for robots that take no torque:
+            ``position``, ``velocity`` or ``motion``, which is both.
 
     Raises:
         TypeError: the gains are no such type.
@@ -44,6 +52,7 @@ class LawEntry:
     build: Callable[[Any, Dynamics, Vector], ControlLaw]
     gains: Any
     settling_bound_s: Callable[[Any, LargestInertia], float] | None = None
+    gives: str = "torque"
 
     def __post_init__(self) -> None:
         if not (hasattr(self.gains, "_fields") and hasattr(self.gains, "from_inertia")):
@@ -69,9 +78,17 @@ _SHIPPED = {
     "disturbance_observer": LawEntry(DisturbanceObserver, DisturbanceObserverGains),
     "funnel_control": LawEntry(FunnelControl, FunnelControlGains),
     "ppc_delay": LawEntry(PpcDelay, PpcDelayGains),
+    "streaming": LawEntry(Streaming, StreamingGains, gives="motion"),
+    "proportional_velocity": LawEntry(
+        ProportionalVelocity, ProportionalVelocityGains, gives="velocity"
+    ),
+    "position_correction": LawEntry(PositionCorrection, PositionCorrectionGains, gives="position"),
 }
 LAWS: Registry[LawEntry] = Registry("laws", "controller.law", LawEntry, _SHIPPED)
 """The laws of scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies."""
+
+TORQUE_LAWS = [name for name, entry in _SHIPPED.items() if entry.gives == "torque"]
+"""Shipped laws that drive any arm; the others need a robot with a controller of its own."""
 
 COMPARED_LAWS = [
     "fixed_time_neural", "fixed_time_model_based", "fixed_time_adaptive", "pid", "smc", "tsmc",
@@ -83,3 +100,8 @@ COMPARED_LAWS = [
 def likely_law(unknown: str) -> str:
     """Return ``; did you mean …?`` if a name resembles a law's; else nothing."""
     return did_you_mean(unknown, LAWS)
+
+
+def torque_laws() -> list[str]:
+    """Return all laws that drive any arm, also those of packages that are installed."""
+    return [name for name, entry in LAWS.usable().items() if entry.gives == "torque"]

@@ -16,7 +16,7 @@ import numpy as np
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from controller.control_law import Tracking
-from controller.laws import LAWS
+from controller.laws import torque_laws
 from controller.torque_guard import TorqueGuard
 from deploy.bench.measure import Section, cost_us, interleave, ratio
 from deploy.judge.run_data import RunData
@@ -128,7 +128,7 @@ def _engines(scenario: str, seconds: float, repetitions: int) -> Section:
 
 
 def measure_control_steps(steps: int, repetitions: int) -> Section:
-    """Measure every law, and a step of physics, on arms of 3 and 7 joints.
+    """Measure every law of torques, and a step of physics, on arms of 3 and 7 joints.
 
     Args:
         steps: control steps, and steps of physics, in each measurement.
@@ -141,7 +141,7 @@ def measure_control_steps(steps: int, repetitions: int) -> Section:
         joints = f"{setup.robot.joints} joints"
         physics = f"step of physics, {joints}"
         candidates[physics] = partial(physics_us, setup, 1, steps)
-        for law in LAWS.usable():
+        for law in torque_laws():
             step = _control_step(load_setup(scenario, [f"controller.law={law}"]))
             candidates[f"{law}, {joints}"] = partial(cost_us, step, steps)
             pairs.append((f"{law}, {joints}", physics))

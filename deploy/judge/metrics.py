@@ -22,6 +22,7 @@ from deploy.judge.findings.loss_reason import loss_reason
 from deploy.judge.findings.ranges import beyond_ranges
 from deploy.judge.findings.stalls import longest_stall_ms
 from deploy.judge.findings.vibration import vibrations
+from deploy.judge.joint_lag import lag_ms
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.judge.tip_error import tip_error_mm
@@ -75,6 +76,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "bounds": bounds,
         "loss": None if lost is None else {**lost._asdict(), "reason": lost.reason.value},
         "tracking": tracking,
+        "lag_ms": lag_ms(run),
         "tip_error_mm": tip_error_mm(run),
         "beyond_ranges": beyond_ranges(run),
         **(_UNTESTED if known.missing else _growing(run)),
@@ -84,6 +86,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "transport": _transport(run),
         "chunks": _chunks(run),
         "limits": _limits(run),
+        "reflexes": run.last_values(Role.PLANT, EventKind.COUNTS).get("reflexes", []),
         "identified": identified(run),
         "recorder": {
             "messages": run.messages,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
@@ -44,6 +44,16 @@ _STRETCHES = TypeAdapter(
 )
 _CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
 
+
+class _Reflex(BaseModel):
+    kind: Annotated[str, Field(max_length=100)]
+    time_s: Annotated[float, Field(strict=True, ge=0, lt=1e9, allow_inf_nan=False)]
+    joint: Annotated[str, Field(max_length=100)] | None
+
+
+_REFLEXES = TypeAdapter(
+    Annotated[list[Annotated[_Reflex, AfterValidator(_Reflex.model_dump)]], Field(max_length=100)]
+)
 _CHANNEL = {
     **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered"), _COUNT),
     "rejected": _COUNTS,
@@ -66,7 +76,7 @@ _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     },
     EventKind.COUNTS: {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,
-        "playout": _PLAYOUT,
+        "playout": _PLAYOUT, "reflexes": _REFLEXES,
     },
 }  # fmt: skip
 """Expected contents of these events: a type, or a mapping of them."""

@@ -20,7 +20,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.messages.types import stamp_of, stamps_ns
-from controller.reference import sample_positions
+from controller.reference import sample_motion
 from deploy.judge.command_rows import tabulate_by_tick
 from deploy.judge.reported_values import ReportedValues, reported_values
 from deploy.scenario.setup import Setup
@@ -88,9 +88,17 @@ class RunData:
     def true_errors_rad(self) -> Matrix:
         """True joint errors at every tick, shape (ticks, joints)."""
         truth = self.tables[topics.PLANT_TRUTH.name]
-        joints = self.setup.robot.joints
-        wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
-        return np.asarray(truth["position"] - wanted)
+        return np.asarray(truth["position"] - self._wanted[0])
+
+    @property
+    def reference_velocities_rad_s(self) -> Matrix:
+        """The reference's velocities at every tick, shape (ticks, joints)."""
+        return self._wanted[1]
+
+    @cached_property
+    def _wanted(self) -> Any:
+        times_s = self.times_s(topics.PLANT_TRUTH)
+        return sample_motion(self.setup.reference, times_s, self.setup.robot.joints)
 
     @property
     def motion(self) -> str:

@@ -21,12 +21,14 @@ from bus_schema.runtime.clock import TickGrid
 from controller.compensation.command_timeline import HorizonSettings
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
+from controller.manipulator_model import ManipulatorModel
 from controller.reference import Reference
 from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
 from deploy.scenario.plant_count import FunnelCounter
 from deploy.scenario.playout import horizon_settings, resolved_link
+from deploy.scenario.robot_interface import interface_in_force, law_for_robot, takes_torque
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -114,7 +116,7 @@ class Setup:
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
             law=controller.paced(
-                controller.build_law(self.gains, self.nominal, rotors),
+                law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
                 1e-9 * self.grid.period_ns,
                 self.scenario.seed,
             ),
@@ -127,12 +129,18 @@ class Setup:
                 self.horizon,
                 rotors,
             ),
-            sends_targets=controller.drive_feedback.enabled,
+            sends_targets=controller.drive_feedback.enabled or not takes_torque(self),
         )
 
     @property
     def drive(self) -> DriveGains:
         """Gains of the drives' own loops."""
+        interface = self.scenario.plant.interface
+        if not takes_torque(self):
+            inertia = self.governing_inertia_kg_m2
+            gains = critically_damped(inertia, interface.bandwidth_rad_s)
+            knows_arm = interface.settings.knows_arm
+            return gains if knows_arm else self.scenario.plant.drive_feedback.gains(gains)
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)
@@ -221,8 +229,9 @@ class Setup:
 
     def arm_of_type(self, arm_type: type[Arm]) -> Arm:
         """Return a new arm at its start."""
+        plant = self.scenario.plant
         return arm_type(
-            self.scenario.plant,
+            plant.model_copy(update={"interface": interface_in_force(self)}),
             self.robot,
             self.start_position_rad,
             self.grid,
@@ -230,4 +239,13 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
             self.drive,
+            self._true_model().inverse_dynamics if plant.interface.has_controller else None,
         )
+
+    def _true_model(self) -> ManipulatorModel:
+        """Return the arm as the robot's own controller knows it: exactly, without friction."""
+        plant, joints = self.scenario.plant, self.robot.joints
+        return ManipulatorModel(
+            self.robot, payload_kg=plant.payload_kg,
+            rotor_inertia_kg_m2=plant.actuator.rotor_inertia(joints),
+        )  # fmt: skip

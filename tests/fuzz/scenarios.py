@@ -12,7 +12,7 @@ from forked import Outcomes, try_forked
 from mutation import Mutator
 from urdfs import try_urdf
 
-from controller.laws import LAWS
+from controller.laws import TORQUE_LAWS
 from deploy.run.network.links import check_link
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
@@ -66,7 +66,7 @@ def _whole(name: str, law: str) -> tuple[dict[str, Any], tuple[str, ...]]:
 def _with_extreme(mutator: Mutator) -> str:
     """A scenario with one number or two at the end of their range, or beyond."""
     name = mutator.choose(("paper_arm", "iiwa"))
-    values, keys = _whole(name, mutator.choose(tuple(LAWS)))
+    values, keys = _whole(name, mutator.choose(tuple(TORQUE_LAWS)))
     values = copy.deepcopy(values)
     for _ in range(mutator.choose((1, 2))):
         set_value(values, mutator.choose(keys), mutator.choose(_EXTREMES))

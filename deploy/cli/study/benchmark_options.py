@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from controller.laws import LAWS
+from controller.laws import torque_laws
 from deploy.cli.common import parse_laws
 from deploy.cli.options import GateOptions
 from deploy.cli.study.margin_options import StudyOptions, listed
@@ -69,7 +69,7 @@ class BenchmarkOptions(GateOptions, StudyOptions):
             "duration_s": self.duration,
         }  # fmt: skip
         usual: dict[str, Any] = {
-            "scenarios": list(BENCHMARK_ARMS), "laws": list(LAWS),
+            "scenarios": list(BENCHMARK_ARMS), "laws": list(torque_laws()),
             "predictors": list(BENCHMARK_PREDICTORS), "networks": networks,
             "delays_ms": list(BENCHMARK_DELAYS_MS),
         }  # fmt: skip
@@ -90,7 +90,8 @@ def _names(text: str | None) -> list[str] | None:
 
 
 def _with_all(laws: str | None) -> str | None:
-    """Return a list of laws in which the word all stands for the shipped ones."""
+    """Return a list of laws in which the word all stands for the shipped ones of torques."""
     if laws is None:
         return None
-    return ",".join(",".join(LAWS) if name.strip() == "all" else name for name in laws.split(","))
+    every = ",".join(torque_laws())
+    return ",".join(every if name.strip() == "all" else name for name in laws.split(","))

@@ -29,6 +29,7 @@ from deploy.scenario.referenced_files import (
     find_urdf,
     folders_of,
 )
+from deploy.scenario.robot_interface import check_interface
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import naming, plain
@@ -183,6 +184,7 @@ def _gear_stiffness(
 def _check_sides(setup: Setup) -> None:
     """Check that controller, link and plant can be created from a scenario."""
     scenario, _ = setup.scenario, setup.link  # which is checked when it is read
+    check_interface(setup)
     if scenario.controller.process is None:
         setup.control_task()
     elif scenario.link.kind != "zenoh":

@@ -25,9 +25,15 @@ _FEW_TICKS = 64
 _LISTENED_S, _LISTENED_TICKS = 1.0, (256, 2048)
 
 
-def linear_law(law: ControlLaw, setup: Setup) -> LinearLaw | str:
-    """Return a law as a linear one, N m per rad and rad/s; or why it is none."""
-    probe = _Probe(law, setup)
+def linear_law(law: ControlLaw, setup: Setup, row: int | None = None) -> LinearLaw | str:
+    """Return a law as a linear one, N m per rad and rad/s; or why it is none.
+
+    Args:
+        law: the law.
+        setup: the scenario.
+        row: of its targets, instead of torques.
+    """
+    probe = _Probe(law, setup, row)
     impulses = probe.impulses(_FEW_TICKS)
     (odd, even), (larger_odd, larger_even) = (
         [part / size for part in probe.parts(size * impulses)] for size in (1.0, _LARGER)
@@ -53,8 +59,8 @@ def linear_law(law: ControlLaw, setup: Setup) -> LinearLaw | str:
 class _Probe:
     """Asks a law; motions have the shape (ticks, 2 joints): positions, then velocities."""
 
-    def __init__(self, law: ControlLaw, setup: Setup) -> None:
-        self._law, self._setup = law, setup
+    def __init__(self, law: Any, setup: Setup, row: int | None) -> None:
+        self._law, self._setup, self._row = law, setup, row
         self.period_s = 1e-9 * setup.grid.period_ns
         self._sizes = _SMALL * np.tile(setup.funnel.final_rad, 2)  # a rate: of 1/s
 
@@ -111,7 +117,10 @@ class _Probe:
             tracking.reference_position[:] = start
             tracking.reference_velocity[:] = tracking.reference_acceleration[:] = 0.0
             tracking.motion[:] = start + tracking.error, tracking.error_rate
-            answers.append(np.array(self._law.torque(tracking), dtype=np.float64))
+            answer = self._law.torque(tracking)
+            if self._row is not None:
+                answer = self._law.target(tracking)[self._row]
+            answers.append(np.array(answer, dtype=np.float64))
         return np.array(answers[1:])
 
 

@@ -14,19 +14,25 @@ from typing import Any
 
 import numpy as np
 
+from controller.control_law import ControlLaw
 from controller.laws.custom import EXTERNAL
+from controller.outer_laws.outer_law import OuterLaw
 from controller.slow_law import SlowLaw
 from deploy.scenario.setup import Setup
 from deploy.study.theory.linear_law import LinearLaw
 from deploy.study.theory.linear_plant import linear_plant
+from deploy.study.theory.linear_robot import LinearRobot, linear_robot
 from deploy.study.theory.pattern_bound import pattern_bound_s
 from deploy.study.theory.probe import linear_law
 from deploy.study.theory.sampled_loop import SampledLoop
 from deploy.study.theory.windows import after_dead_time, unstable_windows
+from plant_emulator.interfaces.settings import TORQUE
 
 LONGEST_S = 1.0
 """The largest delay that theory looks at."""
 _DEAD = "its linear loop is unstable with the dead time of the actuators alone"
+_OWN_LOOPS = "the robot's own controller closes its loops"
+_OWN_TORQUES = "the robot's own controller reads torques at its own rate"
 _MOST_STATES = 1000
 """Of a law; more take minutes."""
 
@@ -50,9 +56,12 @@ def theory_of(setup: Setup) -> dict[str, Any]:
         law = f"it raised {type(error).__name__}: {error}"
     if isinstance(law, str):
         return {"reason": law}
-    loop = SampledLoop(linear_plant(setup), law, 1e-9 * setup.grid.period_ns)
+    robot = _robot(setup)
+    plant = linear_plant(setup) if robot is None else robot.plant
+    loop = SampledLoop(plant, law, 1e-9 * setup.grid.period_ns)
     step_s = setup.grid.substep_s
     dead_s = setup.scenario.plant.actuator.delay_steps(step_s) * step_s
+    dead_s += 0.0 if robot is None else robot.dead_s
     try:
         return _findings(loop, setup.robot.joint_names, dead_s)
     except ArithmeticError as error:
@@ -69,11 +78,30 @@ def _law(setup: Setup) -> LinearLaw | str:
     law = setup.control_task().law
     if isinstance(law, SlowLaw):
         return "it is slower than the control loop"
+    if (interface := setup.scenario.plant.interface).has_controller:
+        return _OWN_TORQUES if interface.takes == TORQUE else _outer_law(law, setup)
     if controller.drive_feedback.enabled and hasattr(law, "target"):
         return "its own targets close the loops of the drives"
     found = linear_law(law, setup)
     if isinstance(found, LinearLaw) and found.states > _MOST_STATES:
         return f"its torque depends on errors of {len(found.taps) - 1} ticks before: it filters"
+    return found
+
+
+def _robot(setup: Setup) -> LinearRobot | None:
+    return linear_robot(setup) if setup.scenario.plant.interface.has_controller else None
+
+
+def _outer_law(law: ControlLaw, setup: Setup) -> LinearLaw | str:
+    """Return a law of targets as a linear one; its loop is closed around the robot's own."""
+    robot = _robot(setup)
+    if robot is None or not isinstance(law, OuterLaw):
+        return _OWN_LOOPS
+    law.follow(setup.reference, 0.0)  # at rest, as the probe has it
+    found = linear_law(law, setup, robot.row)
+    if isinstance(found, LinearLaw) and not robot.shows_velocity:
+        reads_velocity = bool(found.taps[:, :, setup.robot.joints :].any())
+        return _OWN_LOOPS if reads_velocity else found
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from bus_schema.robot_description import load_robot
 from controller.control_law import LOWER, UPPER, Tracking
 from controller.funnel import Funnel
-from controller.laws import COMPARED_LAWS, LAWS
+from controller.laws import COMPARED_LAWS, LAWS, TORQUE_LAWS
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
 from deploy.judge.metrics import summarise
@@ -239,7 +239,7 @@ def test_regressor_of_a_single_joint_has_a_row(tmp_path):
     assert model.torque_regressors(*np.full((3, 4, 1), 0.3)).shape == (4, 1, 10)
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name not in COMPARED_LAWS])
+@pytest.mark.parametrize("name", [name for name in TORQUE_LAWS if name not in COMPARED_LAWS])
 def test_law_keeps_the_bounds_of_the_papers_arm_without_delay(name):
     """At the start 34.8 % of the bound is left; PID with gravity overshoots to 14.8 %, and the
     widened envelope of `ppc_delay` lets the error come to 22 %."""

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from controller.configuration import ControllerConfiguration
 from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER, Tracking
 from controller.funnel import Funnel, performance_function
-from controller.laws import LAWS
+from controller.laws import LAWS, TORQUE_LAWS
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
 from tests.arms import PAPER_ARM, forward_dynamics, runge_kutta
@@ -20,7 +20,7 @@ ROBOT = PAPER_ARM
 INERTIA = ManipulatorModel(ROBOT).governing_inertia(np.zeros((1, JOINTS)))
 NO_LIMITS = np.full(JOINTS, np.inf)
 SETTINGS = settings(max_examples=25)
-all_laws = pytest.mark.parametrize("name", LAWS)
+all_laws = pytest.mark.parametrize("name", TORQUE_LAWS)
 laws_with_memory = pytest.mark.parametrize(
     "name",
     [
@@ -111,7 +111,7 @@ def per_joint(largest):
 )  # fmt: skip
 def test_torque_is_finite_for_any_error(errors, error_rates, time_s, step_s):
     # 1e30 rad is far outside any funnel; its power of 1.4 is still a number.
-    for name in LAWS:
+    for name in TORQUE_LAWS:
         torque = law_of(name).torque(situation(errors, error_rates, time_s, step_s))
         assert torque.shape == (JOINTS,), name
         assert np.isfinite(torque).all(), name
@@ -139,7 +139,7 @@ def test_torque_opposes_an_error_on_either_side_and_outside(name, sign, size):
     order=st.permutations(range(JOINTS)),
 )
 def test_relabelling_the_joints_relabels_the_torques(motion, order):
-    for name in LAWS:
+    for name in TORQUE_LAWS:
         law, relabelled = law_of(name), law_of(name, order)
         for tick, (errors, error_rates) in enumerate(motion):
             expected = law.torque(situation(errors, error_rates, 1e-3 * tick))[list(order)]
@@ -156,7 +156,7 @@ def test_reset_law_repeats_itself_bit_for_bit(motion):
             for tick, (errors, error_rates) in enumerate(motion)
         ]
 
-    for name in LAWS:
+    for name in TORQUE_LAWS:
         law = law_of(name)
         first = run(law)
         law.reset()

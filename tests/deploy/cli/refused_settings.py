@@ -14,6 +14,7 @@ ACTUATOR, EXTERNAL = "plant.actuator", "controller.law=external & controller.ext
 PROCESS = "controller.process=[./my_controller]"
 FEEDBACK = "controller.drive_feedback.enabled=true"
 COMPENSATED = "controller.delay_compensation.enabled=true"
+KIND = "plant.interface.kind"
 BRIDGE = "controller.delay_compensation.bridge_ms"
 ONE_EACH = "each of the 3 joints"
 LONG_LINK = "must be without a change before the ramp ends at 3.0 s"
@@ -137,8 +138,18 @@ TOGETHER = [
         (f"{BRIDGE}=1000 & {COMPENSATED}", "bridge_ms = 1000.0: must be at most 999, as a command"),
         (f"{BRIDGE}=920 & {COMPENSATED} & {FEEDBACK}", "bridge_ms = 920.0: must be at most 907"),
         (f"{PROCESS} & controller.every=201", "controller.every = 201: at most 200, else plant"),
+        *[(f"{KIND}={kind} & controller.law={law}{more}", words) for kind, law, more, words in (
+            ("servoj", "proportional_velocity", "",
+             "gives velocity, and plant.interface.kind = servoj takes position"),
+            ("speedj", "position_correction", "", "gives position, and plant.interface.kind"),
+            ("torque", "streaming", "", "gives no torque, and plant.interface.kind = torque"),
+            ("franka_torque", "streaming", "", "gives no torque"),
+            ("servoj", "streaming", f" & {COMPENSATED}", "delay_compensation.enabled = True: must"),
+            ("servoj", "streaming", f" & {FEEDBACK}", "drive_feedback.enabled = True: must be"),
+            ("torque", "pid", " & controller.clock_ppm=20", "clock_ppm = 20.0: must be 0 where"))],
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
     *[("paper_arm_can", setting, text) for setting, text in (
+        (f"{KIND}=servoj & controller.law=streaming", "link.kind = 'can': must be another value"),
         ("link.can.interface=nope", "'nope': must be an interface of python-can"),
         ("link.can.interface=pcan", "is its driver installed?"),
         ("link.can.interface=virtual", "'virtual': reaches no other process"),
@@ -228,6 +239,12 @@ IMPOSSIBLE = [
     ("controller.law", "magic", "'magic'", "fixed_time_neural"),
     ("controller.gains.fixed_time_neural.k_1", "[1, 2]", "[1.0, 2.0]", ONE_EACH),
     ("controller.gains.fixed_time_neural.k_1", "-1", "-1", "at least 0"),
+    ("plant.interface.kind", "servo_j", "'servo_j'", "one of torque, servoj, speedj, franka_pos"),
+    ("plant.interface.servoj.lookahead_time_s", "0.02", "0.02", "greater than or equal to 0.03"),
+    ("plant.interface.servoj.lookahead_time_s", "0.3", "0.3", "less than or equal to 0.2"),
+    ("plant.interface.servoj.gain", "50", "50", "greater than or equal to 100"),
+    ("plant.interface.servoj.timeout_ms", "250", "250", "less than or equal to 200"),
+    ("plant.interface.clock_ppm", "1e6", "'1e6'", "less than or equal to 10000"),
     ("plant.gui", "maybe", "'maybe'", "a valid boolean"),
     ("plant.friction.viscous_nm_s", "-1", "-1", "at least 0"),
     ("plant.actuator.saturation_nm", "[1, 2]", "[1.0, 2.0]", ONE_EACH),

@@ -8,7 +8,7 @@ import pytest
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.recording.mcap_log import read_log
-from controller.laws import COMPARED_LAWS, LAWS
+from controller.laws import COMPARED_LAWS, TORQUE_LAWS
 from deploy.judge.metrics import summarise
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
@@ -58,7 +58,7 @@ def test_every_law_that_keeps_its_bounds_keeps_them_at_48_ms(law):
     assert not judged(*overrides, up_ms=24, down_ms=24, duration_s=1)["bounds"]["kept"]
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", TORQUE_LAWS)
 def test_without_delay_compensation_of_a_known_model_changes_no_bit(law):
     with_it, without = (
         run(*overrides, f"controller.law={law}", duration_s=0.3).data().digest

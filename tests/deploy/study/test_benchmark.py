@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.laws import LAWS
+from controller.laws import TORQUE_LAWS
 from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.yaml_files import ScenarioError
@@ -155,7 +155,7 @@ def test_default_arms_can_be_run_with_delays_and_on_networks():
 
 def test_all_stands_for_the_shipped_laws():
     options = BenchmarkOptions(laws="all,mine:Law", quick=True)
-    assert options.definition()["laws"] == [*LAWS, "mine:Law"]
+    assert options.definition()["laws"] == [*TORQUE_LAWS, "mine:Law"]
 
 
 def test_an_unfinished_or_foreign_folder_has_no_tuned_gains(tmp_path):

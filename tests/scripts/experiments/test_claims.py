@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bus_schema.arrays import Vector
-from controller.laws import COMPARED_LAWS, LAWS
+from controller.laws import COMPARED_LAWS, TORQUE_LAWS
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -123,7 +123,7 @@ def test_arms_with_weaker_actuators_settle_below_it_too(scenario, law):
     assert result.holds, result
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", TORQUE_LAWS)
 @pytest.mark.parametrize("scenario", ["paper_arm", "iiwa", "panda"])
 def test_every_law_runs_on_every_arm_with_derived_gains(scenario, law):
     overrides = [f"controller.law={law}", f"controller.gains.{law}=null"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bus_schema.errors import InputError
-from controller.laws import LAWS
+from controller.laws import TORQUE_LAWS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import plain
 from deploy.study.tuning.gain_search import FIXED, GainSearch
@@ -77,7 +77,7 @@ def test_one_gain_is_enough_and_none_is_refused():
         GainSearch({"power": 0.5, "k": 0.0}, 10, 1, {})
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", TORQUE_LAWS)
 def test_every_law_has_numbers_to_tune_and_keeps_its_powers(law):
     start = plain(load_setup("paper_arm", [f"controller.law={law}"]).gains)
     first, other = GainSearch(start, 10, 1, {}), start

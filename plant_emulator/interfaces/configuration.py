@@ -1,0 +1,94 @@
+"""Section ``plant.interface`` of a scenario: what a robot takes, and its own controller."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, field_validator
+
+from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
+from bus_schema.errors import did_you_mean
+from plant_emulator.interfaces.egm import EgmSettings
+from plant_emulator.interfaces.franka import FrankaMotionSettings, FrankaVelocitySettings
+from plant_emulator.interfaces.franka_torque import FrankaTorqueSettings
+from plant_emulator.interfaces.interface import RobotInterface
+from plant_emulator.interfaces.joint_trajectory import JointTrajectorySettings
+from plant_emulator.interfaces.rsi import RsiSettings
+from plant_emulator.interfaces.servo import ServoSettings
+from plant_emulator.interfaces.servoj import ServoJSettings
+from plant_emulator.interfaces.settings import TORQUE, InterfaceSettings, Takes
+from plant_emulator.interfaces.speedj import SpeedJSettings
+
+_MOST_PPM = 1e4
+
+
+class InterfaceConfiguration(StrictModel):
+    """Interface of the robot, and its own controller between the link and the joints.
+
+    Attributes:
+        kind: ``torque`` for a robot without a controller of its own, or the name of a section.
+        rate_hz: cycles per second of the robot's controller; by default the usual ones of its kind.
+        clock_ppm: how much faster its clock runs.
+        phase_ms: its first cycle after the run begins.
+        bandwidth_rad_s: of the loops that its drives close around the motion.
+    """
+
+    kind: str = TORQUE
+    rate_hz: Annotated[Positive, Field(le=1e4)] | None = None
+    clock_ppm: Annotated[Number, Field(ge=-_MOST_PPM, le=_MOST_PPM)] = 0.0
+    phase_ms: NonNegative = 0.0
+    bandwidth_rad_s: Positive = 150.0
+    servoj: ServoJSettings = ServoJSettings()
+    speedj: SpeedJSettings = SpeedJSettings()
+    franka_position: FrankaMotionSettings = FrankaMotionSettings()
+    franka_velocity: FrankaVelocitySettings = FrankaVelocitySettings()
+    franka_torque: FrankaTorqueSettings = FrankaTorqueSettings()
+    egm: EgmSettings = EgmSettings()
+    rsi: RsiSettings = RsiSettings()
+    joint_trajectory: JointTrajectorySettings = JointTrajectorySettings()
+    servo: ServoSettings = ServoSettings()
+
+    @field_validator("kind")
+    @classmethod
+    def _is_known(cls, kind: str) -> str:
+        fields = cls.model_fields.items()
+        sections = [key for key, field in fields if isinstance(field.default, InterfaceSettings)]
+        if kind not in (TORQUE, *sections):
+            known = ", ".join((TORQUE, *sections))
+            raise ValueError(f"one of {known}{did_you_mean(kind, sections)}")
+        return kind
+
+    @property
+    def has_controller(self) -> bool:
+        """Whether the robot has a controller of its own."""
+        return self.kind != TORQUE
+
+    @property
+    def takes(self) -> Takes:
+        """What commands have to contain."""
+        return self.settings.takes if self.has_controller else TORQUE
+
+    @property
+    def settings(self) -> InterfaceSettings:
+        """The section of its kind, if it has a controller of its own."""
+        section: InterfaceSettings = getattr(self, self.kind)
+        return section
+
+    @property
+    def lag_s(self) -> float:
+        """Time from a target's arrival until joints that move steadily have it."""
+        return self.settings.lag_s(self.true_period_s) if self.has_controller else 0.0
+
+    @property
+    def period_s(self) -> float:
+        """Time between two cycles, by the robot's own clock."""
+        return 1.0 / (self.rate_hz or self.settings.rate_hz)
+
+    @property
+    def true_period_s(self) -> float:
+        """Time between two cycles, by the run's clock."""
+        return self.period_s / (1.0 + 1e-6 * self.clock_ppm)
+
+    def build(self) -> RobotInterface:
+        """Return a new controller of the robot, if it has one."""
+        return self.settings.build(self.period_s)

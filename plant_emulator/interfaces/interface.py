@@ -1,0 +1,65 @@
+"""What each robot interface implements."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from bus_schema.arrays import Matrix, Vector
+
+_ROUNDING_S = 1e-9
+
+
+class Motion(NamedTuple):
+    """Motion that a robot's controller asks of its drives, from the start of a cycle on.
+
+    Attributes:
+        position_rad: shape (joints,).
+        velocity_rad_s: likewise.
+        acceleration_rad_s2: likewise.
+    """
+
+    position_rad: Vector
+    velocity_rad_s: Vector
+    acceleration_rad_s2: Vector
+
+
+class Reflex(NamedTuple):
+    """A stop that a robot's own controller decides.
+
+    Attributes:
+        kind: its name, as the robot's maker calls it.
+        joint: place of the joint that caused it; -1 for none.
+        words: cause, in a few words.
+    """
+
+    kind: str
+    joint: int
+    words: str
+
+
+def is_over(silent_s: float, timeout_s: float) -> bool:
+    """Whether a robot that has waited so long for a target has timed out."""
+    return silent_s >= timeout_s - _ROUNDING_S
+
+
+class RobotInterface(Protocol):
+    """A robot's own controller: one instance for each run.
+
+    Attributes:
+        reflex: why the robot has stopped; None while it moves.
+    """
+
+    reflex: Reflex | None
+
+    def start(self, position_rad: Vector) -> None:
+        """Begin at rest at a position, shape (joints,)."""
+
+    def step(self, target: Matrix | None, measured: Matrix) -> Motion | Vector:
+        """Return the motion, or the torque in N m, from this cycle on.
+
+        Args:
+            target: newest position, rad, and velocity, rad/s, as rows, shape (2, joints), if one
+                has arrived since the last cycle; None otherwise. For robots that take torques, the
+                torque as its only row.
+            measured: positions and velocities of the joints, likewise.
+        """

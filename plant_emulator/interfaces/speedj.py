@@ -1,0 +1,81 @@
+"""``speedj``: joint velocities, which a robot repeats until it stops without new ones.
+
+The robot accelerates with a limit. Without a new velocity for the time-out, it decelerates to rest,
+as a Universal Robots controller with ``speedj`` and then ``stopj`` does (external control script,
+Universal_Robots_Client_Library).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import Positive
+from plant_emulator.interfaces.interface import Motion, Reflex, is_over
+from plant_emulator.interfaces.settings import InterfaceSettings, Takes, TimeoutMs
+
+
+class SpeedJ:
+    """Velocities with a limit of acceleration.
+
+    Args:
+        period_s: of a cycle.
+        acceleration_rad_s2: largest acceleration; inf for joints that follow within
+            a cycle.
+        timeout_s: time without a target after which the robot stops.
+        stop_rad_s2: deceleration of that stop.
+    """
+
+    def __init__(
+        self, period_s: float, acceleration_rad_s2: float, timeout_s: float, stop_rad_s2: float
+    ) -> None:
+        self._period_s, self._most = period_s, acceleration_rad_s2
+        self._timeout_s, self._stop = timeout_s, stop_rad_s2
+        self.reflex: Reflex | None = None
+
+    def start(self, position_rad: Vector) -> None:
+        self._position, self._silent_s = position_rad.copy(), 0.0
+        self._velocity, self._wanted = np.zeros((2, position_rad.size))
+
+    def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
+        period_s = self._period_s
+        self._silent_s = 0.0 if target is not None else self._silent_s + period_s
+        if target is not None:
+            self._wanted[:] = target[1]
+        stops = is_over(self._silent_s, self._timeout_s)
+        wanted = np.zeros_like(self._wanted) if stops else self._wanted
+        most = (self._stop if stops else self._most) * period_s
+        change = np.clip(wanted - self._velocity, -most, most)
+        motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
+        self._position += period_s * (self._velocity + 0.5 * change)
+        self._velocity += change
+        return motion
+
+
+class SpeedJSettings(InterfaceSettings):
+    """Joint velocities, as Universal Robots' ``speedj`` takes them.
+
+    Attributes:
+        acceleration_rad_s2: largest acceleration of a joint.
+        ideal: the joints follow velocities within a cycle, whatever it takes.
+        timeout_ms: time without a velocity after which the robot stops.
+        stop_rad_s2: deceleration of that stop.
+    """
+
+    acceleration_rad_s2: Positive = 40.0
+    ideal: bool = False
+    timeout_ms: TimeoutMs = 20.0
+    stop_rad_s2: Positive = 4.0
+
+    @property
+    def takes(self) -> Takes:
+        return "velocity"
+
+    def lag_s(self, period_s: float) -> float:
+        return 0.5 * period_s
+
+    def build(self, period_s: float) -> SpeedJ:
+        most = math.inf if self.ideal else self.acceleration_rad_s2
+        return SpeedJ(period_s, most, 1e-3 * self.timeout_ms, self.stop_rad_s2)

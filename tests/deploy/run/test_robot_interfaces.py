@@ -1,0 +1,196 @@
+"""Robots with a controller of their own, in whole runs: delays, lags, reflexes, clocks, digests."""
+
+import numpy as np
+import pytest
+
+from bus_schema.recording.mcap_log import read_log
+from deploy.judge.metrics import summarise
+from deploy.run.execute import InProcesses, execute, lockstep_setup
+from deploy.run.replay import replay
+from deploy.run.simulate import simulate
+from deploy.scenario.robot_interface import interface_in_force, robot_lag_s
+from deploy.scenario.scenario import load_setup
+from plant_emulator.robot_controller import RobotController
+from tests.deploy.study.theory.linear_arms import Arm, constant
+
+H = 1e-3
+K_P = 10.0
+KIND = "plant.interface.kind={}"
+FAST = "plant.interface.rate_hz=1000"
+IDEAL = (KIND.format("speedj"), "plant.interface.speedj.ideal=true", FAST)
+PROPORTIONAL = (
+    "controller.law=proportional_velocity", f"controller.gains.proportional_velocity.k_p={K_P}",
+)  # fmt: skip
+STREAMING = "controller.law=streaming"
+NO_PREVIEW = "controller.preview_ms=0"
+SPEED = 0.3
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """One joint with an inertia alone, 20 mrad away from a reference at rest."""
+    return Arm([0.5], [1.0], [1.0], [0.0]).write(tmp_path_factory.mktemp("arm"))
+
+
+def run(file, *overrides):
+    return simulate(load_setup(str(file), overrides)).data()
+
+
+def moving(folder, duration_s=6.0):
+    """The reference moves at a constant speed; overrides."""
+    times_s = np.arange(0.0, duration_s + 0.5, 0.05)
+    lines = (f"{t:.2f},{SPEED * t:.6f}" for t in times_s)
+    path = folder / "ramp.csv"
+    path.write_text("\n".join(["time_s,j0.position_rad", *lines]))
+    return [f"reference={{kind: csv, file: {path}}}", "robot.initial_offset_rad=0"]
+
+
+def roots(ticks):
+    """Of q_(k+1) = q_k + h (v_k + v_(k−1)) / 2 with v_k = −k_p q_(k−n).
+
+    A velocity is reached over a cycle, at constant acceleration.
+    """
+    polynomial = np.zeros(ticks + 3)
+    polynomial[:2] = 1.0, -1.0
+    polynomial[ticks + 1 :] += 0.5 * K_P * H
+    return np.roots(polynomial)
+
+
+def growth_per_s(ticks):
+    return np.log(np.abs(roots(ticks)).max()) / H
+
+
+def test_sampled_margin_of_the_velocity_loop_is_that_of_the_continuous_one_within_a_resolution():
+    stable = [ticks for ticks in range(100, 200) if growth_per_s(ticks) < 0.0]
+    assert stable == list(range(100, stable[-1] + 1))
+    assert 1e-3 * stable[-1] == pytest.approx(np.pi / (2.0 * K_P), abs=1.5e-3)
+
+
+@pytest.mark.parametrize("delay_ms", [145, 155, 158, 170])
+def test_velocity_loop_grows_and_decays_as_its_roots(file, delay_ms):
+    """π / 20 s = 157.1 ms is between the second delay and the third."""
+    more = (*IDEAL, *PROPORTIONAL, *constant(delay_ms), "plant.command_timeout_ms=1000")
+    errors = run(file, *more, "duration_s=12").true_errors_rad[2000:, 0]
+    peaks = [np.abs(part).max() for part in np.array_split(errors, 10)]
+    slope = np.polyfit(np.arange(10.0), np.log(peaks), 1)[0]
+    assert slope == pytest.approx(growth_per_s(delay_ms), abs=0.02)
+    assert (slope > 0.0) == (delay_ms > 157.1)
+
+
+ROBOTS = {
+    "servoj": ("plant.interface.servoj.lookahead_time_s=0.03", "plant.interface.servoj.gain=1200"),
+    "rsi": (),
+    "egm": (),
+    "servo": (),
+    "franka_position": tuple(
+        f"plant.interface.franka_position.{key}=1e9"
+        for key in ("velocity_rad_s", "acceleration_rad_s2", "jerk_rad_s3")
+    ),
+    "joint_trajectory": ("plant.interface.joint_trajectory.interpolate_from_desired_state=true",),
+}
+"""Those that take positions; where an integrator of velocities is depends on when it began."""
+
+
+@pytest.mark.parametrize("kind", ROBOTS)
+def test_an_arm_at_constant_speed_is_behind_by_delay_and_lag(file, kind, tmp_path):
+    """v (d + L) without preview, within 2 %; at most 2 % of it with."""
+    common = (
+        *moving(tmp_path),
+        STREAMING,
+        KIND.format(kind),
+        *ROBOTS[kind],
+        "link.downlink.delay_ms=24",
+    )
+    behind = []
+    for preview in (NO_PREVIEW, "controller.preview_ms=auto"):
+        setup = load_setup(str(file), [*common, preview, "duration_s=4"])
+        behind.append(-simulate(setup).data().true_errors_rad[2000:, 0].mean())
+    expected = SPEED * (24e-3 + robot_lag_s(setup))
+    assert behind[0] == pytest.approx(expected, rel=0.02)
+    assert abs(behind[1]) < 0.02 * expected
+
+
+LOSES = "link.downlink.schedule=[{{kind: outage, at_s: 1.0005, for_s: {}}}]"
+
+
+def outcome(file, *overrides):
+    """Faults and reflexes."""
+    summary = summarise(run(file, *overrides))
+    return summary["faults"], summary["reflexes"]
+
+
+@pytest.mark.parametrize("law", ["streaming", "pid"])
+def test_franka_survives_19_lost_packets_and_stops_at_20(file, law):
+    kind = "franka_torque" if law == "pid" else "franka_position"
+    common = (f"controller.law={law}", KIND.format(kind), "robot.initial_offset_rad=0")
+    assert outcome(file, *common, LOSES.format(0.019)) == ([], [])
+    faults, reflexes = outcome(file, *common, LOSES.format(0.020))
+    assert [(each["kind"], each["joint"]) for each in reflexes] == [
+        ("communication_constraints_violation", None)
+    ]
+    assert reflexes[0]["time_s"] == pytest.approx(1.02, abs=2e-3)
+    assert "20 torques" in faults[0] if law == "pid" else "20 targets" in faults[0]
+
+
+def test_franka_names_the_joint_whose_torque_steps(file):
+    """PID on 20 mrad, after a loss of 15 packets while it moves."""
+    common = ("controller.law=pid", KIND.format("franka_torque"), LOSES.format(0.015))
+    steep = "controller.gains.pid={proportional: 800, derivative: 2, integral: 0}"
+    _, reflexes = outcome(file, *common, steep)
+    assert [(each["kind"], each["joint"]) for each in reflexes] == [
+        ("controller_torque_discontinuity", "j0")
+    ]
+    assert outcome(file, *common, steep, "plant.interface.franka_torque.limiter=true")[1] == []
+
+
+def test_clocks_that_differ_by_20_ppm_at_500_hz_slip_one_command_in_100_s(file):
+    """Cycles of the robot in 100 s, against as many commands as the loop sends."""
+
+    def cycles(*clocks):
+        words = [STREAMING, KIND.format("servo"), "plant.interface.rate_hz=500", *clocks]
+        setup = load_setup(str(file), [*words, "plant.interface.phase_ms=1"])
+        robot = RobotController(interface_in_force(setup), lambda *_: np.zeros(1), setup.grid)
+        robot.start(np.zeros(1), 0)
+        end, count = round(100.0 / setup.grid.substep_s), 0
+        while robot.next_due < end:
+            robot.cycle(np.zeros((2, 1)))
+            count += 1
+        return count
+
+    assert cycles() == 50_000
+    assert cycles("plant.interface.clock_ppm=20.1") == 50_001
+    assert cycles("controller.clock_ppm=20.1") == 49_999
+    assert cycles("plant.interface.clock_ppm=20.1", "controller.clock_ppm=20.1") == 50_000
+
+
+KINDS = {
+    "servoj": "streaming", "speedj": "proportional_velocity", "franka_position": "streaming",
+    "franka_velocity": "proportional_velocity", "franka_torque": "pid", "egm": "streaming",
+    "rsi": "position_correction", "joint_trajectory": "streaming", "servo": "streaming",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lockstep_simulation_and_replay_have_equal_digests(kind, tmp_path):
+    """Also with clocks that differ and cycles out of phase."""
+    words = [
+        "duration_s=0.2", f"controller.law={KINDS[kind]}", KIND.format(kind),
+        "plant.interface.clock_ppm=300", "plant.interface.phase_ms=0.3",
+        "link.uplink.delay_ms=3", "link.downlink={delay_ms: 2, jitter_ms: 1, loss: 0.1}",
+    ]  # fmt: skip
+    setup = load_setup("paper_arm", words)
+    simulation = simulate(setup)
+    simulation.write_log(tmp_path / "run.mcap")
+    in_processes = execute(lockstep_setup(setup), InProcesses()).summary
+    assert in_processes["digest"] == simulation.data().digest
+    assert in_processes["motion"] == simulation.data().motion
+    assert replay(setup, read_log(tmp_path / "run.mcap")).is_identical
+
+
+def test_lag_is_a_time_per_joint_and_none_at_rest(file, tmp_path):
+    common = (STREAMING, NO_PREVIEW, KIND.format("servoj"), *ROBOTS["servoj"], "duration_s=4")
+    moves = summarise(run(file, *common, *moving(tmp_path), "link.downlink.delay_ms=24"))
+    # 30 ms in the robot, of which a cycle is the wait; 24 on the way.
+    assert moves["lag_ms"] == [pytest.approx(54.0, abs=1.0)]
+    assert moves["reflexes"] == []
+    assert summarise(run(file, *common))["lag_ms"] == [None]
