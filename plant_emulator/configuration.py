@@ -245,7 +245,7 @@ class PhysicsConfiguration(StrictModel):
             ``runge_kutta_4`` those of elastic gears and cogging in mid-step. MuJoCo has both.
     """
 
-    engine: Annotated[str, NameIn("physics_engines")] | None = None
+    engine: Annotated[str, NameIn("engines")] | None = None
     integrator: Integrator = "semi_implicit_euler"
 
 

@@ -93,7 +93,7 @@ class RunData:
     @property
     def reference_velocities_rad_s(self) -> Matrix:
         """The reference's velocities at every tick, shape (ticks, joints)."""
-        return self._wanted[1]
+        return np.asarray(self._wanted[1])
 
     @cached_property
     def _wanted(self) -> Any:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
 from bus_schema.errors import did_you_mean
+from bus_schema.registry import NameIn, Registry
 from plant_emulator.interfaces.egm import EgmSettings
 from plant_emulator.interfaces.franka import FrankaMotionSettings, FrankaVelocitySettings
 from plant_emulator.interfaces.franka_torque import FrankaTorqueSettings
@@ -20,6 +21,23 @@ from plant_emulator.interfaces.settings import TORQUE, InterfaceSettings, Takes
 from plant_emulator.interfaces.speedj import SpeedJSettings
 
 _MOST_PPM = 1e4
+INTERFACES: Registry[type[InterfaceSettings]] = Registry(
+    "interfaces",
+    "plant.interface.kind",
+    InterfaceSettings,
+    {
+        "servoj": ServoJSettings,
+        "speedj": SpeedJSettings,
+        "franka_position": FrankaMotionSettings,
+        "franka_velocity": FrankaVelocitySettings,
+        "franka_torque": FrankaTorqueSettings,
+        "egm": EgmSettings,
+        "rsi": RsiSettings,
+        "joint_trajectory": JointTrajectorySettings,
+        "servo": ServoSettings,
+    },
+)
+"""Interfaces of robots that have a controller of their own."""
 
 
 class InterfaceConfiguration(StrictModel):
@@ -31,13 +49,15 @@ class InterfaceConfiguration(StrictModel):
         clock_ppm: how much faster its clock runs.
         phase_ms: its first cycle after the run begins.
         bandwidth_rad_s: of the loops that its drives close around the motion.
+        own: settings of a kind that an installed package adds.
     """
 
-    kind: str = TORQUE
+    kind: Annotated[str, NameIn("interfaces")] = TORQUE
     rate_hz: Annotated[Positive, Field(le=1e4)] | None = None
     clock_ppm: Annotated[Number, Field(ge=-_MOST_PPM, le=_MOST_PPM)] = 0.0
     phase_ms: NonNegative = 0.0
     bandwidth_rad_s: Positive = 150.0
+    own: dict[str, Any] = Field(default_factory=dict)
     servoj: ServoJSettings = ServoJSettings()
     speedj: SpeedJSettings = SpeedJSettings()
     franka_position: FrankaMotionSettings = FrankaMotionSettings()
@@ -51,12 +71,19 @@ class InterfaceConfiguration(StrictModel):
     @field_validator("kind")
     @classmethod
     def _is_known(cls, kind: str) -> str:
-        fields = cls.model_fields.items()
-        sections = [key for key, field in fields if isinstance(field.default, InterfaceSettings)]
-        if kind not in (TORQUE, *sections):
-            known = ", ".join((TORQUE, *sections))
-            raise ValueError(f"one of {known}{did_you_mean(kind, sections)}")
+        if kind not in (TORQUE, *INTERFACES):
+            known = ", ".join((TORQUE, *INTERFACES))
+            raise ValueError(f"one of {known}{did_you_mean(kind, INTERFACES)}")
         return kind
+
+    @model_validator(mode="after")
+    def _takes_its_own_settings(self) -> InterfaceConfiguration:
+        if self.kind in (TORQUE, *INTERFACES.shipped):
+            if self.own:
+                raise ValueError(f"own must be left out with {self.kind}")
+        else:
+            INTERFACES[self.kind].model_validate(self.own)
+        return self
 
     @property
     def has_controller(self) -> bool:
@@ -71,8 +98,10 @@ class InterfaceConfiguration(StrictModel):
     @property
     def settings(self) -> InterfaceSettings:
         """The section of its kind, if it has a controller of its own."""
-        section: InterfaceSettings = getattr(self, self.kind)
-        return section
+        if self.kind in INTERFACES.shipped:
+            section: InterfaceSettings = getattr(self, self.kind)
+            return section
+        return INTERFACES[self.kind].model_validate(self.own)
 
     @property
     def lag_s(self) -> float:

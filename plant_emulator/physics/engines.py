@@ -70,7 +70,7 @@ _SHIPPED = {
         ("semi_implicit_euler", "runge_kutta_4"), has_rotors=True,
     ),
 }  # fmt: skip
-ENGINES: Registry[PhysicsEngine] = Registry("physics_engines", _KEY, PhysicsEngine, _SHIPPED)
+ENGINES: Registry[PhysicsEngine] = Registry("engines", _KEY, PhysicsEngine, _SHIPPED)
 DEFAULT_ENGINE = "bullet"
 
 

@@ -76,8 +76,8 @@ def cases(given: argparse.Namespace) -> Iterator[Case]:
         for delay in given.delays
     ]
     for network, start in product(given.networks, given.starts):
-        words = [f"link.{side}.trace={{file: {network}, start_s: {start}}}" for side in sides]
-        links.append((f"{network} {start}", (*words, "plant.command_timeout_ms=1000")))
+        traces = [f"link.{side}.trace={{file: {network}, start_s: {start}}}" for side in sides]
+        links.append((f"{network} {start}", (*traces, "plant.command_timeout_ms=1000")))
     for arm, law, rotors, (link, words) in product(given.arms, given.laws, given.rotors, links):
         yield Case(arm, law, rotors, link, words)
 

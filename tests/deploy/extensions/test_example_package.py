@@ -86,11 +86,21 @@ def test_flywheels_of_the_engine_gain_the_momentum_of_their_torques():
 
 
 @pytest.mark.usefixtures("example_package")
+def test_robot_of_an_interface_moves_at_its_one_speed():
+    """0.1 s after its drives have caught up, a tenth of 0.5 rad/s is travelled."""
+    jog = ("plant.interface={kind: jog, own: {speed_rad_s: 0.5}}", "plant.friction.enabled=false",
+           "plant.disturbance.enabled=false", "controller.law=proportional_velocity")  # fmt: skip
+    positions = run(*jog).tables[topics.PLANT_TRUTH.name]["position"]
+    travelled = np.abs(positions[180] - positions[80])
+    np.testing.assert_allclose(travelled, 0.05, rtol=0.01)
+
+
+@pytest.mark.usefixtures("example_package")
 def test_manifest_and_provenance_name_the_packages_that_a_run_uses():
     setup = load_setup("paper_arm", [SHORT, FLYWHEELS, SCALED])
     assert manifest_of([setup])["extensions"] == [
         "encoder_scaled (funnel_hil.faults) of funnel-hil-example 1.2",
-        "flywheels (funnel_hil.physics_engines) of funnel-hil-example 1.2",
+        "flywheels (funnel_hil.engines) of funnel-hil-example 1.2",
     ]
     simulate(setup)
     made_by = provenance_of(setup, confirm=False, read={})
@@ -126,6 +136,7 @@ def test_study_refuses_to_continue_after_an_edit_of_a_package(add_package, funne
         ("plant.physics.engine=flywheel", "flywheels"),
         ("link.can.protocol=toi", "toy"),
         ("link.kind=loop", "loopback"),
+        ("plant.interface.kind=jogg", "jog"),
     ],
 )
 def test_refusal_names_the_entries_of_packages(override, named):
@@ -157,7 +168,7 @@ BROKEN = {
         "predictors", COMPENSATED.replace("constant_velocity", "new"), "json:dumps", "Dispatcher",
     ),
     "fault": ("faults", "faults=[{kind: new, at_s: 0}]", "no_such_module:F", "No module named"),
-    "engine": ("physics_engines", "plant.physics.engine=new", "no_such_module:E", "No module"),
+    "engine": ("engines", "plant.physics.engine=new", "no_such_module:E", "No module"),
     "link": ("link_kinds", "link.kind=new", "no_such_module:L", "No module named"),
 }  # fmt: skip
 
@@ -185,7 +196,7 @@ SOURCES = {
         "from plant_emulator.faults.fault import Fault\nclass NEW(Fault): kind: str",
     ),
     "engine without its class": (
-        "physics_engines", "plant.physics.engine=new", "no_such_module:Arm cannot be loaded",
+        "engines", "plant.physics.engine=new", "no_such_module:Arm cannot be loaded",
         "from plant_emulator.physics.engines import PhysicsEngine\n"
         "NEW = PhysicsEngine('New', 'json', 'no_such_module:Arm', ('semi_implicit_euler',))",
     ),
