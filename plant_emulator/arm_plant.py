@@ -27,7 +27,7 @@ from plant_emulator.faults.fault import Fault
 from plant_emulator.interfaces.interface import Reflex
 from plant_emulator.physics.engine import ANY_PAYLOAD_KG, ArmSpecification
 from plant_emulator.physics.engines import engine_in_force, physics_in_force
-from plant_emulator.robot_controller import RobotController, TorquesAlong
+from plant_emulator.robot_controller import RobotController
 
 
 class ArmPlant:
@@ -42,7 +42,6 @@ class ArmPlant:
         limits: section ``limits`` of the scenario.
         faults: the scheduled faults.
         drive: gains of its drives' own loops; None if they follow torques alone.
-        torques_along: inverse dynamics of the arm, for a robot with a controller of its own.
 
     Attributes:
         mode: the arm's mode; it changes by `bus_schema.runtime.modes.TRANSITIONS`.
@@ -66,7 +65,6 @@ class ArmPlant:
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
         drive: DriveGains | None = None,
-        torques_along: TorquesAlong | None = None,
     ) -> None:
         self._safe_stop = configuration.safe_stop
         self.stops_at, self.joint_names = limits.stops_at, robot.joint_names
@@ -79,10 +77,7 @@ class ArmPlant:
         )  # fmt: skip
         self._commanded: Vector = np.zeros(robot.joints)
         self._line = DelayLine(configuration.actuator.delay_steps(grid.substep_s))
-        self._robot = (
-            None if torques_along is None
-            else RobotController(configuration.interface, torques_along, grid)
-        )  # fmt: skip
+        self._robot: RobotController | None = None
         self._grid = grid
         engine = engine_in_force(configuration)
         self.physics = physics_in_force(configuration)
@@ -109,6 +104,10 @@ class ArmPlant:
         self.measured: Matrix = self._encoders.shown
         self._set_brakes(engaged=True)
         self.mode = Mode.IDLE
+
+    def be_controlled_by(self, robot: RobotController) -> None:
+        """Let commands go to the robot's own controller, which tells the drives what to do."""
+        self._robot = robot
 
     @staticmethod
     def check(
@@ -137,7 +136,7 @@ class ArmPlant:
 
     @property
     def reflex(self) -> Reflex | None:
-        """Why the robot's own controller has stopped it; None while it has not."""
+        """The stop that the robot's own controller has decided; None without one."""
         return None if self._robot is None else self._robot.reflex
 
     def read_encoders(self, now_ns: int = 0) -> None:

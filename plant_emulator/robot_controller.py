@@ -46,7 +46,7 @@ class RobotController:
 
     @property
     def reflex(self) -> Reflex | None:
-        """Why the robot has stopped; None while it moves."""
+        """The stop that the robot has decided; None while it moves."""
         return self._interface.reflex
 
     def start(self, position_rad: Vector, number: int) -> None:

@@ -1,4 +1,4 @@
-"""What the logs do not show, and which motion would."""
+"""Parameters that logs do not show, and motions that would."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far joints are behind their reference, as a time."""
+"""The lag of joints: the time by which they are behind their reference."""
 
 from __future__ import annotations
 

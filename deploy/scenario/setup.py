@@ -33,6 +33,7 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.plant_task import PlantTask
+from plant_emulator.robot_controller import RobotController
 
 _GIVEN_BY = {
     "plant.actuator.rotor_inertia_kg_m2=": "rotor inertia",
@@ -229,9 +230,8 @@ class Setup:
 
     def arm_of_type(self, arm_type: type[Arm]) -> Arm:
         """Return a new arm at its start."""
-        plant = self.scenario.plant
-        return arm_type(
-            plant.model_copy(update={"interface": interface_in_force(self)}),
+        arm = arm_type(
+            self.scenario.plant,
             self.robot,
             self.start_position_rad,
             self.grid,
@@ -239,8 +239,11 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
             self.drive,
-            self._true_model().inverse_dynamics if plant.interface.has_controller else None,
         )
+        if self.scenario.plant.interface.has_controller:
+            along = self._true_model().inverse_dynamics
+            arm.be_controlled_by(RobotController(interface_in_force(self), along, self.grid))
+        return arm
 
     def _true_model(self) -> ManipulatorModel:
         """Return the arm as the robot's own controller knows it: exactly, without friction."""

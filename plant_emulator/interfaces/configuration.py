@@ -92,7 +92,7 @@ class InterfaceConfiguration(StrictModel):
 
     @property
     def takes(self) -> Takes:
-        """What commands have to contain."""
+        """Content that commands must have."""
         return self.settings.takes if self.has_controller else TORQUE
 
     @property

@@ -1,4 +1,4 @@
-"""What each robot interface implements."""
+"""The protocol of robot interfaces."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class InterfaceSettings(StrictModel):
 
     @property
     def takes(self) -> Takes:
-        """What the robot takes."""
+        """Content of the commands that the robot takes."""
         return "position"
 
     def lag_s(self, period_s: float) -> float:  # noqa: ARG002

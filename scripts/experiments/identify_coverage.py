@@ -26,7 +26,7 @@ from tests.deploy.identify.virtual_logs import excitation, intervals, truth_of, 
 
 
 class Off(NamedTuple):
-    """How far a value is from the truth, over half of its interval, and what is known of it."""
+    """A value's distance from the truth over half of its interval, and what is known of it."""
 
     off: float
     half: float

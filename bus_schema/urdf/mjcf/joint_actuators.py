@@ -1,4 +1,4 @@
-"""What actuators do at their joint, and what of them is not carried over."""
+"""Effects of actuators at their joint, and attributes that are not carried over."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEFT_OUT = "it is left out"
 
 @dataclass
 class JointActuators:
-    """What the actuators of a joint do there, in rad and N m, or m and N where it slides.
+    """Effect of a joint's actuators, in rad and N m, or m and N where it slides.
 
     Attributes:
         effort: largest torque; inf without a limit.
@@ -64,7 +64,7 @@ class JointActuators:
 
 
 class Omissions:
-    """What of a file's drives is not carried over, by attribute and reason."""
+    """Attributes of a file's drives that are not carried over, with the reasons."""
 
     def __init__(self) -> None:
         self._names: dict[tuple[str, str], dict[str, int | None]] = {}

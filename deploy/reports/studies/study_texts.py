@@ -398,7 +398,7 @@ def _in_theory(summary: Summary) -> list[str]:
 
 
 def _lost_at_once(case: Summary) -> str:
-    """Why a case is lost at its first value, before what theory says of it."""
+    """Return the reason why a case is lost at its first value, to go before theory's."""
     return f"{loss_text(case)}; " if case.get("completed") and case["margin"] is None else ""
 
 
@@ -407,7 +407,7 @@ def _without_theory(summary: Summary) -> list[Summary]:
 
 
 def _too_slow(summary: Summary) -> list[str]:
-    """Which growth runs are too short to show, where theory knows no instability."""
+    """Return a sentence on growth that runs are too short to show, where theory knows none."""
     probes = (probe_at(case, case["margin"]) or {} for case in _without_theory(summary))
     most_hz = max((probe.get("not_tested_below_hz") or 0.0 for probe in probes), default=0.0)
     if not most_hz:
