@@ -77,7 +77,7 @@ def test_network_observer_follows_its_equations():
         np.testing.assert_allclose(foreseen_rate, d_q + velocity, atol=1e-7)
 
 
-@pytest.mark.parametrize("predictor", PREDICTORS)
+@pytest.mark.parametrize("predictor", list(PREDICTORS))
 @pytest.mark.parametrize("wild_rad_s", [1e30, 1e160])
 def test_one_wild_state_does_not_end_the_prediction(predictor, wild_rad_s):
     """0.4 s later, the prediction is as in a run without it, to what an observer still forgets."""

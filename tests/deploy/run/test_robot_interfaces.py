@@ -133,9 +133,9 @@ def test_franka_survives_19_lost_packets_and_stops_at_20(file, law):
 
 
 def test_franka_names_the_joint_whose_torque_steps(file):
-    """PID on 20 mrad, after a loss of 15 packets while it moves."""
+    """Stiff PID on 20 mrad, after a loss of 15 packets while it moves."""
     common = ("controller.law=pid", KIND.format("franka_torque"), LOSES.format(0.015))
-    steep = "controller.gains.pid={proportional: 800, derivative: 2, integral: 0}"
+    steep = "controller.gains.pid={proportional: 3000, derivative: 2, integral: 0}"
     _, reflexes = outcome(file, *common, steep)
     assert [(each["kind"], each["joint"]) for each in reflexes] == [
         ("controller_torque_discontinuity", "j0")
