@@ -25,6 +25,13 @@ _FOLLOW = 0.1
 _PATIENCE = 2.0
 """Time that a late command is waited for, in mean deviations of the horizon."""
 
+ABSENCE_STATES = 16
+"""An absence of states is longer than this many of their periods.
+
+A law does not integrate over it, as it did not see how the error grew, and no model is learned from
+it. With all of 500 ms in one step of the network, its torque was 35 times what the motors have.
+"""
+
 GROWS_BY = 0.05
 """How fast an announced horizon grows towards the wanted one; commands act so much less often."""
 _SHRINKS_IN_NS = 5e9
@@ -53,9 +60,14 @@ class HorizonSettings(NamedTuple):
     is_announced: bool = False
     reserve_ns: int = 0
     bridge_rows: int = 0
-    row_ns: int = 1
+    row_ns: int = 1_000_000
     substeps: int = 1
     actuator_ns: int = 0
+
+    @property
+    def longest_step_ns(self) -> int:
+        """Time between states above which some were absent."""
+        return ABSENCE_STATES * self.row_ns
 
 
 _AS_REPORTED = HorizonSettings()

@@ -96,6 +96,7 @@ class DelayCompensation:
         self.predicted = Tracking(joints)
         self.target: Matrix = np.zeros((2, joints))
         self._actuator_ns = horizon.actuator_ns
+        self._longest_step_s = 1e-9 * horizon.longest_step_ns
         self._reports: deque[tuple[int, CommandFeedback]] = deque()
         self._bandwidth_rad_s = 0.0 if predictor == HOLD_PREDICTION else observer_bandwidth_rad_s
         self._kernel = PREDICTORS[predictor]
@@ -178,7 +179,8 @@ class DelayCompensation:
         horizon_s = self._foresee(stamp_ns, sequence, delay_ns, arrival_ns)
         self.predicted.horizon_s = horizon_s
         time_s = measured.time_s + horizon_s
-        self.predicted.update(time_s, measured.step_s, reference, funnel)
+        step_s = measured.step_s if measured.step_s <= self._longest_step_s else 0.0
+        self.predicted.update(time_s, step_s, reference, funnel)
         return self.predicted
 
     def _acting(self, stamp_ns: int, feedback: CommandFeedback) -> CommandFeedback:

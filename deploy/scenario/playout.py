@@ -88,7 +88,8 @@ def _of_link(setup: Setup) -> HorizonSettings:
     rows = _bridge_rows(setup)
     if not link.plays_automatically:
         first_ns = link.emulated_round_trip_ns if expected_ns is None else expected_ns
-        return HorizonSettings(least_ns=link.playout_ns, first_ns=first_ns)
+        period_ns = setup.grid.period_ns
+        return HorizonSettings(least_ns=link.playout_ns, first_ns=first_ns, row_ns=period_ns)
     if expected_ns is None:
         first_ns, wanted_ns = _emulated(setup, link)
     else:
