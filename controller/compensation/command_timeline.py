@@ -28,8 +28,8 @@ _PATIENCE = 2.0
 ABSENCE_STATES = 16
 """An absence of states is longer than this many of their periods.
 
-A law does not integrate over it, as it did not see how the error grew, and no model is learned from
-it. With all of 500 ms in one step of the network, its torque was 35 times what the motors have.
+A law does not integrate over it, as it did not see how the error grew. With all of 500 ms in one
+step, the network of the adaptive law asked for 35 times the torque of a motor.
 """
 
 GROWS_BY = 0.05
