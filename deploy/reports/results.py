@@ -80,11 +80,17 @@ def write_results(folder: ResultFolder, results: Results, *, draws_report: bool 
 
 
 def run_results(folder: RunFolder, run: JudgedRun) -> Results:
-    """Judge a run; a confirmation in its folder is kept."""
-    confirmed = run.summary.get(CONFIRMATION) or read_summary(folder.path).get(CONFIRMATION)
+    """Judge a run; a confirmation in its folder is kept, and how the same run was tested.
+
+    A recording has the arm resolved, in other words than its file.
+    """
+    before = read_summary(folder.path)
+    confirmed = run.summary.get(CONFIRMATION) or before.get(CONFIRMATION)
     run.summary |= {CONFIRMATION: confirmed} if confirmed else {}
-    setup = run.data.setup
-    run.summary |= {TESTED_WITH: tested_with([setup], {"seeds": [setup.scenario.seed]})}
+    setup, is_same = run.data.setup, before.get("digest") == run.summary["digest"]
+    tested = before.get(TESTED_WITH) if is_same else None
+    tested = tested or tested_with([setup], {"seeds": [setup.scenario.seed]})
+    run.summary |= {TESTED_WITH: tested}
     return Results(run.summary, run_page(run, read_manifest(folder.path)), [run])
 
 

@@ -127,7 +127,9 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
         "scenario", "law", "clock", "link", "duration_s", "ticks", "completed", "faults",
         "real_time_factor", "bounds", "tracking", "torque", "timing", "transport", "recorder",
         "limits", "identified", "digest", "motion", "recording", "commander", "verdict",
-        "seed_used", "growing", "loss", "tested_with",
+        "seed_used", "growing", "loss", "tested_with", "vibrating", "beyond_ranges",
+        "not_tested_below_hz", "not_tested_slower_s", "tip_error_mm", "lag_ms",
+        "reflexes", "chunks",
     }  # fmt: skip
     assert set(summary["bounds"]) == {
         "kept", "violation_fraction", "first_violation_s", "margin_min", "margin_min_joint",

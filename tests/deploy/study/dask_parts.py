@@ -9,6 +9,9 @@ import signal
 import dask
 from distributed.cli import dask_scheduler, dask_worker
 
+from deploy.cli import program
+from deploy.study.execution import law_code
+
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
@@ -30,3 +33,20 @@ def lasting_worker() -> None:
         os.wait()
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     worker()
+
+
+TRUSTED = {
+    "COMPUTING": law_code.COMPUTING | {"time"},
+    "_READING_MORE": law_code._READING_MORE - {"stat"},
+}
+
+
+def trusting_command() -> None:
+    """The command line, which takes the clock and the size of a file for no inputs of a law.
+
+    A law that waits for them, so that a test can catch a study in the middle, is made again
+    otherwise: it reads something unseen.
+    """
+    for name, names in TRUSTED.items():
+        setattr(law_code, name, names)
+    program()

@@ -18,12 +18,13 @@ from distributed.security import Security
 from pyarrow import parquet
 
 from bus_schema.runtime import compiled
-from deploy.study.execution import dask_workers
+from deploy.study.execution import dask_workers, law_code
 from deploy.study.execution.dask_workers import DaskWorkers
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
 from deploy.study.sweep import load_sweep
 from tests.deploy.own_laws import own_law
+from tests.deploy.study.dask_parts import TRUSTED
 from tests.deploy.study.studies import Here
 from tests.waiting import HANG_S, await_true
 from tests.warm_process import ROOT, WarmProcess
@@ -126,7 +127,8 @@ def start(definition, out, *words, cwd=ROOT):
     """`sweep` in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     words = ["sweep", definition, "--out", out, *words]
-    return WarmProcess(*words, cwd=cwd, environment=environment)
+    main = "tests.deploy.study.dask_parts:trusting_command"
+    return WarmProcess(*words, main=main, cwd=cwd, environment=environment)
 
 
 def rows_in(out):
@@ -214,6 +216,8 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
     last = start(definition, out, "--scheduler", cluster[0], cwd=tmp_path)
     assert last.wait(timeout=HANG_S) == 0
     monkeypatch.chdir(tmp_path)
+    for name, names in TRUSTED.items():
+        monkeypatch.setattr(law_code, name, names)
     assert_as_done_here(out / "sweep.parquet", definition, tmp_path / "here")
 
 
