@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bus_schema.runtime.compiled import HAS_SAID  # its import chooses where the cache is
 from bus_schema.runtime.kernel_cache import FOLDER
-from controller.laws import LAWS
+from controller.laws import TORQUE_LAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = "duration_s=0.01"
@@ -20,7 +20,7 @@ OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500"]
 
 
 def main() -> None:
-    """Simulate a few ticks with every law, with delay compensation, and over CAN.
+    """Simulate a few ticks with every law of torques, with delay compensation, and over CAN.
 
     With ``--usual``, of the law of new scenarios and that of `paper_arm`, and not over CAN.
     """
@@ -36,7 +36,7 @@ def main() -> None:
     from deploy.run.simulate import simulate
     from deploy.scenario.scenario import load_setup
 
-    laws = [[f"controller.law={law}"] for law in ([DEFAULT] if is_usual else LAWS)]
+    laws = [[f"controller.law={law}"] for law in ([DEFAULT] if is_usual else TORQUE_LAWS)]
     others = [[], COMPENSATED] if is_usual else [COMPENSATED, OVER_CAN]
     for overrides in laws + others:
         simulate(load_setup("paper_arm", [SHORT, *overrides]))
