@@ -397,28 +397,37 @@ class ControllerConfiguration(StrictModel):
             predictor=settings.predictor,
         )
 
-    def paced(self, law: ControlLaw, period_s: float, seed: int) -> ControlLaw:
+    def paced(self, law: ControlLaw, period_s: float, seed: int, takes: str) -> ControlLaw:
         """The law as often as it is to be asked.
 
         Args:
             law: the configured law.
             period_s: of the control loop.
             seed: of the scenario.
+            takes: what the robot takes of the law's answers: ``torque``, ``position`` or
+                ``velocity``.
+
+        Raises:
+            ConfigurationError: ``between_answers`` would have no effect.
         """
         inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
         first_s = inference_s if self.first_inference_ms is None else 1e-3 * self.first_inference_ms
         is_slow = self.every > 1 or max(inference_s, jitter_s, first_s) > 0.0 or self._rows > 1
         between = self.between_answers
-        if between != "hold" and not (is_slow and self.drive_feedback.enabled):
+        sends_targets = self.drive_feedback.enabled or takes != "torque"
+        if between != "hold" and not (is_slow and sends_targets):
             allowed = (
-                "must be hold, unless controller.drive_feedback.enabled is true, and one of"
-                " controller.every and controller.external.rows above 1 or"
-                " controller.inference_ms above 0"
+                "must be hold, unless controller.drive_feedback.enabled is true or a robot takes"
+                " the law's targets, and one of controller.every and controller.external.rows above"
+                " 1 or controller.inference_ms above 0"
             )
             raise ConfigurationError("controller.between_answers", between, allowed)
         if not is_slow:
             return law
-        timing = AnswerTiming(self.every, inference_s, jitter_s, between, period_s, seed, first_s)
+        timing = AnswerTiming(
+            self.every, inference_s, jitter_s, between, period_s, seed, first_s,
+            keeps_velocity=takes == "velocity",
+        )  # fmt: skip
         return SlowLaw(law, timing)
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:

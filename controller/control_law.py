@@ -13,6 +13,12 @@ from controller.reference import Reference
 
 UPPER, D_UPPER, DD_UPPER, LOWER, D_LOWER, DD_LOWER = 0, 1, 2, 3, 4, 5
 """Rows of `Tracking.bounds`."""
+ABSENCE_STATES = 16
+"""An absence of states is longer than this many of their periods.
+
+A law does not integrate over it, as it did not see how the error grew. With all of 500 ms in one
+step, the network of the adaptive law asked for 35 times the torque of a motor.
+"""
 
 
 class Tracking:

@@ -32,6 +32,7 @@ class AnswerTiming:
         period_s: of the control loop; rows of a chunk are so far apart.
         seed: of the inference times drawn.
         first_s: `inference_s` of the first question in motion, the second of a run.
+        keeps_velocity: held targets keep their velocity, as for a robot that takes velocities.
     """
 
     every: int
@@ -41,6 +42,7 @@ class AnswerTiming:
     period_s: float
     seed: int
     first_s: float
+    keeps_velocity: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ class SlowLaw:
         target: Matrix = targets[place].copy()
         if self._timing.between == "linear":
             target[0] += (tracking.time_s - self._in_force.asked_s - place * period_s) * target[1]
-        elif place == len(targets) - 1:
+        elif place == len(targets) - 1 and not self._timing.keeps_velocity:
             target[1] = 0.0
         return target
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.runtime.compiled import assign, compiled
+from controller.control_law import ABSENCE_STATES
 
 CAPACITY = 8192
 """Commands remembered: all that can be in flight, even at 10 kHz."""
@@ -24,13 +25,6 @@ _FOLLOW = 0.1
 
 _PATIENCE = 2.0
 """Time that a late command is waited for, in mean deviations of the horizon."""
-
-ABSENCE_STATES = 16
-"""An absence of states is longer than this many of their periods.
-
-A law does not integrate over it, as it did not see how the error grew. With all of 500 ms in one
-step, the network of the adaptive law asked for 35 times the torque of a motor.
-"""
 
 GROWS_BY = 0.05
 """How fast an announced horizon grows towards the wanted one; commands act so much less often."""

@@ -20,10 +20,14 @@ class Admittance:
         model: of the arm.
         limits_nm: largest torques that move the model, shape (joints,): without them, a motion
             that the robot cannot follow grows without bound.
+        longest_step_s: time between states above which some were absent; the model waits then.
     """
 
-    def __init__(self, law: ControlLaw, model: ManipulatorModel, limits_nm: Vector) -> None:
+    def __init__(
+        self, law: ControlLaw, model: ManipulatorModel, limits_nm: Vector, longest_step_s: float
+    ) -> None:
         self._law, self._model, self._limits_nm = law, model, limits_nm
+        self._longest_step_s = longest_step_s
         self.diagnostics = law.diagnostics
         self._zero: Vector = np.zeros(model.joints)
         self._torque: Vector = np.zeros(model.joints)
@@ -52,6 +56,7 @@ class Admittance:
         place, model = tracking.position, self._model
         load = model.inverse_dynamics(place, tracking.velocity, self._zero)
         acceleration = np.linalg.solve(model.mass_matrix(place), self._torque - load)
-        self._target[1] += tracking.step_s * acceleration
-        self._target[0] += tracking.step_s * self._target[1]
+        step_s = tracking.step_s if tracking.step_s <= self._longest_step_s else 0.0
+        self._target[1] += step_s * acceleration
+        self._target[0] += step_s * self._target[1]
         return self._target

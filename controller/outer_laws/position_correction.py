@@ -46,7 +46,7 @@ class PositionCorrection(OuterLaw):
 
     def target(self, tracking: Tracking) -> Matrix:
         """Return corrected positions, and the velocity of the reference; shape (2, joints)."""
-        gains, step_s, ahead = self._gains, tracking.step_s, self.ahead(tracking)
+        gains, step_s, ahead = self._gains, self.step_s(tracking), self.ahead(tracking)
         share = 1.0 - np.exp(-gains.filter_rad_s * step_s)
         self._filtered += share * (tracking.error - self._filtered)
         self._integral += step_s * self._filtered

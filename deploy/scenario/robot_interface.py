@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
-from controller.control_law import ControlLaw
+from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
@@ -26,14 +26,15 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
     A law of positions or velocities reads the reference ahead; the torque of another one moves the
     nominal model.
     """
+    longest_step_s = 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
     if isinstance(law, OuterLaw):
-        law.follow(setup.reference.copied(), preview_s(setup))
+        law.follow(setup.reference.copied(), preview_s(setup), longest_step_s)
         return law
     if takes_torque(setup) or hasattr(law, "target"):
         return law
     rotors = setup.scenario.plant.actuator.rotor_inertia(setup.robot.joints)
     model = setup.scenario.controller.nominal_model(setup.nominal, rotors)
-    return Admittance(law, model, setup.largest_torques_nm)
+    return Admittance(law, model, setup.largest_torques_nm, longest_step_s)
 
 
 def takes_torque(setup: Setup) -> bool:

@@ -120,6 +120,7 @@ class Setup:
                 law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
                 1e-9 * self.grid.period_ns,
                 self.scenario.seed,
+                self.scenario.plant.interface.takes,
             ),
             law_name=controller.law,
             limits=limits,

@@ -34,11 +34,13 @@ class Counting:
         return np.array([[tracking.time_s], [2.0]])
 
 
-def answers(law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0, first_ms=None):
+def answers(
+    law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0, first_ms=None, **more
+):  # fmt: skip
     """Torques and targets at each tick."""
     timing = AnswerTiming(
         every, 1e-3 * inference_ms, 1e-3 * jitter_ms, between, PERIOD_S, seed=1,
-        first_s=1e-3 * (inference_ms if first_ms is None else first_ms),
+        first_s=1e-3 * (inference_ms if first_ms is None else first_ms), **more,
     )  # fmt: skip
     slow, tracking = SlowLaw(law, timing), Tracking(1)
     torques, targets = [], []
@@ -72,6 +74,11 @@ def test_targets_stay_or_go_on_at_their_velocity():
     assert held == [[0.0, 0.0]] * 3
     moved = answers(Counting(), 3, "linear", every=3)[1]
     np.testing.assert_allclose(moved, [[0.0, 2.0], [0.002, 2.0], [0.004, 2.0]])
+
+
+def test_held_targets_of_a_robot_that_takes_velocities_keep_them():
+    held = answers(Counting(), 3, every=3, keeps_velocity=True)[1]
+    assert held == [[0.0, 2.0]] * 3
 
 
 @pytest.mark.parametrize(

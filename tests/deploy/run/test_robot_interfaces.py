@@ -77,6 +77,18 @@ def test_velocity_loop_grows_and_decays_as_its_roots(file, delay_ms):
     assert (slope > 0.0) == (delay_ms > 157.1)
 
 
+@pytest.mark.parametrize("more", [(), ("controller.between_answers=linear",)])
+def test_a_slow_law_drives_a_velocity_robot_as_its_sampled_loop(file, more):
+    """Every 20 ms the velocity is −k_p q; it is reached over a cycle, and kept."""
+    errors = run(file, *IDEAL, *PROPORTIONAL, "controller.every=20", *more, "duration_s=0.6")
+    position, before, expected = errors.true_errors_rad[0, 0], 0.0, []
+    for tick in range(500):
+        expected.append(position)
+        now = -K_P * position if tick % 20 == 0 else before
+        position, before = position + 0.5 * H * (before + now), now
+    np.testing.assert_allclose(errors.true_errors_rad[:500, 0], expected, atol=2e-4)
+
+
 ROBOTS = {
     "servoj": ("plant.interface.servoj.lookahead_time_s=0.03", "plant.interface.servoj.gain=1200"),
     "rsi": (),
