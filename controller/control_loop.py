@@ -27,6 +27,7 @@ from bus_schema.runtime.clock import own_kernel
 from bus_schema.runtime.compiled import all_finite, bind
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from bus_schema.runtime.randomness import is_seed_used
+from controller.chunks.answer import checked_rows
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
@@ -35,7 +36,7 @@ from controller.cycle_messages import CycleMessages
 from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.slow_law import SlowLaw, checked_rows
+from controller.slow_law import SlowLaw
 from controller.torque_guard import TorqueGuard
 
 logger = logging.getLogger(__name__)
@@ -179,7 +180,8 @@ class ControlLoop:
             "newest_cycle_s": 1e-9 * self._status.cycle_started_ns, "seed_used": is_seed_used(),
         }  # fmt: skip
         if isinstance(self._task.law, SlowLaw):
-            counts["starved"] = self._task.law.starvation.summary()
+            log = self._task.law.log
+            counts |= {"starved": log.starved(), "chunks": log.summary()}
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()
         return counts

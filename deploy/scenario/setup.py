@@ -121,6 +121,7 @@ class Setup:
                 1e-9 * self.grid.period_ns,
                 self.scenario.seed,
                 self.scenario.plant.interface.takes,
+                self.robot.velocity_limits_rad_s,
             ),
             law_name=controller.law,
             limits=limits,

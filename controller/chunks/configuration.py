@@ -1,0 +1,130 @@
+"""Section ``controller.chunks`` of a scenario: how a law's chunks follow each other."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from bus_schema.arrays import Vector
+from bus_schema.configuration import ConfigurationError, Positive, StrictModel, Whole
+from bus_schema.errors import did_you_mean
+from bus_schema.registry import NameIn, Registry
+from controller.chunks.merge import ChunkMerge, ChunkTiming, MergeSettings
+from controller.chunks.merges import (
+    FrozenPrefixSettings,
+    ReplaceSettings,
+    SynchronousSettings,
+    TemporalEnsembleSettings,
+    WeightedSettings,
+)
+from controller.chunks.spline import SplineSettings
+
+_KEY = "controller.chunks"
+CHUNK_MERGES: Registry[type[MergeSettings]] = Registry(
+    "chunk_merges",
+    f"{_KEY}.merge",
+    MergeSettings,
+    {
+        "replace": ReplaceSettings,
+        "synchronous": SynchronousSettings,
+        "weighted": WeightedSettings,
+        "temporal_ensemble": TemporalEnsembleSettings,
+        "frozen_prefix": FrozenPrefixSettings,
+        "spline": SplineSettings,
+    },
+)
+"""Rules by which a new chunk takes over from the one in force."""
+
+_Actions = Annotated[Whole, Field(ge=1, le=10_000)]
+
+
+class ChunksConfiguration(StrictModel):
+    """Chunks of a law that answers with several actions, as many learned policies do.
+
+    Attributes:
+        horizon: actions of a chunk; by default as many as the law answers.
+        period_ms: between two actions; by default the period of the control loop.
+        ask_when: the law is asked when at most this share of the horizon is left.
+        ask_every: instead of `ask_when`, it is asked after so many actions.
+        merge: how a new chunk takes over: the name of a section.
+        align: the first action of a chunk is meant for the ``time`` of its state; by ``count`` it
+            acts when the chunk arrives.
+        own: settings of a merge that an installed package adds.
+    """
+
+    horizon: _Actions | None = None
+    period_ms: Annotated[Positive, Field(le=10_000)] | None = None
+    ask_when: Annotated[Positive, Field(le=1)] = 0.5
+    ask_every: _Actions | None = None
+    merge: Annotated[str, NameIn("chunk_merges")] = "replace"
+    align: Literal["time", "count"] = "time"
+    own: dict[str, Any] = Field(default_factory=dict)
+    replace: ReplaceSettings = ReplaceSettings()
+    synchronous: SynchronousSettings = SynchronousSettings()
+    weighted: WeightedSettings = WeightedSettings()
+    temporal_ensemble: TemporalEnsembleSettings = TemporalEnsembleSettings()
+    frozen_prefix: FrozenPrefixSettings = FrozenPrefixSettings()
+    spline: SplineSettings = SplineSettings()
+
+    @field_validator("merge")
+    @classmethod
+    def _is_known(cls, merge: str) -> str:
+        if merge not in CHUNK_MERGES:
+            known = ", ".join(CHUNK_MERGES)
+            raise ValueError(f"one of {known}{did_you_mean(merge, CHUNK_MERGES)}")
+        return merge
+
+    @model_validator(mode="after")
+    def _has_effect(self) -> ChunksConfiguration:
+        if self.ask_every is not None and "ask_when" in self.model_fields_set:
+            raise ValueError("ask_when must be left out with ask_every")
+        if self.merge == "synchronous" and {"ask_when", "ask_every"} & self.model_fields_set:
+            raise ValueError("ask_when and ask_every must be left out with synchronous")
+        for name in CHUNK_MERGES.shipped:
+            if name != self.merge and name in self.model_fields_set:
+                raise ValueError(f"{name} must be left out with merge {self.merge}")
+        if self.merge in CHUNK_MERGES.shipped and self.own:
+            raise ValueError(f"own must be left out with merge {self.merge}")
+        return self
+
+    @property
+    def settings(self) -> MergeSettings:
+        """The section of its merge."""
+        if self.merge in CHUNK_MERGES.shipped:
+            section: MergeSettings = getattr(self, self.merge)
+            return section
+        return CHUNK_MERGES[self.merge].model_validate(self.own)
+
+    def action_period_s(self, tick_s: float) -> float:
+        """Return the time between two actions; the argument is the period of the control loop."""
+        return tick_s if self.period_ms is None else 1e-3 * self.period_ms
+
+    def executed_steps(self) -> int:
+        """Return the actions from one question to the next, at least; 0 if the law chooses."""
+        if self.ask_every is not None:
+            return self.ask_every
+        return 0 if self.horizon is None else self.horizon - int(self.ask_when * self.horizon)
+
+    def build(self, tick_s: float, inference_s: float, velocities_rad_s: Vector) -> ChunkMerge:
+        """Return a new merge.
+
+        Args:
+            tick_s: period of the control loop.
+            inference_s: longest time from a question to its answer.
+            velocities_rad_s: largest speeds of the joints, shape (joints,).
+
+        Raises:
+            ConfigurationError: the merge cannot work with these settings.
+        """
+        settings, period_s = self.settings, self.action_period_s(tick_s)
+        if self.align == "count" and settings.needs_by_time:
+            raise ConfigurationError(f"{_KEY}.align", "count", f"must be time with {self.merge}")
+        timing = ChunkTiming(
+            period_s, tick_s, self.horizon or 0, math.ceil(inference_s / period_s - 1e-6),
+            self.executed_steps(), velocities_rad_s,
+        )  # fmt: skip
+        if problem := settings.problem(timing):
+            raise ConfigurationError(f"{_KEY}.merge", self.merge, problem)
+        return settings.build(timing)
