@@ -441,7 +441,7 @@ class ControllerConfiguration(StrictModel):
             return SlowLaw(law, timing)
         merge = chunks.build(period_s, max(first_s, inference_s + jitter_s), velocities_rad_s)
         rules = ChunkRules(
-            merge, chunks.action_period_s(period_s), chunks.horizon, chunks.ask_when,
+            merge, chunks.action_period_s(period_s), chunks.horizon, chunks.share_left,
             chunks.ask_every, chunks.align,
         )  # fmt: skip
         return SlowLaw(law, timing, rules)

@@ -46,7 +46,8 @@ class ChunksConfiguration(StrictModel):
     Attributes:
         horizon: actions of a chunk; by default as many as the law answers.
         period_ms: between two actions; by default the period of the control loop.
-        ask_when: the law is asked when at most this share of the horizon is left.
+        ask_when: the law is asked when at most this share of the horizon is left; half of it by
+            default.
         ask_every: instead of `ask_when`, it is asked after so many actions.
         merge: how a new chunk takes over: the name of a section.
         align: the first action of a chunk is meant for the ``time`` of its state; by ``count`` it
@@ -56,7 +57,7 @@ class ChunksConfiguration(StrictModel):
 
     horizon: _Actions | None = None
     period_ms: Annotated[Positive, Field(le=10_000)] | None = None
-    ask_when: Annotated[Positive, Field(le=1)] = 0.5
+    ask_when: Annotated[Positive, Field(le=1)] | None = None
     ask_every: _Actions | None = None
     merge: Annotated[str, NameIn("chunk_merges")] = "replace"
     align: Literal["time", "count"] = "time"
@@ -78,12 +79,12 @@ class ChunksConfiguration(StrictModel):
 
     @model_validator(mode="after")
     def _has_effect(self) -> ChunksConfiguration:
-        if self.ask_every is not None and "ask_when" in self.model_fields_set:
+        if self.ask_every is not None and self.ask_when is not None:
             raise ValueError("ask_when must be left out with ask_every")
-        if self.merge == "synchronous" and {"ask_when", "ask_every"} & self.model_fields_set:
+        if self.merge == "synchronous" and (self.ask_every or self.ask_when) is not None:
             raise ValueError("ask_when and ask_every must be left out with synchronous")
         for name in CHUNK_MERGES.shipped:
-            if name != self.merge and name in self.model_fields_set:
+            if name != self.merge and getattr(self, name) != type(getattr(self, name))():
                 raise ValueError(f"{name} must be left out with merge {self.merge}")
         if self.merge in CHUNK_MERGES.shipped and self.own:
             raise ValueError(f"own must be left out with merge {self.merge}")
@@ -97,6 +98,11 @@ class ChunksConfiguration(StrictModel):
             return section
         return CHUNK_MERGES[self.merge].model_validate(self.own)
 
+    @property
+    def share_left(self) -> float:
+        """Share of the horizon at or below which the law is asked."""
+        return 0.5 if self.ask_when is None else self.ask_when
+
     def action_period_s(self, tick_s: float) -> float:
         """Return the time between two actions; the argument is the period of the control loop."""
         return tick_s if self.period_ms is None else 1e-3 * self.period_ms
@@ -105,7 +111,7 @@ class ChunksConfiguration(StrictModel):
         """Return the actions from one question to the next, at least; 0 if the law chooses."""
         if self.ask_every is not None:
             return self.ask_every
-        return 0 if self.horizon is None else self.horizon - int(self.ask_when * self.horizon)
+        return 0 if self.horizon is None else self.horizon - int(self.share_left * self.horizon)
 
     def build(self, tick_s: float, inference_s: float, velocities_rad_s: Vector) -> ChunkMerge:
         """Return a new merge.

@@ -150,7 +150,7 @@ def run(seconds=4.0, inference_s=0.1, law=None, **chunks):
     """Positions at each tick, the law, and its slow form."""
     law = Perfect() if law is None else law
     given, merge = merge_of(inference_s=inference_s, **chunks)
-    rules = ChunkRules(merge, ACTION_S, HORIZON, given.ask_when, given.ask_every, given.align)
+    rules = ChunkRules(merge, ACTION_S, HORIZON, given.share_left, given.ask_every, given.align)
     timing = AnswerTiming(1, inference_s, 0.0, Holding("linear"), TICK_S, 1, inference_s)
     slow, tracking, found = SlowLaw(law, timing, rules), Tracking(1), []
     for tick in range(round(seconds / TICK_S)):
@@ -219,7 +219,10 @@ def test_answer_of_another_length_is_refused():
     [
         ({"merge": "replac"}, "did you mean"),
         ({"ask_when": 0.5, "ask_every": 4}, "ask_when must be left out with ask_every"),
-        ({"merge": "replace", "weighted": {}}, "weighted must be left out with merge replace"),
+        (
+            {"merge": "replace", "weighted": {"new_weight": 1.0}},
+            "weighted must be left out with merge replace",
+        ),
         ({"merge": "synchronous", "ask_when": 0.5}, "must be left out with synchronous"),
         ({"ask_when": 0.0}, "greater than 0"),
     ],
