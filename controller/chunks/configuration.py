@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from bus_schema.arrays import Vector
@@ -113,6 +114,11 @@ class ChunksConfiguration(StrictModel):
             return self.ask_every
         return 0 if self.horizon is None else self.horizon - int(self.share_left * self.horizon)
 
+    def longest_inference_s(self, tick_s: float) -> float:
+        """Return the longest inference time that the merge can work with; inf for any."""
+        timing = self._timing(tick_s, 0.0, np.zeros(0))
+        return self.settings.most_delay_steps(timing) * timing.period_s
+
     def build(self, tick_s: float, inference_s: float, velocities_rad_s: Vector) -> ChunkMerge:
         """Return a new merge.
 
@@ -124,13 +130,18 @@ class ChunksConfiguration(StrictModel):
         Raises:
             ConfigurationError: the merge cannot work with these settings.
         """
-        settings, period_s = self.settings, self.action_period_s(tick_s)
+        settings = self.settings
         if self.align == "count" and settings.needs_by_time:
             raise ConfigurationError(f"{_KEY}.align", "count", f"must be time with {self.merge}")
-        timing = ChunkTiming(
-            period_s, tick_s, self.horizon or 0, math.ceil(inference_s / period_s - 1e-6),
-            self.executed_steps(), velocities_rad_s,
-        )  # fmt: skip
+        timing = self._timing(tick_s, inference_s, velocities_rad_s)
         if problem := settings.problem(timing):
             raise ConfigurationError(f"{_KEY}.merge", self.merge, problem)
         return settings.build(timing)
+
+    def _timing(self, tick_s: float, inference_s: float, velocities_rad_s: Vector) -> ChunkTiming:
+        period_s = self.action_period_s(tick_s)
+        delay_steps = math.ceil(inference_s / period_s - 1e-6)
+        return ChunkTiming(
+            period_s, tick_s, self.horizon or 0, delay_steps, self.executed_steps(),
+            velocities_rad_s,
+        )  # fmt: skip

@@ -75,6 +75,10 @@ class MergeSettings(StrictModel, ABC):
     needs_by_time: ClassVar[bool] = True
     """Whether rows must be meant for the time of their state."""
 
+    def most_delay_steps(self, timing: ChunkTiming) -> float:  # noqa: ARG002
+        """Return the largest number of actions that may pass until an answer is there."""
+        return math.inf
+
     def problem(self, timing: ChunkTiming) -> str:  # noqa: ARG002
         """Return why a merge cannot work with these lengths; empty if it can."""
         return ""

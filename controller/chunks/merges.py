@@ -153,9 +153,12 @@ class FrozenPrefixSettings(MergeSettings):
 
     weights: Literal["linear", "exponential"] = "linear"
 
+    def most_delay_steps(self, timing: ChunkTiming) -> float:
+        return min(timing.executed_steps, timing.horizon - timing.executed_steps)
+
     def problem(self, timing: ChunkTiming) -> str:
         delay, executed, horizon = timing.delay_steps, timing.executed_steps, timing.horizon
-        if horizon and delay <= executed <= horizon - delay:
+        if horizon and delay <= self.most_delay_steps(timing):
             return ""
         return (
             f"delay d, actions between questions s and horizon H must be d ≤ s ≤ H − d, but d is"
