@@ -21,7 +21,7 @@ from deploy.reports.terminal import print_table
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.new_folder import resolved_out
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError, naming
 from deploy.study.policy_sheet import PolicySheet, recommended, shipped_merges
 
 
@@ -93,8 +93,9 @@ def _merges(text: str | None) -> list[str]:
     if text is None:
         return shipped_merges()
     names = [name.strip() for name in text.split(",")]
-    for name in names:
-        CHUNK_MERGES.check(name)
+    with naming(Path("--merges")):
+        for name in names:
+            CHUNK_MERGES.check(name)
     if len(set(names)) < len(names):
         raise ScenarioError(f"--merges {text}: must be different ones")
     return names

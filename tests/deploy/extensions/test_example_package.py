@@ -12,6 +12,8 @@ import pytest
 from bus_schema.messages import topics
 from bus_schema.registry import REGISTRIES
 from bus_schema.runtime.extensions import installed
+from controller.chunks.answer import Answer, Holding
+from controller.chunks.configuration import ChunksConfiguration
 from deploy.run.run_folder import manifest_of
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
@@ -93,6 +95,21 @@ def test_robot_of_an_interface_moves_at_its_one_speed():
     positions = run(*jog).tables[topics.PLANT_TRUTH.name]["position"]
     travelled = np.abs(positions[180] - positions[80])
     np.testing.assert_allclose(travelled, 0.05, rtol=0.01)
+
+
+@pytest.mark.usefixtures("example_package")
+def test_merge_of_a_package_takes_its_share():
+    chunks = ChunksConfiguration.model_validate({"merge": "halves", "own": {"share": 0.25}})
+    old, new = (
+        Answer(0.0, 0.0, 0.1, np.zeros((1, 1)), np.full((4, 2, 1), value), Holding())
+        for value in (1.0, 2.0)
+    )
+    merged = chunks.build(1e-3, 0.0, np.ones(1)).merged(old, new, 0.0)
+    np.testing.assert_array_equal(merged.targets[:, 0, 0], 1.25)
+    law = ("controller.law=streaming", "plant.interface.kind=servoj")
+    assert run(*law, "controller.chunks={merge: halves}").faults() == []
+    with pytest.raises(ScenarioError, match=r"own\.shar = 1"):
+        load_setup("paper_arm", [*law, "controller.chunks={merge: halves, own: {shar: 1}}"])
 
 
 @pytest.mark.usefixtures("example_package")
