@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
+    ValidationError,
 )
 
 from bus_schema.arrays import Vector
@@ -116,6 +117,26 @@ PowerAboveOne = Annotated[Number, Field(gt=1)]
 PowerBelowOne = Annotated[Number, Field(gt=0, lt=1)]
 
 Gains = TypeVar("Gains", bound=tuple[Any, ...])
+Settings = TypeVar("Settings", bound=BaseModel)
+
+
+def validated(key: str, settings: type[Settings], values: Any) -> Settings:
+    """Return the settings of an extension from the values of a scenario.
+
+    Args:
+        key: dotted key of the values.
+        settings: class of the settings.
+        values: a mapping, as in the scenario.
+
+    Raises:
+        ConfigurationError: a key or value is wrong; it names the first of them.
+    """
+    try:
+        return settings.model_validate(values)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        name = ".".join([key, *map(str, wrong["loc"])])
+        raise ConfigurationError(name, wrong["input"], f"invalid: {wrong['msg']}") from error
 
 
 def expand(value: Vector, joints: int, key: str) -> Vector:

@@ -26,6 +26,12 @@ def test_loop_closes_over_it() -> None:
     np.testing.assert_allclose(run.true_errors_rad, in_process.true_errors_rad, atol=1e-5)
 
 
+@pytest.mark.parametrize("kind", ["in_process", "zenoh"])
+def test_settings_are_checked_on_other_links_too(kind: str) -> None:
+    with pytest.raises(ScenarioError, match=r"settings\.sample = 32: invalid: Extra inputs"):
+        load_setup("paper_arm_can", [*OVER_TOY, f"link.kind={kind}", "link.can.settings.sample=32"])
+
+
 @pytest.mark.parametrize(
     ("override", "words"),
     [
@@ -56,7 +62,9 @@ def test_protocol_and_drive_read_the_settings_of_their_own() -> None:
     assert "010" not in frames
 
 
-def test_shipped_protocols_refuse_such_settings() -> None:
+@pytest.mark.parametrize("kind", ["can", "in_process", "zenoh"])
+def test_shipped_protocols_refuse_such_settings(kind: str) -> None:
     over_mit = ["link.can.interface=virtual", "link.can.protocol=mit", "link.can.settings={a: 1}"]
+    over_mit.append(f"link.kind={kind}")
     with pytest.raises(ScenarioError, match=r"link\.can\.settings = .* left out with MIT"):
         load_setup("paper_arm_can", over_mit)
