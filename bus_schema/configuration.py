@@ -41,6 +41,22 @@ class ConfigurationError(BusError, ValueError):
         self.beside = beside
 
 
+class SettingsError(ConfigurationError):
+    """Settings of an extension have wrong keys or values.
+
+    Attributes:
+        section: dotted key of the settings.
+        error: what pydantic says.
+        model: the class of the settings.
+    """
+
+    def __init__(self, key: str, error: ValidationError, model: type[BaseModel]) -> None:
+        first = error.errors(include_url=False)[0]
+        name = ".".join([key, *map(str, first["loc"])])
+        super().__init__(name, first["input"], f"invalid: {first['msg']}")
+        self.section, self.error, self.model = key, error, model
+
+
 class StrictModel(BaseModel):
     """A configuration section: unknown keys are refused, values never change."""
 
@@ -129,14 +145,12 @@ def validated(key: str, settings: type[Settings], values: Any) -> Settings:
         values: a mapping, as in the scenario.
 
     Raises:
-        ConfigurationError: a key or value is wrong; it names the first of them.
+        SettingsError: keys or values are wrong.
     """
     try:
         return settings.model_validate(values)
     except ValidationError as error:
-        wrong = error.errors(include_url=False)[0]
-        name = ".".join([key, *map(str, wrong["loc"])])
-        raise ConfigurationError(name, wrong["input"], f"invalid: {wrong['msg']}") from error
+        raise SettingsError(key, error, settings) from error
 
 
 def expand(value: Vector, joints: int, key: str) -> Vector:

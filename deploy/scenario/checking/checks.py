@@ -70,6 +70,8 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     _check_protocol(scenario.link.can)
     if (engine := scenario.plant.physics.engine) is not None:
         _ = ENGINES[engine]
+    if scenario.plant.interface.has_controller:
+        _ = scenario.plant.interface.settings
     given = scenario.robot
     folders = folders_of("robot.urdf", origin)
     robot = load_robot(find_urdf(given.urdf, *folders), **reading(given, folders[0]))

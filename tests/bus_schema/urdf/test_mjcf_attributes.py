@@ -105,8 +105,9 @@ def read(tmp_path, kind, attributes):
 
 SPINNING = """<mujoco><compiler angle="radian"/><worldbody><body>
 <joint name="j" range="-3 3"{joint}/>
-<geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" mass="2"/></body></worldbody><actuator>
-<dcmotor joint="j" motorconst=".5" resistance="2" ctrlrange="-24 24" {motor}/></actuator></mujoco>"""
+<geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" mass="2"/></body></worldbody>
+<actuator><dcmotor joint="j" motorconst=".5" resistance="2" ctrlrange="-24 24" {motor}/></actuator>
+</mujoco>"""
 
 
 @pytest.mark.parametrize(

@@ -31,8 +31,8 @@ SCALED = "faults=[{kind: encoder_scaled, joint: elbow, factor: 1.01, at_s: 0.1}]
 FLYWHEELS = "plant.physics.engine=flywheels"
 
 
-def run(*overrides, duration="duration_s=0.2"):
-    return simulate(load_setup("paper_arm", [duration, *overrides])).data()
+def run(*overrides):
+    return simulate(load_setup("paper_arm", [SHORT, *overrides])).data()
 
 
 @pytest.mark.usefixtures("example_package")
@@ -228,6 +228,30 @@ def test_protocol_with_broken_drives_is_refused_before_a_run(scenario, place, re
     with pytest.raises(ScenarioError, match=r"new \(funnel_hil\.drives\) of .*-broken") as refused:
         load_setup(scenario, ["link.can.protocol=new"])
     assert reason in str(refused.value)
+
+
+OWN = "plant.interface={kind: jog, own: %s}"
+CAN = "link.can={protocol: toy, settings: %s}"
+GAINS = "controller={law: impedance, gains: {impedance: %s}}"
+FAULT = "faults=[%s]"
+WRONG_SETTINGS = [
+    (OWN, "{sped_rad_s: 1}", "plant.interface.own.sped_rad_s: unknown key; did you mean speed_rad"),
+    (OWN, "{speed_rad_s: a}", "plant.interface.own.speed_rad_s = 'a': must be a valid number"),
+    (CAN, "{sample_identifer: 3}", "identifer: unknown key; did you mean sample_identifier?"),
+    (CAN, "{sample_identifier: a}", "settings.sample_identifier = 'a': must be a valid integer"),
+    (GAINS, "{stiff: 3}", "gains.impedance.stiff: unknown key; did you mean stiffness?"),
+    (FAULT, "{kind: encoder_scaled, joint: elbow, factr: 2, at_s: 0.1}",
+     "factr: unknown key; did you mean factor?"),
+]  # fmt: skip
+
+
+@pytest.mark.usefixtures("example_package")
+@pytest.mark.parametrize(("place", "values", "words"), WRONG_SETTINGS)
+def test_wrong_settings_of_extensions_are_refused_alike_with_what_is_allowed(place, values, words):
+    with pytest.raises(ScenarioError) as refused:
+        load_setup("paper_arm", [place % values])
+    assert f"--set {place % values}: " in str(refused.value)
+    assert words in str(refused.value)
 
 
 SOURCES = {
