@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -68,10 +68,10 @@ class Sections:
     """For `Annotated`, where a function validates a value: the classes that define its keys.
 
     Attributes:
-        find: returns these classes, as registered at the time of the call.
+        find: returns the classes that ship, and those of the given extensions; None for all.
     """
 
-    find: Callable[[], Iterable[type]]
+    find: Callable[[Collection[str] | None], Iterable[type]]
 
 
 LARGEST = 1e12

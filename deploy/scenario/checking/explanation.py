@@ -181,7 +181,7 @@ def _keys(section: type) -> dict[str, Any]:
 def _sections(annotation: Any) -> Iterator[type]:
     """Return the sections in an annotation."""
     if isinstance(annotation, Sections):
-        yield from annotation.find()
+        yield from annotation.find(None)
     elif isinstance(annotation, type) and (
         issubclass(annotation, BaseModel) or hasattr(annotation, "_fields")
     ):

@@ -12,6 +12,7 @@ import pytest
 from bus_schema.messages import topics
 from bus_schema.registry import REGISTRIES
 from bus_schema.runtime.extensions import installed
+from controller.laws import LAWS
 from deploy.run.confirmation import other_physics
 from deploy.run.run_folder import manifest_of
 from deploy.run.simulate import simulate
@@ -325,3 +326,13 @@ def test_same_package_twice_on_the_search_path_counts_once(add_package, tmp_path
     monkeypatch.syspath_prepend(str(tmp_path / "elsewhere"))
     add_package(project(one="json:dumps"))
     assert len(installed()["laws"]["one"]) == 1
+
+
+def test_published_reference_is_the_same_beside_an_installed_package(add_package):
+    pytest.importorskip("sphinx")
+    from deploy.docs import generated_reference
+
+    before = generated_reference.scenario()
+    add_package(tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"], EXAMPLE)
+    assert "impedance" in LAWS
+    assert generated_reference.scenario() == before
