@@ -13,7 +13,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
-from deploy.measure.recordings import Recording
+from deploy.measure.recordings import opened
 from deploy.measure.time_units import UNITS_MS, unit_of
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -244,19 +244,28 @@ def _joint_states(
     """Return the joint states on each topic, and the names on topics that lack a joint."""
     found: _JointStates = {}
     others: dict[str, Sequence[str]] = {}
-    for message in Recording(path).messages(wanted):
-        try:
-            state = message.content
-            if not set(joints) <= set(state.name):
-                others[message.topic] = state.name
-                continue
-            stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
-            values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
-        except Exception as error:  # rosbags raises many kinds of errors
-            what = f"a message on {message.topic} is no {JOINT_STATE}: {error}"
-            raise InputError(f"{path}: {what}") from error
-        found.setdefault(message.topic, []).append((message.logged_ns, stamp_ns, np.array(values)))
+    with opened(path) as recording:
+        for message in recording.messages(wanted):
+            try:
+                state = message.content
+                if set(joints) <= set(state.name):
+                    row = (message.logged_ns, *_stamped(state, joints))
+                    found.setdefault(message.topic, []).append(row)
+                else:
+                    others[message.topic] = state.name
+            except MemoryError:
+                raise
+            except Exception as error:  # rosbags raises many kinds of errors
+                what = f"a message on {message.topic} is no {JOINT_STATE}: {error}"
+                raise InputError(f"{path}: {what}") from error
     return found, others
+
+
+def _stamped(state: Any, joints: Sequence[str]) -> tuple[int, Matrix]:
+    """Return the stamp of a JointState, and its position, velocity and effort."""
+    stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
+    values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
+    return stamp_ns, np.array(values)
 
 
 def _by_name(state: Any, kind: str, joints: Sequence[str]) -> Vector:

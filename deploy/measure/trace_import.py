@@ -15,7 +15,7 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
 from deploy.judge.findings.link_delays import MeasuredDelays
-from deploy.measure.recordings import Recording
+from deploy.measure.recordings import opened
 from deploy.measure.time_units import UNITS_MS
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -149,12 +149,13 @@ def from_mcap(file: Path, topic: str, answer: str | None) -> MeasuredDelays:
             logged to when the other was. A message that is not answered was lost.
     """
     logged: dict[str, dict[int, int]] = {name: {} for name in (topic, answer or topic)}
-    recording = Recording(file)
-    for message in recording.messages(topic, answer):
-        stamp_ns = stamp_of(message.data)
-        if message.topic in logged and stamp_ns is not None:
-            times_ns = logged[message.topic]
-            times_ns[stamp_ns] = min(message.logged_ns, times_ns.get(stamp_ns, message.logged_ns))
+    with opened(file) as recording:
+        for message in recording.messages(topic, answer):
+            stamp_ns = stamp_of(message.data)
+            if message.topic in logged and stamp_ns is not None:
+                times_ns = logged[message.topic]
+                first_ns = times_ns.get(stamp_ns, message.logged_ns)
+                times_ns[stamp_ns] = min(message.logged_ns, first_ns)
     for name, found in logged.items():
         if not found:
             topics = sorted(recording.topics)

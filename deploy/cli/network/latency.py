@@ -19,7 +19,7 @@ from bus_schema.user_files import read_text
 from deploy.cli.network.trace import Unit
 from deploy.measure.latency import Latency, find_latency
 from deploy.measure.latency_export import ENDINGS, Export, exported
-from deploy.measure.mcap_series import element_place, read_field, rows_of
+from deploy.measure.mcap_series import element_place, read_fields, rows_of
 from deploy.measure.time_units import UNITS_MS, check_interval, unit_of
 
 _Rows = tuple[Vector, Vector, Vector]
@@ -111,7 +111,7 @@ def _read(file: Path, command: str, response: str, time: str | None, unit: Unit)
         return _Read(((times_s, commands, responses),) * 2)
     if time is not None or unit != Unit.S:
         raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
-    fields = [read_field(file, name) for name in (command, response)]
+    fields = read_fields(file, command, response)
     held, on_lines = (rows_of(*fields, is_held=is_held) for is_held in (True, False))
     notes, doubts = ([*fields[0].notes, *fields[1].notes], [*fields[0].doubts, *fields[1].doubts])
     commanded, moved = (each.element for each in fields)

@@ -15,7 +15,7 @@ from pyarrow import parquet
 
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from deploy.measure.latency import find_latency
-from deploy.measure.mcap_series import read_field, rows_of
+from deploy.measure.mcap_series import read_fields, rows_of
 
 MOST_ROWS = 4_000
 
@@ -133,7 +133,7 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     sent = times_s[::8], command[::8]  # it changes every eight rows
     write_mcap(file, {"/wanted": sent, "/found": (times_s[3::13], response[3::13])})
     names = "/wanted.effort[1]", "/found.effort[1]"
-    rows = rows_of(*(read_field(file, name) for name in names), is_held=True)
+    rows = rows_of(*read_fields(file, *names), is_held=True)
     found = find_latency(*rows, 0.3, is_held=True)
     assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
     assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
@@ -156,8 +156,7 @@ def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
     words = [word for each in settings for word in ("--set", each)]
     funnel_hil.output("simulate", "paper_arm", *words, "--out", tmp_path / "run")
     names = "/joint_commands.effort[0]", "/joint_states.effort[0]"
-    fields = (read_field(tmp_path / "run" / "run.mcap", name) for name in names)
-    rows = rows_of(*fields, is_held=True)
+    rows = rows_of(*read_fields(tmp_path / "run" / "run.mcap", *names), is_held=True)
     found = find_latency(*rows, 0.1, is_held=True)
     assert 8.0 <= 1e3 * found.dead_time_s[0] <= 9.0  # states of 1 kHz leave one tick open
     assert found.gain[0] == pytest.approx(1.0)
