@@ -14,7 +14,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
 from deploy.measure.recordings import opened
-from deploy.measure.time_units import UNITS_MS, unit_of
+from deploy.measure.time_units import UNITS_MS, units_of
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SHORTEST_S, FEWEST_ROWS = 5.0, 200
@@ -102,7 +102,7 @@ class RobotLog:
 
 
 def read_robot_log(
-    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit: str = "s"
+    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit: str | None = None
 ) -> RobotLog:
     """Read a log.
 
@@ -111,12 +111,14 @@ def read_robot_log(
         joints: the robot's joints.
         given: by keys of `PATTERNS` and ``time``: columns, separated by commas or as a pattern with
             ``{n}`` or ``{joint}``; in bags, ``position`` is the topic. None: known names.
-        unit: of the times in tables, if the name of their column does not say it.
+        unit: of the times in tables, if the name of their column does not say it; else seconds.
 
     Raises:
         InputError: it cannot be read, or lacks values; the message names file, column and line.
     """
     if path.is_dir() or path.suffix in (".mcap", ".db3"):
+        if unit is not None:
+            raise InputError(f"{path}: --unit must be left out: bags have stamps")
         return _from_bag(_bag_in(path), joints, given.get("position"))
     try:
         names = column_names(path)
@@ -134,7 +136,9 @@ def read_robot_log(
         also = [EPISODE] if EPISODE in names else []
         every = [time, *(c for each in wanted.values() for c in each), *also]
         found = read_columns(path, every, None)
-        times_s = found.values[time] * (UNITS_MS[unit_of(time, unit)] / 1e3)
+        times_s = found.values[time] * (
+            UNITS_MS[units_of([time], unit, f"{path}: --unit")[time]] / 1e3
+        )
     except ValueError as error:
         raise InputError(str(error)) from error
 

@@ -26,12 +26,15 @@ _CAN_LOG = re.compile(r"\(([\d.]+)\)\s+(\S+)\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
 _WRAP = 1 << 16
 
 
-def from_ping(file: Path, interval_s: float) -> MeasuredDelays:
+def from_ping(file: Path, interval_s: float | None = None) -> MeasuredDelays:
     """Half of each round trip that ``ping`` shows; numbers that are missing were lost.
 
     Args:
         file: its output; with ``-D`` it has the times of answers.
-        interval_s: between two requests, for output without times.
+        interval_s: between two requests, for output without times; 1 s by default.
+
+    Raises:
+        ScenarioError: it cannot be read, or has times beside `interval_s`.
     """
     answers: dict[int, tuple[float, float]] = {}
     newest = 0
@@ -42,7 +45,9 @@ def from_ping(file: Path, interval_s: float) -> MeasuredDelays:
         stamp, number, round_trip_ms = found[1], int(found[2]), float(found[3])
         number += max(0, newest - number + _WRAP // 2) // _WRAP * _WRAP  # it has 16 bits
         newest = max(newest, number)
-        sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * interval_s
+        if stamp and interval_s is not None:
+            raise ScenarioError(f"{file}: --interval must be left out: it has times, by ping -D")
+        sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * (interval_s or 1.0)
         answers[number] = sent_s, round_trip_ms / 2
     if len(answers) < 2:
         raise ScenarioError(f"{file}: does not contain two replies in the format of ping")

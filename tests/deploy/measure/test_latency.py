@@ -104,6 +104,16 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     assert "never changes" in output
 
 
+def test_options_without_effect_are_refused(tmp_path: Path, funnel_hil) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("t_ms,a,b\n" + "".join(f"{n},{n % 7},{n % 5}\n" for n in range(50)))
+    words = ("latency", file, "--command", "a", "--response", "b")
+    output = funnel_hil.output(*words, "--out", tmp_path / "found.yaml", code=2)
+    assert "must be left out without --export" in output
+    output = funnel_hil.output(*words, "--time", "t_ms", "--unit", "us", code=2)
+    assert "--unit us: must be left out, as by their names t_ms is in ms" in output
+
+
 def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     """A recording of joint states, each topic with its own times in s and efforts."""
     with file.open("wb") as stream:
