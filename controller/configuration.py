@@ -152,7 +152,7 @@ def _check_gains(given: Any) -> dict[str, Any]:
     return {law: gains for law, gains in checked if gains is not None}
 
 
-def _section_now(only: Collection[str] | None = None) -> type[StrictModel]:
+def _section_now(only: Collection[str] | None) -> type[StrictModel]:
     """Return the section of gains, with the extensions of these names; None for all usable ones."""
     entries = LAWS.usable(only)
     unusable = [(law, dict[str, Any]) for law in only or () if law in LAWS and law not in entries]
@@ -168,7 +168,7 @@ def _gains_section(types: tuple[tuple[str, Any], ...]) -> type[StrictModel]:
 
 
 GainsByLaw = Annotated[
-    dict[str, Any], PlainValidator(_check_gains), Sections(lambda: [_section_now()])
+    dict[str, Any], PlainValidator(_check_gains), Sections(lambda only: [_section_now(only)])
 ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from bus_schema.arrays import Vector
-from bus_schema.configuration import ConfigurationError, Positive, StrictModel, Whole
+from bus_schema.configuration import ConfigurationError, Positive, StrictModel, Whole, validated
 from bus_schema.errors import did_you_mean
 from bus_schema.registry import NameIn, Registry
 from controller.chunks.merge import ChunkMerge, ChunkTiming, MergeSettings
@@ -93,11 +93,15 @@ class ChunksConfiguration(StrictModel):
 
     @property
     def settings(self) -> MergeSettings:
-        """The section of its merge."""
+        """The section of its merge.
+
+        Raises:
+            ConfigurationError: `own` has wrong keys or values, or its package cannot be loaded.
+        """
         if self.merge in CHUNK_MERGES.shipped:
             section: MergeSettings = getattr(self, self.merge)
             return section
-        return CHUNK_MERGES[self.merge].model_validate(self.own)
+        return validated(f"{_KEY}.own", CHUNK_MERGES[self.merge], self.own)
 
     @property
     def share_left(self) -> float:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
+from bus_schema.configuration import NonNegative, Number, Positive, StrictModel, validated
 from bus_schema.errors import did_you_mean
 from bus_schema.registry import NameIn, Registry
 from plant_emulator.interfaces.egm import EgmSettings
@@ -78,11 +78,8 @@ class InterfaceConfiguration(StrictModel):
 
     @model_validator(mode="after")
     def _takes_its_own_settings(self) -> InterfaceConfiguration:
-        if self.kind in (TORQUE, *INTERFACES.shipped):
-            if self.own:
-                raise ValueError(f"own must be left out with {self.kind}")
-        else:
-            INTERFACES[self.kind].model_validate(self.own)
+        if self.own and self.kind in (TORQUE, *INTERFACES.shipped):
+            raise ValueError(f"own must be left out with {self.kind}")
         return self
 
     @property
@@ -97,11 +94,15 @@ class InterfaceConfiguration(StrictModel):
 
     @property
     def settings(self) -> InterfaceSettings:
-        """The section of its kind, if it has a controller of its own."""
+        """The section of its kind, if it has a controller of its own.
+
+        Raises:
+            ConfigurationError: `own` has wrong keys or values, or its package cannot be loaded.
+        """
         if self.kind in INTERFACES.shipped:
             section: InterfaceSettings = getattr(self, self.kind)
             return section
-        return INTERFACES[self.kind].model_validate(self.own)
+        return validated("plant.interface.own", INTERFACES[self.kind], self.own)
 
     @property
     def lag_s(self) -> float:

@@ -19,8 +19,8 @@ from bus_schema.user_files import read_text
 from deploy.cli.network.trace import Unit
 from deploy.measure.latency import Latency, find_latency
 from deploy.measure.latency_export import ENDINGS, Export, exported
-from deploy.measure.mcap_series import element_place, read_field, rows_of
-from deploy.measure.time_units import UNITS_MS, check_interval, unit_of
+from deploy.measure.mcap_series import element_place, read_fields, rows_of
+from deploy.measure.time_units import UNITS_MS, check_interval, units_of
 
 _Rows = tuple[Vector, Vector, Vector]
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
@@ -43,8 +43,11 @@ def latency(
         str | None, typer.Option(help=r"Column of times.  \[default: time_s, t, time or timestamp]")
     ] = None,
     unit: Annotated[
-        Unit, typer.Option(help="Unit of the times, if the name of their column does not say it.")
-    ] = Unit.S,
+        Unit | None,
+        typer.Option(
+            help=r"Unit of the times, if the name of their column does not say it.  \[default: s]"
+        ),
+    ] = None,
     linear: Annotated[
         bool,
         typer.Option(
@@ -66,6 +69,8 @@ def latency(
     Both come with 95 % intervals, as does their sum. If a file has several episodes, the longest is
     used.
     """
+    if out is not None and export is None:
+        raise InputError(f"latency: --out {out}: must be left out without --export")
     read = _read(file, command, response, time, unit)
     longest_s, (rows, others) = longest_ms / 1e3, read.rows[:: -1 if linear else 1]
     try:
@@ -104,14 +109,14 @@ class _Read(NamedTuple):
     doubts: Sequence[str] = ()
 
 
-def _read(file: Path, command: str, response: str, time: str | None, unit: Unit) -> _Read:
+def _read(file: Path, command: str, response: str, time: str | None, unit: Unit | None) -> _Read:
     """Read a table, or a recording of ROS messages."""
     if not (file.is_dir() or file.suffix in (".mcap", ".db3")):
         times_s, commands, responses = _columns(file, time, unit, command, response)
         return _Read(((times_s, commands, responses),) * 2)
-    if time is not None or unit != Unit.S:
+    if time is not None or unit is not None:
         raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
-    fields = [read_field(file, name) for name in (command, response)]
+    fields = read_fields(file, command, response)
     held, on_lines = (rows_of(*fields, is_held=is_held) for is_held in (True, False))
     notes, doubts = ([*fields[0].notes, *fields[1].notes], [*fields[0].doubts, *fields[1].doubts])
     commanded, moved = (each.element for each in fields)
@@ -164,7 +169,7 @@ def _fitted(
     return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
-def _columns(file: Path, time: str | None, unit: Unit, *names: str) -> Iterator[Vector]:
+def _columns(file: Path, time: str | None, unit: Unit | None, *names: str) -> Iterator[Vector]:
     """Yield the columns of times in s and of these names, of finite numbers alone.
 
     An element of a column of lists may be given by its name in the data set.
@@ -173,12 +178,12 @@ def _columns(file: Path, time: str | None, unit: Unit, *names: str) -> Iterator[
         known = column_names(file)
         time = time or next((each for each in _TIMES if each in known), _TIMES[0])
         wanted = [time, *(_numbered(file, each, known) for each in names)]
+        to_s = UNITS_MS[units_of([time], unit, f"{file}: --unit")[time]] / 1e3
         columns = read_columns(file, list(dict.fromkeys(wanted)), None)
         for name in wanted:
             allowed = "must be one finite number in each row"
             columns.refuse_where(~np.isfinite(columns.values[name]), name, allowed)
-            scale = UNITS_MS[unit_of(time, unit)] / 1e3 if name == time else 1.0
-            yield columns.values[name] * scale
+            yield columns.values[name] * (to_s if name == time else 1.0)
     except ValueError as error:
         raise InputError(str(error)) from error
 

@@ -56,7 +56,7 @@ def provenance_of(setup: Setup, confirm: bool, read: Mapping[str, str]) -> Prove
     """
     setups = [setup, *(other_physics(setup).values() if confirm else ())]
     engines = [ENGINES[engine_name(each.scenario.plant)].distribution for each in setups]
-    added = extensions_in(plain(setup.scenario))
+    added = [each for one in setups for each in extensions_in(plain(one.scenario))]
     packages = [*engines, *(each.distribution for each in added)]
     files = {str(setup.robot.path.resolve()), *_named_files(setup), *_files_of(added)}
     parts = current([_OURS, _LIBM, *_COMPUTING, *packages, *files])

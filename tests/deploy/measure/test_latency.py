@@ -15,7 +15,7 @@ from pyarrow import parquet
 
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from deploy.measure.latency import find_latency
-from deploy.measure.mcap_series import read_field, rows_of
+from deploy.measure.mcap_series import read_fields, rows_of
 
 MOST_ROWS = 4_000
 
@@ -104,6 +104,16 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     assert "never changes" in output
 
 
+def test_options_without_effect_are_refused(tmp_path: Path, funnel_hil) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("t_ms,a,b\n" + "".join(f"{n},{n % 7},{n % 5}\n" for n in range(50)))
+    words = ("latency", file, "--command", "a", "--response", "b")
+    output = funnel_hil.output(*words, "--out", tmp_path / "found.yaml", code=2)
+    assert "must be left out without --export" in output
+    output = funnel_hil.output(*words, "--time", "t_ms", "--unit", "us", code=2)
+    assert "--unit us: must be left out, as by their names t_ms is in ms" in output
+
+
 def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     """A recording of joint states, each topic with its own times in s and efforts."""
     with file.open("wb") as stream:
@@ -133,7 +143,7 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     sent = times_s[::8], command[::8]  # it changes every eight rows
     write_mcap(file, {"/wanted": sent, "/found": (times_s[3::13], response[3::13])})
     names = "/wanted.effort[1]", "/found.effort[1]"
-    rows = rows_of(*(read_field(file, name) for name in names), is_held=True)
+    rows = rows_of(*read_fields(file, *names), is_held=True)
     found = find_latency(*rows, 0.3, is_held=True)
     assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
     assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
@@ -156,8 +166,7 @@ def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
     words = [word for each in settings for word in ("--set", each)]
     funnel_hil.output("simulate", "paper_arm", *words, "--out", tmp_path / "run")
     names = "/joint_commands.effort[0]", "/joint_states.effort[0]"
-    fields = (read_field(tmp_path / "run" / "run.mcap", name) for name in names)
-    rows = rows_of(*fields, is_held=True)
+    rows = rows_of(*read_fields(tmp_path / "run" / "run.mcap", *names), is_held=True)
     found = find_latency(*rows, 0.1, is_held=True)
     assert 8.0 <= 1e3 * found.dead_time_s[0] <= 9.0  # states of 1 kHz leave one tick open
     assert found.gain[0] == pytest.approx(1.0)
