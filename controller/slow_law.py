@@ -43,7 +43,7 @@ class AnswerTiming:
 
 @dataclass(frozen=True)
 class ChunkRules:
-    """When a law with chunks is asked, and how a new chunk takes over.
+    """Rules of a law with chunks: times of its questions, and the merge of its answers.
 
     Attributes:
         merge: how it takes over.

@@ -16,7 +16,7 @@ NEAR = 1e-6
 
 @dataclass(frozen=True)
 class Holding:
-    """What targets do between two rows, and after the last one.
+    """Behaviour of targets between two rows, and after the last one.
 
     Attributes:
         between: they stay, or go on at their velocity.

@@ -50,7 +50,7 @@ class SynchronousSettings(MergeSettings):
 
 
 class Weighted(ChunkMerge):
-    """Where both have rows, a mean of old and new.
+    """Mean of old and new where both have rows.
 
     Args:
         new_weight: share of the new chunk.

@@ -1,4 +1,4 @@
-"""How the chunks of a slow law followed each other in a run."""
+"""Findings about the chunks of a slow law: jumps, ages, and states without a row."""
 
 from __future__ import annotations
 

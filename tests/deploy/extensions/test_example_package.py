@@ -112,7 +112,7 @@ def test_merge_of_a_package_takes_its_share():
     np.testing.assert_array_equal(merged.targets[:, 0, 0], 1.25)
     law = ("controller.law=streaming", "plant.interface.kind=servoj")
     assert run(*law, "controller.chunks={merge: halves}").faults() == []
-    with pytest.raises(ScenarioError, match=r"own\.shar = 1"):
+    with pytest.raises(ScenarioError, match=r"own\.shar: unknown key; did you mean share"):
         load_setup("paper_arm", [*law, "controller.chunks={merge: halves, own: {shar: 1}}"])
 
 
