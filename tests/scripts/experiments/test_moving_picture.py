@@ -14,7 +14,7 @@ def test_picture_shows_both_arms_with_their_verdicts(monkeypatch):
     monkeypatch.setattr(moving_picture, "END_S", 1.5)
     monkeypatch.setattr(moving_picture, "FRAMES", 3)
     runs = {
-        name: moving_picture.run_on_network(is_compensated=is_on)
+        name: moving_picture.run_on_network(is_helped=is_on)
         for name, is_on in (("without", False), ("with", True))
     }
     picture = ET.fromstring(moving_picture.picture(runs))
