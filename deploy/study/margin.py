@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Number, Positive
+from controller.laws.custom import is_custom
 from deploy.judge.run_rows import Row, tolerated
 from deploy.scenario.checking.warnings import require_hold
 from deploy.scenario.scenario import load_setup
@@ -94,6 +95,7 @@ class Margin(StudyOfCases):
         ]
         self.follow_ups: dict[int, dict[str, MarginSearch]] = {}
         self.theories: dict[int, dict[str, Any]] = {}
+        self._recalled: dict[int, dict[str, Any]] = {}
         if self.definition.pattern is not None:
             self.columns["pattern"] = "string"
             for setting, start in ((case.setting, case.variants[0]) for case in self.cases):
@@ -189,7 +191,8 @@ class Margin(StudyOfCases):
         """Compute the theory of a case when a run has shown that its law works, for the search."""
         if self.definition.quantity != "delay" or not search.outcomes:
             return
-        theory = self.theories[index] = theory_beside(self.cases[index].setting)
+        theory = self._recalled.get(index) or theory_beside(self.cases[index].setting)
+        self.theories[index] = theory
         if "unstable_ms" in theory:
             search.parts, search.hints = 1, first_loss(theory, search.steps)
 
@@ -227,6 +230,13 @@ class Margin(StudyOfCases):
     def keeps(self, row: Row) -> bool:
         """Whether a row is of what helps, which a gate in the same folder does not ask for."""
         return not self.definition.what_helps and row.get(COLUMN) is not None
+
+    def recall(self, summary: Mapping[str, Any]) -> None:
+        """Take over the theory of custom laws, which `report` does not run."""
+        for index, tags in enumerate(case.setting.tags for case in self.cases):
+            if is_custom(tags["law"]):
+                same = (each for each in summary.get("cases", ()) if tags.items() <= each.items())
+                self._recalled |= {index: each["theory"] for each in same if each.get("theory")}
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):
