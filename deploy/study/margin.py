@@ -11,7 +11,7 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Number, Positive
 from controller.laws.custom import is_custom
-from deploy.judge.run_rows import Row, tolerated
+from deploy.judge.run_rows import Row, tolerated, uses_seed
 from deploy.scenario.checking.warnings import require_hold
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
@@ -112,10 +112,12 @@ class Margin(StudyOfCases):
     @property
     def own_test(self) -> dict[str, Any]:
         wanted, steps = self.definition, self.searches[0].steps
+        unknown = sorted({name for case in self.cases for name in self._unknowns(case.setting)})
         return {
             **super().own_test,
             "offsets": wanted.offsets,
             "pattern": wanted.pattern,
+            "unknowns": unknown or None,  # as in older baselines
             "resolution": steps.resolution,
             "limit": steps.value(steps.limit),
         }
@@ -201,7 +203,9 @@ class Margin(StudyOfCases):
         case, wanted, steps = self.cases[index], self.definition, search.steps
         setting, block = case.setting, _MOST_VARIANTS * len(case.variants)
         if wanted.what_helps and search.margin is not None and search.first_failure is not None:
-            most = sum(map(len, search.rows.values())) // 2  # a third of all
+            rows = [row for rows in search.rows.values() for row in rows]
+            seeds = len(wanted.seeds) if any(map(uses_seed, rows)) else 1
+            most = len(rows) // 2 // seeds  # variants, whose runs are a third of all
             yield "what_helps", remedies.trials_of(case, search, 2 * block, most)
         if (margin := search.margin) is None:
             return
@@ -278,7 +282,7 @@ class Margin(StudyOfCases):
             **self._follow_up_findings(index),
             "theory": self.theories.get(index) if search.next() is None else None,
         }
-        return {**found, **quoted(found)}
+        return {**found, **quoted(found, is_over=self._is_over(index))}
 
     def _follow_up_findings(self, index: int) -> dict[str, Any]:
         """Return the findings about patterns, disturbances and remedies that were asked for."""
