@@ -320,6 +320,9 @@ class StudyOfRuns(ABC):
             **self.findings(rows),
         }
 
+    def recall(self, summary: Mapping[str, Any]) -> None:  # noqa: B027 (few have any)
+        """Take over what today's commands cannot find again from the summary of all its rows."""
+
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:  # noqa: B027 (few have any)
         """Add files to the folder of the study, and their paths to its summary."""
 

@@ -391,7 +391,7 @@ def theory_sentences(summary: Summary) -> list[str]:
 def _in_theory(summary: Summary) -> list[str]:
     return [
         f"{case_title(case)}: {_lost_at_once(case)}in theory {_stability(theory)}"
-        f"{_windows(theory['unstable_ms'])}."
+        f"{_windows(theory.get('unstable_ms'))}."
         for case in summary["cases"]
         if (theory := case.get("theory")) and "reason" not in theory
     ]
@@ -431,7 +431,7 @@ def _gaps(summary: Summary) -> list[str]:
 
 
 def _stability(theory: Summary) -> str:
-    if (growth := theory["unstable_without_delay"]) is not None:
+    if (growth := theory.get("unstable_without_delay")) is not None:  # older ones lack it
         hertz = growth["frequency_hz"]
         swings = f"at {hertz:g} Hz" if hertz else "without swinging"
         return (
@@ -449,7 +449,7 @@ _OF_THEORY = "linear, the arm at its start, viscous friction alone"
 _SHOWN_WINDOWS = 3
 
 
-def _windows(unstable_ms: list[list[float | None]]) -> str:
+def _windows(unstable_ms: list[list[float | None]] | None) -> str:
     """Return the windows of unstable delays in words, if a larger delay is stable again."""
     if not unstable_ms or unstable_ms[0][1] is None:
         return ""

@@ -91,6 +91,12 @@ def provenance_of_law(name: str) -> Provenance:
     return parts
 
 
+def law_files(made_by: Provenance) -> Provenance:
+    """Return the parts of a provenance that are source files of a custom law."""
+    modules = (value for part, value in made_by.items() if part.startswith(_MODULE))
+    return {file: made_by[file] for file in modules if file in made_by}
+
+
 def current(parts: Iterable[str]) -> Provenance:
     """Return the present values of parts of a provenance, in this process."""
     return {part: _value(part) for part in sorted(set(parts))}
