@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
@@ -24,17 +25,26 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
     """Return a law whose commands are what the robot takes.
 
     A law of positions or velocities reads the reference ahead; the torque of another one moves the
-    nominal model.
+    nominal model, at every state even if the law is slower.
     """
-    longest_step_s = 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
+    scenario = setup.scenario
+    controller, takes = scenario.controller, scenario.plant.interface.takes
     if isinstance(law, OuterLaw):
-        law.follow(setup.reference.copied(), preview_s(setup), longest_step_s)
-        return law
-    if takes_torque(setup) or hasattr(law, "target"):
-        return law
-    rotors = setup.scenario.plant.actuator.rotor_inertia(setup.robot.joints)
-    model = setup.scenario.controller.nominal_model(setup.nominal, rotors)
-    return Admittance(law, model, setup.largest_torques_nm, longest_step_s)
+        law.follow(setup.reference.copied(), preview_s(setup))
+    moves_model = takes != TORQUE and not hasattr(law, "target")
+    period_s, fastest_rad_s = 1e-9 * setup.grid.period_ns, setup.robot.velocity_limits_rad_s
+    takes = TORQUE if moves_model else takes
+    paced = controller.paced(law, period_s, scenario.seed, takes, fastest_rad_s)
+    if not moves_model:
+        return paced
+    rotors = scenario.plant.actuator.rotor_inertia(setup.robot.joints)
+    model = controller.nominal_model(setup.nominal, rotors)
+    return Admittance(paced, model, setup.largest_torques_nm)
+
+
+def longest_step_s(setup: Setup) -> float:
+    """Return the time between states above which some were absent, for laws that send targets."""
+    return math.inf if takes_torque(setup) else 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
 
 
 def takes_torque(setup: Setup) -> bool:
