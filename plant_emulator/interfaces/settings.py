@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -15,6 +17,11 @@ TORQUE: Takes = "torque"
 TimeoutMs = Annotated[Positive, Field(le=200)]
 """Time without a target after which a Universal Robots controller stops: at most 200 ms."""
 Automatic = NonNegative | Literal["auto"]
+
+
+def low_pass_lag_s(filter_hz: float) -> float:
+    """Return how long a low pass of first order is behind a ramp; 0 for inf Hz."""
+    return 1.0 / (2.0 * math.pi * filter_hz)
 
 
 class InterfaceSettings(StrictModel):
@@ -37,13 +44,13 @@ class InterfaceSettings(StrictModel):
         """Return the lag of joints that move steadily behind what a cycle of a length reads."""
         return 0.0
 
+    @abstractmethod
     def build(self, period_s: float) -> RobotInterface:
         """Return a new controller of the robot.
 
         Args:
             period_s: of its cycles, by its own clock.
         """
-        raise NotImplementedError
 
 
 class ResponseSettings(InterfaceSettings):
