@@ -142,8 +142,7 @@ class Setup:
         if not takes_torque(self):
             inertia = self.governing_inertia_kg_m2
             gains = critically_damped(inertia, interface.bandwidth_rad_s)
-            knows_arm = interface.settings.knows_arm
-            return gains if knows_arm else self.scenario.plant.drive_feedback.gains(gains)
+            return self.scenario.plant.drive_feedback.gains(gains)
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)

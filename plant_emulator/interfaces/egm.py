@@ -71,7 +71,7 @@ class EgmSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "position" if self.gain_per_s else "velocity"
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
         return low_pass_lag_s(self.filter_hz) if not self.gain_per_s else 0.0
 
     def build(self, period_s: float) -> Egm:

@@ -124,13 +124,14 @@ class FrankaMotionSettings(InterfaceSettings):
     """
 
     rate_hz: ClassVar[float] = 1000.0
+    goes_on: ClassVar[bool] = True
     velocity_rad_s: Positive = 2.62
     acceleration_rad_s2: Positive = 10.0
     jerk_rad_s3: Positive = 5000.0
     limiter: bool = False
     filter_hz: Positive | None = None
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
         return 0.0 if self.filter_hz is None else low_pass_lag_s(self.filter_hz)
 
     def build(self, period_s: float) -> FrankaMotion:

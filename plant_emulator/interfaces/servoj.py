@@ -8,7 +8,7 @@ that need more than 20 rad/s are ignored. The law behind lookahead and gain is u
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -81,6 +81,7 @@ class ServoJSettings(ResponseSettings):
         stop_rad_s2: deceleration of that stop.
     """
 
+    goes_on: ClassVar[bool] = True
     lookahead_time_s: Annotated[Number, Field(ge=0.03, le=0.2)] = 0.1
     gain: Annotated[Number, Field(ge=100, le=2000)] = 300.0
     timeout_ms: TimeoutMs = 20.0

@@ -30,18 +30,25 @@ class InterfaceSettings(StrictModel):
     Attributes:
         rate_hz: usual cycles per second of the robot's controller.
         knows_arm: torques of the planned motion go ahead to the drives.
+        goes_on: the motion goes on in cycles without a target; otherwise the last one stays.
     """
 
     rate_hz: ClassVar[float] = 500.0
     knows_arm: ClassVar[bool] = True
+    goes_on: ClassVar[bool] = False
 
     @property
     def takes(self) -> Takes:
         """Content of the commands that the robot takes."""
         return "position"
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
-        """Return the lag of joints that move steadily behind what a cycle of a length reads."""
+    def lag_s(self, period_s: float, targets_s: float) -> float | None:  # noqa: ARG002
+        """Return the lag of joints that move steadily behind what a cycle reads, if it is known.
+
+        Args:
+            period_s: of its cycles.
+            targets_s: time from one target to the next, at least a cycle.
+        """
         return 0.0
 
     @abstractmethod
@@ -74,7 +81,11 @@ class ResponseSettings(InterfaceSettings):
             lag if self.lag_ms == "auto" else self.lag_ms,
         )
 
-    def lag_s(self, period_s: float) -> float:
+    def lag_s(self, period_s: float, targets_s: float) -> float | None:  # noqa: ARG002
+        return self.response_lag_s(period_s)
+
+    def response_lag_s(self, period_s: float) -> float:
+        """Return the lag behind targets that come in each cycle."""
         dead_ms, lag_ms = self.response_ms
         return 1e-3 * (dead_ms + lag_ms) + (0.5 * period_s if lag_ms else 0.0)
 

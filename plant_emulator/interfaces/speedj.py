@@ -68,7 +68,7 @@ class SpeedJSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "velocity"
 
-    def lag_s(self, period_s: float) -> float:
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
         return 0.5 * period_s
 
     def build(self, period_s: float) -> SpeedJ:
