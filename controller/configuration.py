@@ -37,7 +37,7 @@ from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import did_you_mean
 from bus_schema.registry import NameIn
 from bus_schema.robot_description import RobotDescription
-from controller.chunks.answer import BetweenAnswers, Holding
+from controller.chunks.answer import NEAR, BetweenAnswers, Holding
 from controller.chunks.configuration import ChunksConfiguration
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
@@ -244,15 +244,9 @@ class ControllerConfiguration(StrictModel):
 
     @model_validator(mode="after")
     def _has_a_program(self) -> ControllerConfiguration:
-        if self.law != EXTERNAL:
-            return self
-        if self.external is None:
+        if self.law == EXTERNAL and self.external is None:
             raise ValueError(
                 f"law {EXTERNAL} needs external.command, the program and its arguments"
-            )
-        if self.external.targets and not self.drive_feedback.enabled:
-            raise ValueError(
-                "external.targets must be false, unless drive_feedback.enabled is true"
             )
         return self
 
@@ -445,6 +439,16 @@ class ControllerConfiguration(StrictModel):
             chunks.ask_every, chunks.align,
         )  # fmt: skip
         return SlowLaw(law, timing, rules)
+
+    def answer_age_s(self, period_s: float) -> float:
+        """Return the mean age of an answer of one row in force.
+
+        Args:
+            period_s: of the control loop.
+        """
+        inference_s = 1e-3 * self.inference_ms
+        between = self.every * max(1, math.ceil(inference_s / (self.every * period_s) - NEAR))
+        return inference_s + 0.5 * (between - 1) * period_s
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Return the bound on the law's settling time, s; None for a law without one."""

@@ -107,6 +107,7 @@ class SlowLaw:
     def torque(self, tracking: Tracking) -> Vector:
         """Torque in force at a state, N m, shape (joints,)."""
         now_s = tracking.time_s
+        self._since_s += tracking.step_s
         if self._coming is not None and now_s >= self._ready_s - NEAR * self._timing.period_s:
             self._take_over(self._coming, now_s)
         if self._states % self._timing.every == 0 and self._coming is None and self._wants(now_s):
@@ -129,7 +130,7 @@ class SlowLaw:
     def _forget(self) -> None:
         self._random = plain_generator(self._timing.seed)
         self._states = self._asked = 0
-        self._asked_s = self._ready_s = 0.0
+        self._asked_s = self._ready_s = self._since_s = 0.0
         self._rules.merge.reset()
         self.log = ChunkLog(has_targets=self._own_target is not None)
         self._in_force = self._coming = None
@@ -157,15 +158,8 @@ class SlowLaw:
         self.log.note_switch(old, self._in_force, now_s)
 
     def _ask(self, tracking: Tracking) -> Answer:
-        joints = tracking.position.size
         self._tell(tracking.time_s)
-        torques = checked_rows("torques", self._law.torque(tracking), (joints,))
-        wanted = (
-            [tracking.reference_position, tracking.reference_velocity]
-            if self._own_target is None
-            else self._own_target(tracking)
-        )
-        targets = checked_rows("targets", wanted, (2, joints))
+        torques, targets = self._answers(tracking)
         jitter_s = self._timing.jitter_s
         jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
         inference_s = self._timing.first_s if self._asked == 1 else self._timing.inference_s
@@ -175,6 +169,19 @@ class SlowLaw:
         return self._checked(
             Answer(now_s, now_s, self._row_s, torques, targets, self._timing.holding)
         )
+
+    def _answers(self, tracking: Tracking) -> tuple[Matrix, Matrix]:
+        """Return torques and targets of the law, whose step is the time since its last question."""
+        joints, step_s = tracking.position.size, tracking.step_s
+        tracking.step_s, self._since_s = self._since_s, 0.0
+        torques = checked_rows("torques", self._law.torque(tracking), (joints,))
+        wanted = (
+            [tracking.reference_position, tracking.reference_velocity]
+            if self._own_target is None
+            else self._own_target(tracking)
+        )
+        tracking.step_s = step_s
+        return torques, checked_rows("targets", wanted, (2, joints))
 
     def _tell(self, now_s: float) -> None:
         """Tell a policy what it continues, if it has asked for that."""

@@ -10,29 +10,32 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from controller.control_law import ControlLaw, Tracking
 from controller.manipulator_model import ManipulatorModel
+from controller.rigid_bodies.vectors import invert, product
 
 
 class Admittance:
     """A law whose torque becomes positions and velocities.
 
     Args:
-        law: gives the torque.
+        law: gives the torque; it may be a slow one.
         model: of the arm.
         limits_nm: largest torques that move the model, shape (joints,): without them, a motion
             that the robot cannot follow grows without bound.
-        longest_step_s: time between states above which some were absent; the model waits then.
     """
 
-    def __init__(
-        self, law: ControlLaw, model: ManipulatorModel, limits_nm: Vector, longest_step_s: float
-    ) -> None:
+    def __init__(self, law: ControlLaw, model: ManipulatorModel, limits_nm: Vector) -> None:
         self._law, self._model, self._limits_nm = law, model, limits_nm
-        self._longest_step_s = longest_step_s
         self.diagnostics = law.diagnostics
         self._zero: Vector = np.zeros(model.joints)
         self._torque: Vector = np.zeros(model.joints)
         self._target: Matrix = np.zeros((2, model.joints))
+        self._inverse_mass: Matrix = np.zeros((model.joints, model.joints))
         self._begins = True
+
+    @property
+    def log(self) -> object:
+        """How the answers of a slow law followed each other."""
+        return getattr(self._law, "log", None)
 
     def reset(self) -> None:
         """Forget the motion, and have the law forget everything."""
@@ -55,8 +58,8 @@ class Admittance:
             self._target[0], self._target[1], self._begins = tracking.position, 0.0, False
         place, model = tracking.position, self._model
         load = model.inverse_dynamics(place, tracking.velocity, self._zero)
-        acceleration = np.linalg.solve(model.mass_matrix(place), self._torque - load)
-        step_s = tracking.step_s if tracking.step_s <= self._longest_step_s else 0.0
-        self._target[1] += step_s * acceleration
-        self._target[0] += step_s * self._target[1]
+        invert(model.mass_matrix(place), self._inverse_mass)
+        acceleration = product(self._inverse_mass, self._torque - load)
+        self._target[1] += tracking.step_s * acceleration
+        self._target[0] += tracking.step_s * self._target[1]
         return self._target

@@ -7,6 +7,7 @@ A robot's controller follows q*; the correction removes what it leaves.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ class PositionCorrection(OuterLaw):
 
     def target(self, tracking: Tracking) -> Matrix:
         """Return corrected positions, and the velocity of the reference; shape (2, joints)."""
-        gains, step_s, ahead = self._gains, self.step_s(tracking), self.ahead(tracking)
-        share = 1.0 - np.exp(-gains.filter_rad_s * step_s)
+        gains, step_s, ahead = self._gains, tracking.step_s, self.ahead(tracking)
+        share = [1.0 - math.exp(-each * step_s) for each in gains.filter_rad_s]  # not by SIMD
         self._filtered += share * (tracking.error - self._filtered)
         self._integral += step_s * self._filtered
         correction = gains.proportional * self._filtered + gains.integral * self._integral

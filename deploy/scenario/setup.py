@@ -28,7 +28,12 @@ from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
 from deploy.scenario.plant_count import FunnelCounter
 from deploy.scenario.playout import horizon_settings, resolved_link
-from deploy.scenario.robot_interface import interface_in_force, law_for_robot, takes_torque
+from deploy.scenario.robot_interface import (
+    interface_in_force,
+    law_for_robot,
+    longest_step_s,
+    takes_torque,
+)
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -116,13 +121,7 @@ class Setup:
             robot=self.robot,
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
-            law=controller.paced(
-                law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
-                1e-9 * self.grid.period_ns,
-                self.scenario.seed,
-                self.scenario.plant.interface.takes,
-                self.robot.velocity_limits_rad_s,
-            ),
+            law=law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
@@ -133,6 +132,7 @@ class Setup:
                 rotors,
             ),
             sends_targets=controller.drive_feedback.enabled or not takes_torque(self),
+            longest_step_s=longest_step_s(self),
         )
 
     @property
@@ -142,8 +142,7 @@ class Setup:
         if not takes_torque(self):
             inertia = self.governing_inertia_kg_m2
             gains = critically_damped(inertia, interface.bandwidth_rad_s)
-            knows_arm = interface.settings.knows_arm
-            return gains if knows_arm else self.scenario.plant.drive_feedback.gains(gains)
+            return self.scenario.plant.drive_feedback.gains(gains)
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)

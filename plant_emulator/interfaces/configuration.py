@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from bus_schema.configuration import NonNegative, Number, Positive, StrictModel, validated
 from bus_schema.errors import did_you_mean
@@ -57,7 +57,7 @@ class InterfaceConfiguration(StrictModel):
     clock_ppm: Annotated[Number, Field(ge=-_MOST_PPM, le=_MOST_PPM)] = 0.0
     phase_ms: NonNegative = 0.0
     bandwidth_rad_s: Positive = 150.0
-    own: dict[str, Any] = Field(default_factory=dict)
+    own: dict[str, Any] = Field(default_factory=dict, validate_default=True)
     servoj: ServoJSettings = ServoJSettings()
     speedj: SpeedJSettings = SpeedJSettings()
     franka_position: FrankaMotionSettings = FrankaMotionSettings()
@@ -76,11 +76,13 @@ class InterfaceConfiguration(StrictModel):
             raise ValueError(f"one of {known}{did_you_mean(kind, INTERFACES)}")
         return kind
 
-    @model_validator(mode="after")
-    def _takes_its_own_settings(self) -> InterfaceConfiguration:
-        if self.own and self.kind in (TORQUE, *INTERFACES.shipped):
-            raise ValueError(f"own must be left out with {self.kind}")
-        return self
+    @field_validator("own")
+    @classmethod
+    def _is_of_its_kind(cls, own: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        kind = info.data.get("kind", TORQUE)
+        if own and kind in (TORQUE, *INTERFACES.shipped):
+            raise ValueError(f"left out with kind = {kind}: it is for kinds of installed packages")
+        return own
 
     @property
     def has_controller(self) -> bool:
@@ -104,10 +106,21 @@ class InterfaceConfiguration(StrictModel):
             return section
         return validated("plant.interface.own", INTERFACES[self.kind], self.own)
 
-    @property
-    def lag_s(self) -> float:
-        """Time from a target's arrival until joints that move steadily have it."""
-        return self.settings.lag_s(self.true_period_s) if self.has_controller else 0.0
+    def lag_s(self, targets_s: float) -> float | None:
+        """Return the time from a target's arrival until joints that move steadily have it.
+
+        None where that is unknown.
+
+        Args:
+            targets_s: time from one target to the next.
+        """
+        if not self.has_controller:
+            return 0.0
+        settings, period_s = self.settings, self.true_period_s
+        targets_s = max(period_s, targets_s)
+        lag_s = settings.lag_s(period_s, targets_s)
+        held_s = 0.0 if settings.goes_on else 0.5 * (targets_s - period_s)
+        return None if lag_s is None else lag_s + held_s
 
     @property
     def period_s(self) -> float:

@@ -14,13 +14,14 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import NonNegative, Positive
-from plant_emulator.interfaces.interface import Motion, Reflex, is_over
-from plant_emulator.interfaces.settings import InterfaceSettings, Takes
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
+from plant_emulator.interfaces.settings import InterfaceSettings, Takes, low_pass_lag_s
+from plant_emulator.interfaces.velocity_integrator import VelocityIntegrator
 
 TIMEOUT = "egm_communication_timeout"
 
 
-class Egm:
+class Egm(Stoppable):
     """Corrections with a gain, a filter and a time-out that is a fault.
 
     Args:
@@ -33,29 +34,23 @@ class Egm:
     def __init__(
         self, period_s: float, gain_per_s: float, filter_hz: float, timeout_s: float
     ) -> None:
-        self._period_s, self._gain_per_s, self._timeout_s = period_s, gain_per_s, timeout_s
+        self._gain_per_s, self._timeout_s = gain_per_s, timeout_s
+        self._joints = VelocityIntegrator(period_s)
+        self._silence = LostCount.until(timeout_s, period_s)
         self._share = 1.0 - math.exp(-2.0 * math.pi * filter_hz * period_s)
-        self.reflex: Reflex | None = None
 
     def start(self, position_rad: Vector) -> None:
-        self._position, self._silent_s = position_rad.copy(), 0.0
-        self._velocity: Vector = np.zeros(position_rad.size)
-        self._target: Matrix = np.stack([position_rad, self._velocity])
+        self._joints.start(position_rad)
+        self._silence.start()
+        self._target: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        period_s = self._period_s
-        self._silent_s = 0.0 if target is not None else self._silent_s + period_s
         if target is not None:
             self._target = target.copy()
-        if is_over(self._silent_s, self._timeout_s):
-            words = f"no correction for {1e3 * self._timeout_s:g} ms"
-            self.reflex = Reflex(TIMEOUT, -1, words)
-        wanted = self._target[1] + self._gain_per_s * (self._target[0] - self._position)
-        change = self._share * (wanted - self._velocity)
-        motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
-        self._position += period_s * (self._velocity + 0.5 * change)
-        self._velocity = self._velocity + change
-        return motion
+        if self._silence.is_over(arrived=target is not None):
+            self.stop(TIMEOUT, -1, f"no correction for {1e3 * self._timeout_s:g} ms")
+        wanted = self._target[1] + self._gain_per_s * (self._target[0] - self._joints.position)
+        return self._joints.change(self._share * (wanted - self._joints.velocity))
 
 
 class EgmSettings(InterfaceSettings):
@@ -76,8 +71,8 @@ class EgmSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "position" if self.gain_per_s else "velocity"
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
-        return 1.0 / (2.0 * math.pi * self.filter_hz) if not self.gain_per_s else 0.0
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
+        return low_pass_lag_s(self.filter_hz) if not self.gain_per_s else 0.0
 
     def build(self, period_s: float) -> Egm:
         return Egm(period_s, self.gain_per_s, self.filter_hz, 1e-3 * self.timeout_ms)

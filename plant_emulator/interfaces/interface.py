@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
 from bus_schema.arrays import Matrix, Vector
@@ -37,9 +38,47 @@ class Reflex(NamedTuple):
     words: str
 
 
-def is_over(silent_s: float, timeout_s: float) -> bool:
-    """Whether a robot that has waited so long for a target has timed out."""
-    return silent_s >= timeout_s - _ROUNDING_S
+class Stoppable:
+    """Base of robots that may decide to stop.
+
+    Attributes:
+        reflex: why the robot has stopped, the first cause; None while it moves.
+    """
+
+    reflex: Reflex | None = None
+
+    def stop(self, kind: str, joint: int, words: str) -> None:
+        """Note a reflex, unless an earlier one has stopped the robot."""
+        if self.reflex is None:
+            self.reflex = Reflex(kind, joint, words)
+
+
+class LostCount:
+    """Count of targets in a row that were late or lost.
+
+    Args:
+        most: so many are too many.
+
+    Attributes:
+        lost: how many there are now.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self.lost = most, 0
+
+    @classmethod
+    def until(cls, timeout_s: float, period_s: float) -> LostCount:
+        """Return a count of cycles without a target until a time-out."""
+        return cls(math.ceil((timeout_s - _ROUNDING_S) / period_s))
+
+    def start(self) -> None:
+        """Begin with none."""
+        self.lost = 0
+
+    def is_over(self, *, arrived: bool) -> bool:
+        """Note a cycle with or without a target; return whether too many were lost."""
+        self.lost = 0 if arrived else self.lost + 1
+        return self.lost >= self._most
 
 
 class RobotInterface(Protocol):

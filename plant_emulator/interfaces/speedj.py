@@ -13,11 +13,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflex, is_over
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes, TimeoutMs
+from plant_emulator.interfaces.velocity_integrator import VelocityIntegrator
 
 
-class SpeedJ:
+class SpeedJ(Stoppable):
     """Velocities with a limit of acceleration.
 
     Args:
@@ -31,27 +32,21 @@ class SpeedJ:
     def __init__(
         self, period_s: float, acceleration_rad_s2: float, timeout_s: float, stop_rad_s2: float
     ) -> None:
-        self._period_s, self._most = period_s, acceleration_rad_s2
-        self._timeout_s, self._stop = timeout_s, stop_rad_s2
-        self.reflex: Reflex | None = None
+        self._joints = VelocityIntegrator(period_s)
+        self._silence = LostCount.until(timeout_s, period_s)
+        self._most, self._stop = acceleration_rad_s2 * period_s, stop_rad_s2 * period_s
 
     def start(self, position_rad: Vector) -> None:
-        self._position, self._silent_s = position_rad.copy(), 0.0
-        self._velocity, self._wanted = np.zeros((2, position_rad.size))
+        self._joints.start(position_rad)
+        self._silence.start()
+        self._wanted = np.zeros(position_rad.size)
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        period_s = self._period_s
-        self._silent_s = 0.0 if target is not None else self._silent_s + period_s
         if target is not None:
             self._wanted[:] = target[1]
-        stops = is_over(self._silent_s, self._timeout_s)
-        wanted = np.zeros_like(self._wanted) if stops else self._wanted
-        most = (self._stop if stops else self._most) * period_s
-        change = np.clip(wanted - self._velocity, -most, most)
-        motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
-        self._position += period_s * (self._velocity + 0.5 * change)
-        self._velocity += change
-        return motion
+        stops = self._silence.is_over(arrived=target is not None)
+        wanted, most = (0.0 * self._wanted, self._stop) if stops else (self._wanted, self._most)
+        return self._joints.change(np.clip(wanted - self._joints.velocity, -most, most))
 
 
 class SpeedJSettings(InterfaceSettings):
@@ -73,7 +68,7 @@ class SpeedJSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "velocity"
 
-    def lag_s(self, period_s: float) -> float:
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
         return 0.5 * period_s
 
     def build(self, period_s: float) -> SpeedJ:

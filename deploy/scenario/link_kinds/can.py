@@ -52,6 +52,7 @@ class CanKind(LinkKind[DrivenArm]):
     may_pin_loops = False
     brings_plant_status = False
     controller_leads = True
+    reaches_robots = False
     simulates_process_faults = False
     no_link_faults = "without link.kind: can, for which link.can.faults has the faults of the bus"
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from controller.control_law import ABSENCE_STATES, Diagnostics, Tracking
+from controller.chunks.answer import Holding
+from controller.control_law import Diagnostics, Tracking
 from controller.manipulator_model import ManipulatorModel
 from controller.outer_laws.admittance import Admittance
+from controller.slow_law import AnswerTiming, SlowLaw
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -41,7 +43,7 @@ def situation():
     """A law, the situation that it answers, and the acceleration of the arm there."""
     model, tracking = ManipulatorModel(PAPER_ARM), Tracking(3)
     tracking.position[:], tracking.velocity[:] = [0.2, 0.5, 0.7], [0.3, -0.4, 0.5]
-    law = Admittance(Steady(TORQUE), model, np.full(3, np.inf), ABSENCE_STATES * H)
+    law = Admittance(Steady(TORQUE), model, np.full(3, np.inf))
     return law, tracking, forward_dynamics(model, tracking.position, tracking.velocity, TORQUE)
 
 
@@ -59,12 +61,18 @@ def test_target_moves_with_the_acceleration_of_the_arm(situation):
     np.testing.assert_allclose(position - tracking.position, H * velocity, rtol=1e-9)
 
 
-def test_model_does_not_move_over_an_absence_of_states(situation):
-    law, tracking, acceleration = situation
-    before = [answered(law, tracking, step_s) for step_s in (0.0, H)][-1]
-    np.testing.assert_array_equal(answered(law, tracking, 17 * H), before)
-    after = answered(law, tracking, 16 * H)
-    np.testing.assert_allclose(after[1] - before[1], 16 * H * acceleration, rtol=1e-9)
+def test_model_moves_at_every_state_while_a_slow_law_is_asked_at_some(situation):
+    """With the law asked once, velocity is a t and position a h² k (k + 1) / 2 after k states."""
+    _, tracking, acceleration = situation
+    timing = AnswerTiming(1000, 0.0, 0.0, Holding(), H, seed=1, first_s=0.0)
+    slow = SlowLaw(Steady(TORQUE), timing)
+    law = Admittance(slow, ManipulatorModel(PAPER_ARM), np.full(3, np.inf))
+    found = np.array([answered(law, tracking, H if k else 0.0) for k in range(40)])
+    k = np.arange(40)[:, None]
+    np.testing.assert_allclose(found[:, 1], k * H * acceleration, rtol=1e-9, atol=1e-12)
+    moved = found[:, 0] - tracking.position
+    np.testing.assert_allclose(moved, k * (k + 1) / 2 * H**2 * acceleration, rtol=1e-9, atol=1e-12)
+    assert law.log is slow.log
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from plant_emulator.interfaces.egm import EgmSettings
+from plant_emulator.interfaces.franka_torque import FrankaTorqueSettings
 from plant_emulator.interfaces.joint_trajectory import JointTrajectorySettings
 from plant_emulator.interfaces.rsi import RsiSettings
 from plant_emulator.interfaces.servo import ServoSettings
+from plant_emulator.interfaces.settings import InterfaceSettings
 from tests.plant_emulator.interfaces.driven import PERIOD_S as H
 from tests.plant_emulator.interfaces.driven import driven, rows, started
 
@@ -87,3 +89,30 @@ def test_servo_has_a_dead_band_and_a_resolution():
     found = driven(robot, [rows(0.009), rows(0.0151), rows(0.0222), rows(0.03)])
     # Rounded to 8, 16, 24 and 32 mrad; a change of at most 10 mrad does not count.
     np.testing.assert_allclose(found[:, 0], [0.0, 0.016, 0.016, 0.032], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("settings", "first", "later"),
+    [
+        (FrankaTorqueSettings(), [np.zeros((1, 1)), np.full((1, 1), 9.0)], [None] * 25),
+        (RsiSettings(most_late=2), [None, None], [None] * 5),
+        (EgmSettings(), [None] * 200, [None] * 5),
+    ],
+)
+def test_the_first_reflex_is_the_one_that_stays(settings, first, later):
+    robot = started(settings)
+    for target in first:
+        robot.step(target, rows(0))
+    reflex = robot.reflex
+    assert reflex is not None
+    for target in later:
+        robot.step(target, rows(0))
+    assert robot.reflex == reflex
+
+
+def test_settings_of_a_robot_without_a_controller_are_refused():
+    class Nothing(InterfaceSettings):
+        """A kind that lacks `build`."""
+
+    with pytest.raises(TypeError, match=r"abstract method '?build"):
+        Nothing()
