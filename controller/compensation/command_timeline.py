@@ -45,6 +45,8 @@ class HorizonSettings(NamedTuple):
         least_ns: the plant's own play-out time, if it has one.
         first_ns: the horizon at first.
         wanted_ns: of an announced horizon, the one to reach slowly and to keep.
+        most_ns: of an announced horizon, the longest one for commands that come late now and then;
+            it is exceeded where all of them come later.
         is_announced: each command says when it acts, and the plant holds it until then.
         reserve_ns: what is added to the largest delay that was reported.
         bridge_rows: rows of a command after its first.
@@ -57,12 +59,17 @@ class HorizonSettings(NamedTuple):
     least_ns: int = 0
     first_ns: int = 0
     wanted_ns: int = 0
+    most_ns: int = LONGEST_HORIZON_NS
     is_announced: bool = False
     reserve_ns: int = 0
     bridge_rows: int = 0
     row_ns: int = 1_000_000
     substeps: int = 1
     actuator_ns: int = 0
+    fade_s: float = 1e9
+    patience_ns: int = 20_000_000
+    shrinks_ns: float = 5e9
+    omega: float = 15.0
 
     @property
     def longest_step_ns(self) -> int:
@@ -141,7 +148,7 @@ class Flight(NamedTuple):
 def no_commands(joints: int, settings: HorizonSettings = _AS_REPORTED) -> Commands:
     """Return an empty table of commands."""
     state = {
-        **settings._asdict(), "horizon_ns": 0, "longest_ns": 0.0, "exact_ns": 0.0,
+        **settings._asdict(), "horizon_ns": 0, "longest_ns": 0.0, "late_since_ns": -1, "exact_ns": 0.0,
         "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD, "in_force": HELD,
     }  # fmt: skip
     ends = PIECES + 1 if settings.bridge_rows else 0
@@ -161,6 +168,7 @@ def forget_commands(commands: Commands) -> None:
     commands.numbers[:] = HELD
     state.first = state.newest = state.in_force = HELD
     state.mean_delay_ns = state.spread_ns = 0.0
+    state.late_since_ns = -1
     state.longest_ns, state.exact_ns = 0.0, float(state.first_ns)
     _expect(state, state.first_ns)
 
@@ -195,16 +203,21 @@ def command_at(commands: Commands, slot: int, now_ns: int, values: Matrix) -> fl
         state = commands.state[0]
         row = max(0, (age_ns - commands.announced_ns[slot]) // state.row_ns)
         row = min(row, state.bridge_rows)
-        add_change(commands.plans[slot], row, state.bridge_rows, values)
+        left = math.exp(-1e-9 * row * state.row_ns / state.fade_s)
+        add_change(commands.plans[slot], row, state.bridge_rows, left, values)
         age_ns -= row * state.row_ns
     return age_ns * 1e-9  # type: ignore[no-any-return]
 
 
 @compiled
-def add_change(plan: NDArray[np.float64], row: int, rows: int, values: Matrix) -> None:
+def add_change(
+    plan: NDArray[np.float64], row: int, rows: int, left: float, values: Matrix
+) -> None:
     """Add the change until a row to torque, target position and velocity, shape (3, joints)."""
     piece = min(row * PIECES // rows, PIECES - 1)
     share = row * PIECES / rows - piece
+    for i in range(values.shape[1]):
+        values[0, i] -= (1.0 - left) * (values[0, i] - plan[0, 0, i])
     for what in range(3):
         for i in range(values.shape[1]):
             begin, end = plan[piece, what, i], plan[piece + 1, what, i]
@@ -246,7 +259,7 @@ def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns:
             # Nothing acts yet, so the first command has been on its way for at least this long.
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
             state.exact_ns = max(state.exact_ns, float(waited_ns))
-        _announce(commands, arrival_ns, now_ns - last_ns)
+        _announce(commands, arrival_ns, now_ns, now_ns - last_ns)
     state.in_force = sequence
 
 
@@ -270,7 +283,7 @@ def _follow_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
 
 
 @compiled
-def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
+def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) -> None:
     """Choose the horizon to announce, after a state reported how long commands take to arrive.
 
     It grows at once when a command came late, and slowly towards the wanted one; it shrinks slowly
@@ -288,9 +301,18 @@ def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
         state.mean_delay_ns += surprise_ns if is_first else _FOLLOW * surprise_ns
         if not is_first:
             state.spread_ns += _FOLLOW * (abs(surprise_ns) - state.spread_ns)
+        if arrival_ns <= state.horizon_ns:
+            state.late_since_ns = -1
+        elif state.late_since_ns < 0:
+            state.late_since_ns = now_ns
     needed_ns = arrival_ns + state.reserve_ns
+    if state.late_since_ns < 0 or now_ns - state.late_since_ns < state.patience_ns:
+        needed_ns = min(needed_ns, state.most_ns)
     excess_ns = max(0.0, state.longest_ns - state.mean_delay_ns)
-    state.longest_ns -= excess_ns * min(1.0, step_ns / _SHRINKS_IN_NS)
+    shrinks_ns = _SHRINKS_IN_NS
+    if state.longest_ns > state.most_ns:
+        shrinks_ns = state.shrinks_ns
+    state.longest_ns -= excess_ns * min(1.0, step_ns / shrinks_ns)
     if arrival_ns > state.wanted_ns:
         state.longest_ns = max(state.longest_ns, needed_ns)
     exact_ns = state.exact_ns

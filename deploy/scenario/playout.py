@@ -26,7 +26,8 @@ EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
 """Key that sets an automatic play-out time, from the start of a run."""
 _IN_TIME, _IN_TIME_AT_START = 0.995, 0.75
 """Shares of the commands that arrive before they have to act."""
-_SHARE_OF_CEILING = 0.4
+import os
+_SHARE_OF_CEILING = float(os.environ.get("FIRST","0.4"))
 """Of the time that the arm may be held at its start; until the first command acts, it is held.
 
 With 60 % a UR5e on a campus Wi-Fi has 0.6 % of its bound left when it is released, with 40 % a
@@ -94,14 +95,24 @@ def _of_link(setup: Setup) -> HorizonSettings:
         first_ns, wanted_ns = _emulated(setup, link)
     else:
         first_ns = wanted_ns = expected_ns
+    import os
+    ceiling_ms = held_arm_ceiling_ms(setup)
+    most_ns = LONGEST_HORIZON_NS if ceiling_ms is None else round(1e6 * float(os.environ.get("CAP", "0.4")) * ceiling_ms)
+    if os.environ.get("NOCAP") is None:
+        wanted_ns = max(first_ns, min(wanted_ns, most_ns))
+    most_ns = max(most_ns, wanted_ns)
     return HorizonSettings(
         first_ns=first_ns,
         wanted_ns=wanted_ns,
+        most_ns=most_ns,
         is_announced=True,
         reserve_ns=setup.grid.period_ns,
         bridge_rows=rows,
         row_ns=setup.grid.period_ns,
         substeps=setup.grid.substeps,
+        patience_ns=int(1e6*float(os.environ.get("PAT", "20"))), shrinks_ns=1e9*float(os.environ.get("SHR", "5")),
+        fade_s=float(os.environ.get("FADE", "1e9")),
+        omega=float(os.environ.get("OMEGA", "15")),
     )
 
 
