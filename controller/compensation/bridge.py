@@ -62,8 +62,7 @@ def _fill(
 ) -> None:  # fmt: skip
     """Turn the reference at the ends of the pieces into the plan, and fill the rows by it."""
     plan, limits_nm, rows, joints = commands.next_plan, nominal.limits_nm, *torques_nm.shape
-    state = commands.state[0]
-    torque, values, omega = np.empty(joints), np.empty((3, joints)), state.omega
+    torque, values, omega = np.empty(joints), np.empty((3, joints)), _RETURNS_RAD_S
     for end in range(len(plan)):
         after_s = end * piece_s
         left = math.exp(-omega * after_s)
@@ -78,15 +77,13 @@ def _fill(
         for i in range(joints):
             position, velocity = plan[end, 0, i], plan[end, 1, i]
             friction = belief.coulomb_nm[i] * smooth_sign(velocity)[0]
-            held = friction + belief.viscous_nm_s[i] * velocity - belief.disturbance_nm[i]
-            plan[end, 0, i] = torque[i] + held
+            plan[end, 0, i] = torque[i] + friction + belief.viscous_nm_s[i] * velocity
             plan[end, 1, i], plan[end, 2, i] = position - horizon_s * velocity, velocity
     if not all_finite(plan):
         plan[:] = 0.0  # numbers overflowed: all rows repeat the first
     for row in range(1, rows):
         values[0], values[1], values[2] = torques_nm[0], targets[0, 0], targets[1, 0]
-        left = math.exp(-1e-9 * row * state.row_ns / state.fade_s)
-        add_change(plan, row, rows - 1, left, values)
+        add_change(plan, row, rows - 1, values)
         for i in range(joints):
             torques_nm[row, i] = min(max(values[0, i], -limits_nm[i]), limits_nm[i])
         targets[0, row], targets[1, row] = values[1], values[2]

@@ -34,8 +34,15 @@ step, the network of the adaptive law asked for 35 times the torque of a motor.
 
 GROWS_BY = 0.05
 """How fast an announced horizon grows towards the wanted one; commands act so much less often."""
-_SHRINKS_IN_NS = 5e9
-"""Time constant with which an announced horizon shrinks after commands came late."""
+_SHRINKS_IN_NS, _RETURNS_IN_NS = 5e9, 0.5e9
+"""Time constants with which an announced horizon shrinks after commands came late, and with which
+it returns to its usual limit."""
+_EPISODE_NS = 20_000_000
+"""Commands that come late for this long are no exception: they have a longer delay.
+
+A horizon that jumps by a time leaves the arm without a new torque for just as long. After a burst
+of states or commands that all arrive at one instant, the next ones are in time.
+"""
 
 
 class HorizonSettings(NamedTuple):
@@ -45,8 +52,8 @@ class HorizonSettings(NamedTuple):
         least_ns: the plant's own play-out time, if it has one.
         first_ns: the horizon at first.
         wanted_ns: of an announced horizon, the one to reach slowly and to keep.
-        most_ns: of an announced horizon, the longest one for commands that come late now and then;
-            it is exceeded where all of them come later.
+        most_ns: of an announced horizon, the longest one for the sake of commands that come late
+            now and then. Those that come late for long are waited for longer.
         is_announced: each command says when it acts, and the plant holds it until then.
         reserve_ns: what is added to the largest delay that was reported.
         bridge_rows: rows of a command after its first.
@@ -66,10 +73,6 @@ class HorizonSettings(NamedTuple):
     row_ns: int = 1_000_000
     substeps: int = 1
     actuator_ns: int = 0
-    fade_s: float = 1e9
-    patience_ns: int = 20_000_000
-    shrinks_ns: float = 5e9
-    omega: float = 15.0
 
     @property
     def longest_step_ns(self) -> int:
@@ -114,8 +117,9 @@ class Commands(NamedTuple):
         state: one row, `HorizonSettings` and what changes. `horizon_ns`: time from a state until
             its torque acts, expected from `mean_delay_ns` and `spread_ns`, or announced;
             `exact_ns`: the latter before rounding; `longest_ns`: what late commands needed, slowly
-            forgotten; `first` and `newest`: numbers of commands; `in_force`: the one that the plant
-            reported last.
+            forgotten; `late_since_ns`: stamp of the state since which all reported commands came
+            late, -1 for none; `first` and `newest`: numbers of commands; `in_force`: the one that
+            the plant reported last.
     """
 
     numbers: NDArray[np.int64]
@@ -148,8 +152,9 @@ class Flight(NamedTuple):
 def no_commands(joints: int, settings: HorizonSettings = _AS_REPORTED) -> Commands:
     """Return an empty table of commands."""
     state = {
-        **settings._asdict(), "horizon_ns": 0, "longest_ns": 0.0, "late_since_ns": -1, "exact_ns": 0.0,
-        "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD, "in_force": HELD,
+        **settings._asdict(), "horizon_ns": 0, "longest_ns": 0.0, "exact_ns": 0.0,
+        "mean_delay_ns": 0.0, "spread_ns": 0.0, "late_since_ns": -1,
+        "first": HELD, "newest": HELD, "in_force": HELD,
     }  # fmt: skip
     ends = PIECES + 1 if settings.bridge_rows else 0
     commands = Commands(
@@ -203,21 +208,16 @@ def command_at(commands: Commands, slot: int, now_ns: int, values: Matrix) -> fl
         state = commands.state[0]
         row = max(0, (age_ns - commands.announced_ns[slot]) // state.row_ns)
         row = min(row, state.bridge_rows)
-        left = math.exp(-1e-9 * row * state.row_ns / state.fade_s)
-        add_change(commands.plans[slot], row, state.bridge_rows, left, values)
+        add_change(commands.plans[slot], row, state.bridge_rows, values)
         age_ns -= row * state.row_ns
     return age_ns * 1e-9  # type: ignore[no-any-return]
 
 
 @compiled
-def add_change(
-    plan: NDArray[np.float64], row: int, rows: int, left: float, values: Matrix
-) -> None:
+def add_change(plan: NDArray[np.float64], row: int, rows: int, values: Matrix) -> None:
     """Add the change until a row to torque, target position and velocity, shape (3, joints)."""
     piece = min(row * PIECES // rows, PIECES - 1)
     share = row * PIECES / rows - piece
-    for i in range(values.shape[1]):
-        values[0, i] -= (1.0 - left) * (values[0, i] - plan[0, 0, i])
     for what in range(3):
         for i in range(values.shape[1]):
             begin, end = plan[piece, what, i], plan[piece + 1, what, i]
@@ -286,12 +286,14 @@ def _follow_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
 def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) -> None:
     """Choose the horizon to announce, after a state reported how long commands take to arrive.
 
-    It grows at once when a command came late, and slowly towards the wanted one; it shrinks slowly
-    to what arrivals need, but not below the wanted one.
+    It grows at once when a command came late, but only for an episode of late commands above its
+    usual limit, and slowly towards the wanted one. It shrinks slowly to what arrivals need, but not
+    below the wanted one.
 
     Args:
         commands: all that were sent.
         arrival_ns: as in `CommandFeedback`.
+        now_ns: stamp of the state.
         step_ns: time since the last state.
     """
     state = commands.state[0]
@@ -306,13 +308,11 @@ def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) ->
         elif state.late_since_ns < 0:
             state.late_since_ns = now_ns
     needed_ns = arrival_ns + state.reserve_ns
-    if state.late_since_ns < 0 or now_ns - state.late_since_ns < state.patience_ns:
+    if state.late_since_ns < 0 or now_ns - state.late_since_ns < _EPISODE_NS:
         needed_ns = min(needed_ns, state.most_ns)
     excess_ns = max(0.0, state.longest_ns - state.mean_delay_ns)
-    shrinks_ns = _SHRINKS_IN_NS
-    if state.longest_ns > state.most_ns:
-        shrinks_ns = state.shrinks_ns
-    state.longest_ns -= excess_ns * min(1.0, step_ns / shrinks_ns)
+    shrinks_in_ns = _RETURNS_IN_NS if state.longest_ns > state.most_ns else _SHRINKS_IN_NS
+    state.longest_ns -= excess_ns * min(1.0, step_ns / shrinks_in_ns)
     if arrival_ns > state.wanted_ns:
         state.longest_ns = max(state.longest_ns, needed_ns)
     exact_ns = state.exact_ns
