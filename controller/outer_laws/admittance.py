@@ -34,7 +34,7 @@ class Admittance:
 
     @property
     def log(self) -> object:
-        """How the answers of a slow law followed each other."""
+        """Log of the answers of a slow law; None of others."""
         return getattr(self._law, "log", None)
 
     def reset(self) -> None:

@@ -193,7 +193,7 @@ class StudyFolder(run_folder.ResultFolder):
 
     @property
     def law_changes(self) -> list[str]:
-        """Which source files of custom laws have changed since the existing rows were made.
+        """Source files of custom laws that have changed since the existing rows were made.
 
         A sentence each; no law is imported.
         """
