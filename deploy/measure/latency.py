@@ -1,6 +1,7 @@
-"""Dead time and first-order lag of a recorded system, from a command and a response.
+"""Dead time and lag of a recorded system, from a command and a response.
 
-The model is τ ẏ = k u(t − d) + b − y. For each d and τ the filtered command is exact between rows,
+The model is τ ẏ = k u(t − d) + b − y or, of second order, critically damped with the same lag τ at
+a steady speed, (τ/2)² ÿ + τ ẏ = k u(t − d) + b − y. The filtered command is exact between rows,
 and k and b follow by least squares; a grid finds the best d and τ, and ever smaller steps refine
 them. Confidence intervals allow for residuals that resemble their neighbours (Newey and West,
 "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
@@ -48,6 +49,7 @@ class Latency:
         gain: response per command, in the end.
         explained: share of the response's variance that the model explains.
         misfit: why the model does not fit, so that the intervals mean nothing; None if it fits.
+        order: of the model, 1 or 2.
     """
 
     dead_time_s: tuple[float, float]
@@ -56,6 +58,7 @@ class Latency:
     gain: tuple[float, float]
     explained: float
     misfit: str | None
+    order: int = 1
 
 
 class _Fit:
@@ -67,11 +70,14 @@ class _Fit:
         response: shape (rows,); NaN where there is none.
         longest_s: of a dead time; rows before it only lead in.
         is_held: whether a command stays until the next, or is on a line to it.
+        order: of the model.
     """
 
     def __init__(
-        self, times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool
-    ) -> None:
+        self, times_s: Vector, command: Vector, response: Vector, longest_s: float, *,
+        is_held: bool, order: int = 1,
+    ) -> None:  # fmt: skip
+        self._filter = _filter if order == 1 else _filter_twice
         self._times_s, self._command = times_s, command
         slopes = np.diff(command) / np.diff(times_s)
         self._slopes = np.append(slopes * (not is_held), 0.0)
@@ -82,7 +88,7 @@ class _Fit:
     def regressors(self, dead_time_s: float, lag_s: float) -> Matrix:
         """The filtered command and a constant where there is a response, shape (responses, 2)."""
         columns = np.ones((len(self._seen), 2))
-        _filter(
+        self._filter(
             self._times_s, self._command, self._slopes, self._first, dead_time_s,
             lag_s if lag_s > _SHORTEST_LAG_S else _NO_LAG_S, columns[:, 0],
         )  # fmt: skip
@@ -124,9 +130,37 @@ def _filter(
         )  # fmt: skip
 
 
+@compiled
+def _filter_twice(
+    times_s: Vector, command: Vector, slopes: Vector, first: int, dead_time_s: float,
+    lag_s: float, filtered: Vector,
+) -> None:  # fmt: skip
+    """Response of second order to a command, critically damped, as `_filter` gives it."""
+    bandwidth = 2.0 / lag_s
+    at, state, speed = 0, command[0], slopes[0]
+    for row in range(first, times_s.size):
+        when_s = times_s[row] - dead_time_s
+        while at + 1 < times_s.size and times_s[at + 1] <= when_s:
+            span_s = times_s[at + 1] - times_s[at]
+            away = state - command[at] + slopes[at] * lag_s
+            pull = speed - slopes[at] + bandwidth * away
+            decay = math.exp(-bandwidth * span_s)
+            state = command[at] + slopes[at] * (span_s - lag_s) + (away + pull * span_s) * decay
+            speed = slopes[at] + (pull - bandwidth * (away + pull * span_s)) * decay
+            at += 1
+        span_s = when_s - times_s[at]
+        away = state - command[at] + slopes[at] * lag_s
+        pull = speed - slopes[at] + bandwidth * away
+        decay = math.exp(-bandwidth * span_s)
+        filtered[row - first] = (
+            command[at] + slopes[at] * (span_s - lag_s) + (away + pull * span_s) * decay
+        )
+
+
 def find_latency(
-    times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool
-) -> Latency:
+    times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool,
+    order: int = 1,
+) -> Latency:  # fmt: skip
     """Dead time and lag of a system.
 
     Args:
@@ -135,6 +169,7 @@ def find_latency(
         response: what it did, shape (rows,); NaN where there is only a command.
         longest_s: the longest dead time and lag that are looked for.
         is_held: whether a command stays until the next, or is on a line to it.
+        order: of the model, 1 or 2.
 
     Raises:
         ValueError: the rows do not say; the message says why.
@@ -146,7 +181,7 @@ def find_latency(
             f"{len(seen_s)} rows over {np.ptp(times_s):.3g} s: needs {_FEWEST_ROWS} rows and four"
             f" times the longest latency, {longest_s:g} s"
         )
-    fit = _Fit(times_s, command, response, longest_s, is_held=is_held)
+    fit = _Fit(times_s, command, response, longest_s, is_held=is_held, order=order)
     if np.ptp(command) == 0.0 or np.ptp(fit.response) == 0.0:
         raise ValueError("command or response never changes: the motion does not excite the system")
     best = _best(fit, longest_s, period_s)
@@ -175,7 +210,7 @@ def find_latency(
     is_exact = 1.0 - explained < _EXACT
     filtered = gain * fit.regressors(dead_time_s, lag_s)[:, 0]
     misfit = None if is_exact else _misfit(filtered, residuals)
-    return Latency(dead_time, lag, together, (float(gain), half[2]), explained, misfit)
+    return Latency(dead_time, lag, together, (float(gain), half[2]), explained, misfit, order)
 
 
 def _misfit(fitted: Vector, residuals: Vector) -> str | None:

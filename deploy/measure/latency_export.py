@@ -36,6 +36,13 @@ uncertainty:
   link.downlink.delay_ms: {{distribution: uniform, from: {dead_low_ms:.4f}, to: {dead_high_ms:.4f}}}
   plant.actuator.lag_ms: {{distribution: uniform, from: {lag_low_ms:.4f}, to: {lag_high_ms:.4f}}}
 """
+_ROBOT = """\
+# {summary}
+# Add it to a scenario, or give it a line "extends: SCENARIO.yaml". The robot takes positions, as
+# the laws streaming and position_correction send; the log's whole dead time is the robot's.
+plant:
+  interface: {{kind: servoj, servoj: {{dead_time_ms: {dead_ms:.4f}, lag_ms: {lag_ms:.4f}}}}}
+"""
 _MUJOCO = """\
 <!-- {summary}
   Include this file, and give the class "measured_latency" to actuators of type position, velocity
@@ -103,13 +110,14 @@ _TEMPLATES: dict[Export, Callable[..., str]] = {
 }
 
 
-def exported(found: Latency, export: Export, source: str) -> str:
+def exported(found: Latency, export: Export, source: str, *, is_robot: bool = False) -> str:
     """Return a latency as a program reads it.
 
     Args:
         found: the latency, whose intervals become ranges.
         export: the program.
         source: name of the file in which it was found.
+        is_robot: a scenario gets it as the response of a robot that takes positions.
     """
     values = {"summary": _summary(found, source), "step_ms": 1e3 * _LEAST_STEP_S}
     for name, (middle_s, half_s) in (("dead", found.dead_time_s), ("lag", found.lag_s)):
@@ -120,7 +128,8 @@ def exported(found: Latency, export: Export, source: str) -> str:
     lag_s = found.lag_s[0]
     timeconst = f' timeconst="{lag_s:.7f}"' if lag_s > _NO_LAG_S else ""
     samples = math.ceil(found.dead_time_s[0] / _LEAST_STEP_S) + 1
-    return _TEMPLATES[export](**values, timeconst=timeconst, samples=samples)
+    template = _ROBOT.format if is_robot and export == Export.SCENARIO else _TEMPLATES[export]
+    return template(**values, timeconst=timeconst, samples=samples)
 
 
 def _summary(found: Latency, source: str) -> str:

@@ -25,6 +25,9 @@ from deploy.measure.time_units import UNITS_MS, check_interval, units_of
 _Rows = tuple[Vector, Vector, Vector]
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TIMES = ("time_s", "t", "time", "timestamp")
+_SAME = 0.05
+"""Distance of the gain from 1, within which commands are targets of what the responses measure."""
+_NO_POSITION = re.compile(r"effort|torque|current|vel|speed|acc|force|pwm", re.IGNORECASE)
 _CLEARLY_LESS, _EXACT = 0.9, 1e-9
 """Of what one interpolation leaves unexplained: less than this with the other, and it is named."""
 
@@ -92,7 +95,10 @@ def latency(
     if found.misfit:
         print("".join(f"{each}\n" for each in read.doubts), end="")
     if export is not None:
-        _export(found, export, file, out)
+        is_robot = export == Export.SCENARIO and _are_positions(found, command, response)
+        if is_robot:
+            found = _of_robot(found, rows, longest_s, is_held=not linear)
+        _export(found, export, file, out, is_robot=is_robot)
 
 
 class _Read(NamedTuple):
@@ -125,13 +131,34 @@ def _read(file: Path, command: str, response: str, time: str | None, unit: Unit 
     return _Read((held, on_lines), notes, doubts)
 
 
-def _export(found: Latency, export: Export, file: Path, out: Path | None) -> None:
+def _are_positions(found: Latency, *names: str) -> bool:
+    """Whether a log has targets and the positions that follow them, by its gain and its names."""
+    return abs(found.gain[0] - 1.0) < _SAME and not any(_NO_POSITION.search(each) for each in names)
+
+
+def _of_robot(found: Latency, rows: _Rows, longest_s: float, *, is_held: bool) -> Latency:
+    """Return the latency of a robot: of second order where that fits better."""
+    try:
+        second, *_ = _fitted(*rows, longest_s, is_held=is_held, order=2)
+    except ValueError:
+        return found
+    if second.explained <= found.explained:
+        return found
+    times_ms = (1e3 * each for each in (*second.dead_time_s, *second.lag_s))
+    words = "dead time {:.3f} ± {:.3f} ms, lag {:.3f} ± {:.3f} ms".format(*times_ms)
+    print(f"of second order, as a robot that follows positions: {words}")
+    return second
+
+
+def _export(
+    found: Latency, export: Export, file: Path, out: Path | None, *, is_robot: bool
+) -> None:
     """Write what was found for another program, and print the file's name."""
     if found.misfit:
         raise InputError(f"{file}: --export {export}: the model does not fit")
     path = out or Path(f"{file.stem}_latency{ENDINGS[export]}")
     try:
-        path.write_text(exported(found, export, file.name), encoding="utf-8")
+        path.write_text(exported(found, export, file.name, is_robot=is_robot), encoding="utf-8")
     except OSError as error:
         raise InputError(f"--out {path}: cannot be written: {error.strerror}") from error
     print(f"{export}: {path}")
@@ -156,8 +183,9 @@ def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
 
 
 def _fitted(
-    times_s: Vector, commands: Vector, responses: Vector, longest_s: float, *, is_held: bool
-) -> tuple[Latency, Vector, int]:
+    times_s: Vector, commands: Vector, responses: Vector, longest_s: float, *, is_held: bool,
+    order: int = 1,
+) -> tuple[Latency, Vector, int]:  # fmt: skip
     """Return the latency in the longest episode, its times of responses, and how many there are.
 
     Raises:
@@ -165,7 +193,9 @@ def _fitted(
     """
     starts = [0, *(np.flatnonzero(~(np.diff(times_s) > 0.0)) + 1).tolist(), len(times_s)]
     rows = slice(*max(itertools.pairwise(starts), key=lambda each: each[1] - each[0]))
-    found = find_latency(times_s[rows], commands[rows], responses[rows], longest_s, is_held=is_held)
+    found = find_latency(
+        times_s[rows], commands[rows], responses[rows], longest_s, is_held=is_held, order=order
+    )
     return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
