@@ -240,7 +240,7 @@ class Margin(StudyOfCases):
         for index, tags in enumerate(case.setting.tags for case in self.cases):
             if is_custom(tags["law"]):
                 same = (each for each in summary.get("cases", ()) if tags.items() <= each.items())
-                self._recalled |= {index: each["theory"] for each in same if each.get("theory")}
+                self._recalled[index] = next(same, {}).get("theory") or {}
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):

@@ -65,7 +65,10 @@ UNSEEN = {
         "import pathlib\nlook = getattr",
         "float(look(look(pathlib, 'o' + 's'), 'env' + 'iron')['GAIN'])",
     ),
-    "names in a text with fields": ("import random", "float('{0._os.environ[GAIN]}'.format(random))"),
+    "names in a text with fields": (
+        "import random",
+        "float('{0._os.environ[GAIN]}'.format(random))",
+    ),
     "names in a text made of texts": (
         "import random",
         "float(('{0._o' + 's.envi' + 'ron[GAIN]}').format(random))",
