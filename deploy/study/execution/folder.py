@@ -25,6 +25,7 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import PROVENANCE, Row, left_nothing, read_rows, write_rows
+from deploy.judge.tested_with import TESTED_WITH
 from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION_COLUMNS
 from deploy.run.new_folder import new_folder, resolved_out
@@ -363,7 +364,8 @@ def _identity(study: StudyOfRuns) -> dict[str, Any]:
 
 
 def _manifest(study: StudyOfRuns) -> dict[str, Any]:
-    return {**study.provenance(), "study": _identity(study)}
+    tested = {TESTED_WITH: study.tested_with}
+    return {**study.provenance(), **tested, "study": _identity(study)}
 
 
 def _has_definition(path: Path, wanted: dict[str, Any]) -> bool:

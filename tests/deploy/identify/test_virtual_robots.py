@@ -50,9 +50,7 @@ def virtual(tmp_path_factory):
         ("ur5e", [1.0], 0.01, 1),
     ],
 )
-def test_intervals_hold_the_truth_in_most_draws_and_are_not_too_wide(
-    arm, correlations_s, noise, draws, tmp_path
-):
+def test_intervals_hold_the_truth_and_are_not_too_wide(arm, correlations_s, noise, draws, tmp_path):
     """Noise of torques is white or correlated; scripts.experiments.identify_coverage has more."""
     robot, model, *_ = excitation(arm, SHORT_S)
     values = []

@@ -251,6 +251,20 @@ def test_command_refuses_a_baseline_of_another_test_or_lists_the_differences(fun
     )
 
 
+def test_report_takes_the_test_of_a_run_from_its_manifest(funnel_hil, tmp_path):
+    """Which has it since the run; the recording has the arm in other words than its file."""
+    out = tmp_path / "out"
+    funnel_hil("simulate", "paper_arm", *SHORT, "--no-report", "--out", out)
+    manifest, summary = (out / f"{name}.json" for name in ("manifest", "summary"))
+    kept = json.loads(manifest.read_text())
+    assert kept["tested_with"]["paper_arm"]["robot.urdf"]
+    assert json.loads(summary.read_text())["tested_with"] == kept["tested_with"]
+    kept["tested_with"]["study"]["seeds"] = [7]
+    manifest.write_text(json.dumps(kept))
+    funnel_hil("report", out)
+    assert json.loads(summary.read_text())["tested_with"] == kept["tested_with"]
+
+
 def test_margin_that_leaves_unknowns_out_is_another_test():
     tests = [
         Margin({"laws": ["smc"], **more}, Path("margin")).tested_with

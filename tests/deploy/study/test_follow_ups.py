@@ -13,8 +13,8 @@ from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.judge.metrics import summarise
 from deploy.reports.kinds import gauged
 from deploy.reports.results import judge_rows
+from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.studies.study_tables import disturbance_tables, help_tables, margin_table
-from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError

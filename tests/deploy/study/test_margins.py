@@ -10,8 +10,8 @@ import pytest
 from controller.laws import COMPARED_LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.reports.results import write_study
+from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.studies.study_tables import margins_by_law
-from deploy.reports.studies.study_texts import margin_sentences
 from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.execution.folder import create_folder
