@@ -48,6 +48,7 @@ class HorizonSettings(NamedTuple):
         wanted_ns: of an announced horizon, the one to reach slowly and to keep.
         most_ns: of an announced horizon, the longest one for the sake of commands that come late
             now and then. Those that come late for long are waited for longer.
+        grows_by: how fast it grows to the wanted one, as a share of the time.
         is_announced: each command says when it acts, and the plant holds it until then.
         reserve_ns: what is added to the largest delay that was reported.
         bridge_rows: rows of a command after its first.
@@ -61,6 +62,7 @@ class HorizonSettings(NamedTuple):
     first_ns: int = 0
     wanted_ns: int = 0
     most_ns: int = LONGEST_HORIZON_NS
+    grows_by: float = GROWS_BY
     is_announced: bool = False
     reserve_ns: int = 0
     bridge_rows: int = 0
@@ -313,7 +315,7 @@ def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) ->
     if arrival_ns > state.horizon_ns:
         exact_ns = max(exact_ns, needed_ns)
     elif exact_ns < state.wanted_ns:
-        exact_ns = min(exact_ns + GROWS_BY * step_ns, state.wanted_ns)
+        exact_ns = min(exact_ns + state.grows_by * step_ns, state.wanted_ns)
     else:
         exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
     state.exact_ns = exact_ns

@@ -26,7 +26,7 @@ EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
 """Key that sets an automatic play-out time, from the start of a run."""
 _IN_TIME, _IN_TIME_AT_START = 0.995, 0.75
 """Shares of the commands that arrive before they have to act."""
-_OF_CEILING_AT_START, _OF_CEILING = 0.15, 0.5
+_OF_CEILING_AT_START, _OF_CEILING = 0.15, 0.4
 """Shares of the time that the arm can be held at its start, for a horizon at first and later.
 
 Until the first command acts, the arm is held: with 40 % the three-joint arm loses a tenth of its
@@ -35,6 +35,8 @@ be foreseen for long: it withstands rare late commands better than a longer hori
 """
 _EASILY_HELD_NS = 200_000_000
 """That time of an arm that never leaves its bounds while it is held."""
+_GROWS_BY_ON_NETWORK = 0.3
+"""How fast the horizon grows where delays vary at random: a burst may come soon."""
 
 
 def resolved_link(setup: Setup) -> LinkConfiguration:
@@ -94,13 +96,14 @@ def _of_link(setup: Setup) -> HorizonSettings:
         period_ns = setup.grid.period_ns
         return HorizonSettings(least_ns=link.playout_ns, first_ns=first_ns, row_ns=period_ns)
     if expected_ns is None:
-        first_ns, wanted_ns = _emulated(setup, link)
+        first_ns, wanted_ns, grows_by = _emulated(setup, link)
     else:
-        first_ns = wanted_ns = expected_ns
+        first_ns, wanted_ns, grows_by = expected_ns, expected_ns, GROWS_BY
     return HorizonSettings(
         first_ns=first_ns,
         wanted_ns=wanted_ns,
         most_ns=max(wanted_ns, _bearable_ns(setup, _OF_CEILING)),
+        grows_by=grows_by,
         is_announced=True,
         reserve_ns=setup.grid.period_ns,
         bridge_rows=rows,
@@ -160,8 +163,8 @@ def _bridge_rows(setup: Setup) -> int:
     return rows
 
 
-def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int]:
-    """Return the horizon at the start, and the one to reach, for the emulated link.
+def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int, float]:
+    """Return the horizon at the start, the one to reach, and how fast, for the emulated link.
 
     At the start, what the link's schedule adds later counts only where the horizon does not grow to
     it in time.
@@ -172,10 +175,10 @@ def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int]:
     )
     spare_ns = spare_at_start_ns((link.uplink, link.downlink), GROWS_BY)
     if usual_ns == longest_ns:
-        return longest_ns - spare_ns, longest_ns
+        return longest_ns - spare_ns, longest_ns, GROWS_BY
     wanted_ns = min(longest_ns, max(usual_ns, _bearable_ns(setup, _OF_CEILING)))
     first_ns = max(usual_ns - spare_ns, _bearable_ns(setup, _OF_CEILING_AT_START))
-    return min(wanted_ns - spare_ns, first_ns), wanted_ns
+    return min(wanted_ns - spare_ns, first_ns), wanted_ns, _GROWS_BY_ON_NETWORK
 
 
 def _bearable_ns(setup: Setup, share: float) -> int:
