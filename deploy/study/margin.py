@@ -239,8 +239,9 @@ class Margin(StudyOfCases):
         """Take over the theory of custom laws, which `report` does not run."""
         for index, tags in enumerate(case.setting.tags for case in self.cases):
             if is_custom(tags["law"]):
-                same = (each for each in summary.get("cases", ()) if tags.items() <= each.items())
-                self._recalled[index] = next(same, {}).get("theory") or {}
+                for each in summary.get("cases", ()):
+                    if tags.items() <= each.items() and each.get("theory"):
+                        self._recalled[index] = each["theory"]
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):
