@@ -83,7 +83,8 @@ def preview_s(setup: Setup) -> float:
         return 0.0
     link, period_s = setup.link, 1e-9 * setup.grid.period_ns
     ways = (way.model_copy(update={"schedule": ()}) for way in (link.uplink, link.downlink))
-    usual_ns = round_trip_ns(*map(configured_delays_ns, ways), 0.5)
+    up_ns, down_ns = map(configured_delays_ns, ways)
+    usual_ns = round_trip_ns(up_ns, down_ns, 0.5)
     round_trip_s = 1e-9 * max(usual_ns, link.playout_ns)
     goes_on = controller.between_answers == "linear" and interface.takes == "position"
     age_s = 0.0 if goes_on else controller.answer_age_s(period_s)

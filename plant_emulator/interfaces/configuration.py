@@ -79,7 +79,8 @@ class InterfaceConfiguration(StrictModel):
     @field_validator("own")
     @classmethod
     def _is_of_its_kind(cls, own: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        kind = info.data.get("kind", TORQUE)
+        if (kind := info.data.get("kind")) is None:  # which has an error of its own
+            return own
         if kind not in (TORQUE, *INTERFACES.shipped):
             INTERFACES[kind].model_validate(own)
         elif own:
