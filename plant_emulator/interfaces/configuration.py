@@ -57,7 +57,7 @@ class InterfaceConfiguration(StrictModel):
     clock_ppm: Annotated[Number, Field(ge=-_MOST_PPM, le=_MOST_PPM)] = 0.0
     phase_ms: NonNegative = 0.0
     bandwidth_rad_s: Positive = 150.0
-    own: dict[str, Any] = Field(default_factory=dict, validate_default=True)
+    own: dict[str, Any] = Field(default_factory=dict)
     servoj: ServoJSettings = ServoJSettings()
     speedj: SpeedJSettings = SpeedJSettings()
     franka_position: FrankaMotionSettings = FrankaMotionSettings()
@@ -79,7 +79,7 @@ class InterfaceConfiguration(StrictModel):
     @field_validator("own")
     @classmethod
     def _is_of_its_kind(cls, own: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        kind = info.data.get("kind", TORQUE)
+        kind = info.data.get("kind")  # None if it has an error of its own
         if own and kind in (TORQUE, *INTERFACES.shipped):
             raise ValueError(f"left out with kind = {kind}: it is for kinds of installed packages")
         return own

@@ -173,6 +173,7 @@ def test_study_refuses_to_continue_after_an_edit_of_a_package(add_package, funne
         ("link.can.protocol=toi", "toy"),
         ("link.kind=loop", "loopback"),
         ("plant.interface.kind=jogg", "jog"),
+        ("plant.interface={kind: jog, own: {speed_rad_s: fast}}", "interface.own.speed_rad_s ="),
     ],
 )
 def test_refusal_names_the_entries_of_packages(override, named):

@@ -139,6 +139,16 @@ def test_an_arm_at_constant_speed_is_behind_by_delay_and_lag(file, kind, tmp_pat
     assert abs(behind[1]) < 0.02 * expected
 
 
+def test_a_preview_counts_the_delays_of_a_trace(file, tmp_path):
+    """12 ms each way, and 8 in the robot."""
+    trace = tmp_path / "trace.csv"
+    trace.write_text("\n".join(["time_s,delay_ms", *(f"{0.1 * k:.1f},12" for k in range(100))]))
+    links = (f"link.{way}.trace={{file: {trace}, start_s: 0}}" for way in ("uplink", "downlink"))
+    robot = (KIND.format("rsi"), "plant.interface.rsi={dead_time_ms: 8, lag_ms: 0}")
+    setup = load_setup(str(file), [STREAMING, *robot, *links])
+    assert preview_s(setup) == pytest.approx(32e-3)
+
+
 def test_drives_that_go_on_along_their_targets_need_no_preview(file, tmp_path):
     """q* + v (t − stamp) is where the reference is: nothing is behind, and nothing ahead."""
     drives = (
