@@ -47,15 +47,14 @@ import numpy as np  # noqa: E402
 from llvmlite import binding  # noqa: E402
 
 _linking: Any = None
-with contextlib.suppress(ImportError):
-    from bus_schema.runtime import linked_kernels as _linking
 _Cache: Any = object
-with contextlib.suppress(ImportError):
-    # Internal to numba; without it, only loading takes longer.
-    from numba.core.caching import FunctionCache
+# Internal to numba; without it, compiling and loading take longer.
+with contextlib.suppress(ImportError, AttributeError):
+    from bus_schema.runtime import linked_kernels as _linking
+with contextlib.suppress(ImportError, AttributeError):
     from numba.core.runtime.nrt import rtsys
 
-    _Cache = FunctionCache
+    from bus_schema.runtime.located_cache import LocatedCache as _Cache
 
 
 class _CompiledBefore(_Cache):  # type: ignore[misc]
@@ -109,9 +108,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     if _linking is None:
         dispatcher = cast("Any", numba.njit)(**options)(function)
     else:
-        dispatcher = cast("Any", numba.njit)(
-            **options, pipeline_class=_linking.EntryCompiler
-        )(function)
+        dispatcher = cast("Any", numba.njit)(**options, pipeline_class=_linking.EntryCompiler)(
+            function
+        )
         _linking.link_into_callers(dispatcher, function, error_model="numpy")
     config.DISABLE_JIT = chosen
     if _is_kept and _Cache is not object and hasattr(dispatcher, "_cache"):

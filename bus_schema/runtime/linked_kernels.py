@@ -41,6 +41,10 @@ class _LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
 
     codegen = _NoMachineCode()
 
+    def _optimize_functions(self, module: Any) -> None:
+        """Leave that to the callers."""
+        module.data_layout = self._codegen._data_layout
+
     def finalize(self) -> None:
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
