@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+import numba
+from numba.core import codegen, compiler
+
+_JITCodeLibrary: Any = codegen.JITCodeLibrary
+_Compiler: Any = compiler.Compiler
+_njit: Any = numba.njit
 
 
 def link_into_callers(dispatcher: Any, function: Callable[..., Any], **options: Any) -> None:
@@ -22,7 +25,7 @@ def link_into_callers(dispatcher: Any, function: Callable[..., Any], **options: 
         function: what it compiles.
         options: of ``numba.njit``.
     """
-    linked: Any = njit(
+    linked: Any = _njit(
         no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=_LinkedCompiler, **options
     )(function)
     dispatcher.get_call_template = linked.get_call_template
@@ -36,7 +39,7 @@ class _NoMachineCode:
         """Does nothing: `EntryCompiler` does it for the callers."""
 
 
-class _LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _LinkedLibrary(_JITCodeLibrary):  # type: ignore[misc]
     """Intermediate code of a kernel, with that of the kernels that it calls."""
 
     codegen = _NoMachineCode()
@@ -56,14 +59,14 @@ class _LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
         return 0
 
 
-class _LinkedCompiler(Compiler):  # type: ignore[misc]
+class _LinkedCompiler(_Compiler):  # type: ignore[misc]
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         if self.state.library is None:
             self.state.library = _LinkedLibrary(self.state.targetctx.codegen(), "linked")
 
 
-class EntryCompiler(Compiler):  # type: ignore[misc]
+class EntryCompiler(_Compiler):  # type: ignore[misc]
     """Compiles kernels that Python calls, and their environments with those of what they call."""
 
     def compile_extra(self, function: Any) -> Any:

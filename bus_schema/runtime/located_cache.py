@@ -8,6 +8,8 @@ from numba.core import caching
 
 from bus_schema.runtime.kernel_cache import place_of
 
+_Files: Any = caching.CompileResultCacheImpl
+_FunctionCache: Any = caching.FunctionCache
 _Locator: Any = getattr(caching, "UserProvidedCacheLocator", None) or getattr(
     caching, "_UserProvidedCacheLocator", object
 )
@@ -20,11 +22,11 @@ class _ByPackage(_Locator):  # type: ignore[misc]
         return place_of(source) or str(super().get_suitable_cache_subpath(source))
 
 
-class _CacheFiles(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_ByPackage, *caching.CompileResultCacheImpl._locator_classes)
+class _CacheFiles(_Files):  # type: ignore[misc]
+    _locator_classes = (_ByPackage, *_Files._locator_classes)
 
 
-class LocatedCache(caching.FunctionCache):  # type: ignore[misc]
+class LocatedCache(_FunctionCache):  # type: ignore[misc]
     """A cache for one function."""
 
     _impl_class = _CacheFiles

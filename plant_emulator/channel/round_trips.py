@@ -91,10 +91,10 @@ def from_ping(path: Path, lines: Iterable[str], interval_s: float | None) -> Rou
     if len(replies) < 2:
         raise ValueError(f"{path}: does not contain two replies in the format of ping")
     numbers, known = np.arange(min(replies), max(replies) + 1), sorted(replies)
-    sent_s = np.interp(numbers, known, [replies[number][0] for number in known])
-    sent_s = np.maximum.accumulate(sent_s)  # ping rounds long round trips to whole milliseconds
+    times_s = np.interp(numbers, known, [replies[number][0] for number in known])
+    times_s = np.maximum.accumulate(times_s)  # ping rounds long round trips to whole milliseconds
     missing = (0.0, float("nan"))
-    return RoundTrips(sent_s, np.array([replies.get(int(n), missing)[1] for n in numbers]))
+    return RoundTrips(times_s, np.array([replies.get(int(n), missing)[1] for n in numbers]))
 
 
 def _sent_s(path: Path, stamp: str | None, number: int, interval_s: float | None) -> float:
