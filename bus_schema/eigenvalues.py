@@ -23,7 +23,9 @@ def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
     Jacobi rotations run row by row until all off-diagonal values are below rounding.
     """
     n = matrix.shape[0]
-    a, vectors = matrix.copy(), np.eye(n)
+    a, vectors, found = matrix.copy(), np.zeros((n, n)), np.empty(n)
+    for k in range(n):  # np.eye and np.diag would take longer to compile than all else here
+        vectors[k, k] = 1.0
     for _ in range(_MOST_SWEEPS):
         is_diagonal = True
         for p in range(n):
@@ -42,7 +44,9 @@ def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
                 a[p, q] = a[q, p] = 0.0
         if is_diagonal:
             break
-    return np.diag(a).copy(), vectors
+    for k in range(n):
+        found[k] = a[k, k]
+    return found, vectors
 
 
 @compiled

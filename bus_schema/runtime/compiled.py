@@ -46,13 +46,15 @@ import numba  # noqa: E402  (reads both at import)
 import numpy as np  # noqa: E402
 from llvmlite import binding  # noqa: E402
 
+_linking: Any = None
 _Cache: Any = object
-with contextlib.suppress(ImportError):
-    # Internal to numba; without it, only loading takes longer.
-    from numba.core.caching import FunctionCache
+# Internal to numba; without it, compiling and loading take longer.
+with contextlib.suppress(ImportError, AttributeError):
+    from bus_schema.runtime import linked_kernels as _linking
+with contextlib.suppress(ImportError, AttributeError):
     from numba.core.runtime.nrt import rtsys
 
-    _Cache = FunctionCache
+    from bus_schema.runtime.located_cache import LocatedCache as _Cache
 
 
 class _CompiledBefore(_Cache):  # type: ignore[misc]
@@ -102,7 +104,14 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     config = cast("Any", numba.config)
     chosen, config.DISABLE_JIT = config.DISABLE_JIT, 0  # the user's, for kernels of their own
     # A second wrapper, for C, costs as much as a kernel; nothing here passes kernels as values.
-    dispatcher = cast("Any", numba.njit)(error_model="numpy", no_cfunc_wrapper=True)(function)
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True}
+    if _linking is None:
+        dispatcher = cast("Any", numba.njit)(**options)(function)
+    else:
+        dispatcher = cast("Any", numba.njit)(**options, pipeline_class=_linking.EntryCompiler)(
+            function
+        )
+        _linking.link_into_callers(dispatcher, function, error_model="numpy")
     config.DISABLE_JIT = chosen
     if _is_kept and _Cache is not object and hasattr(dispatcher, "_cache"):
         dispatcher._cache = cast("Any", _CompiledBefore)(function)

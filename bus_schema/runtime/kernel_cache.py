@@ -19,6 +19,9 @@ FOLDER = "NUMBA_CACHE_DIR"
 """Environment variable: the folder; unset where kernels cannot be kept."""
 REFUSED = "FUNNEL_HIL_KERNELS_ARE_KEPT_ELSEWHERE"
 """Environment variable: why the usual folder is not used; children do not report it again."""
+_SOURCES = Path(__file__).resolve().parents[2]
+_PACKAGES = ("controller", "plant_emulator", "bus_schema")
+"""The packages with kernels."""
 _ENOUGH_BYTES = 32 << 20
 """Larger than all kernels."""
 
@@ -98,11 +101,17 @@ def _user_cache() -> Path:
     return cache / "funnel-hil"
 
 
+def place_of(source: str) -> str:
+    """Return the folder for the kernels of one of our files, by its package; empty for others."""
+    path = Path(source).resolve()
+    inside = path.relative_to(_SOURCES).parts[:-1] if path.is_relative_to(_SOURCES) else ()
+    return ".".join(inside) if inside[:1] and inside[0] in _PACKAGES else ""
+
+
 def _digest_of_sources() -> str:
     digest = hashlib.sha256()
-    sources = Path(__file__).resolve().parents[2]
-    for package in ("controller", "plant_emulator", "bus_schema"):
-        for source in sorted((sources / package).rglob("*.py")):
+    for package in _PACKAGES:
+        for source in sorted((_SOURCES / package).rglob("*.py")):
             text = source.read_bytes()
             if b"\n@compiled" in text:
                 digest.update(text)

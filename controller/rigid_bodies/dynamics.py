@@ -108,7 +108,7 @@ def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
         z = rotated(fixed, axis)
         moved = bodies.factors[i] * position[bodies.leaders[i]] + bodies.offsets[i]
         if bodies.slides[i]:
-            frames[i] = fixed
+            assign(frames[i], fixed)
             origin = add(origin, scaled(moved, z))
             put(placed.axes, i, (0.0, 0.0, 0.0))
             put(placed.moments, i, z)
@@ -277,5 +277,12 @@ def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) 
         parent = bodies.parents[i]
         if parent >= 0:
             placed.masses[parent] += placed.masses[i]
-            placed.first[parent] += placed.first[i]
-            placed.second[parent] += placed.second[i]
+            _add_to(placed.first[parent], placed.first[i])
+            _add_to(placed.second[parent], placed.second[i])
+
+
+@compiled
+def _add_to(sums: Vector, values: Vector) -> None:
+    """Add values to sums; with ``+=``, numba compiles its message about shapes."""
+    for k in range(values.size):
+        sums[k] += values[k]

@@ -24,6 +24,7 @@ from deploy.cli.options import IncludeOption, JointsOption, MassOption
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
+from deploy.scenario.base_units import HELD, in_unit
 from deploy.scenario.checking.checks import check, check_plant
 from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.checking.plausibility import (
@@ -148,7 +149,10 @@ def _pose(text: str | None) -> dict[str, float]:
     """Return positions of joints, by name, from ``JOINT=VALUE,…``."""
     pairs = [pair.partition("=") for pair in (text or "").split(",") if pair.strip()]
     try:
-        return {name.strip(): finite_number(name, "--hold", value) for name, _, value in pairs}
+        return {
+            name.strip(): finite_number(name, "--hold", str(in_unit(value, HELD)))
+            for name, _, value in pairs
+        }
     except RobotDescriptionError as error:
         raise InputError(f"--hold {text}: must be JOINT=VALUE,…, in rad or m: {error}") from error
 

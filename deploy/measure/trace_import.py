@@ -18,12 +18,10 @@ from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure.recordings import opened
 from deploy.measure.time_units import UNITS_MS
 from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.channel import round_trips
+from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
 
-ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
-"""tshark's field: the time from a TCP segment to its ACK."""
-_PING = re.compile(r"(?:\[([\d.]+)\] )?.*seq=(\d+) .*?time[=<]([\d.]+) ms")
 _CAN_LOG = re.compile(r"\(([\d.]+)\)\s+(\S+)\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
-_WRAP = 1 << 16
 
 
 def from_ping(file: Path, interval_s: float | None = None) -> MeasuredDelays:
@@ -36,28 +34,13 @@ def from_ping(file: Path, interval_s: float | None = None) -> MeasuredDelays:
     Raises:
         ScenarioError: it cannot be read, or has times beside `interval_s`.
     """
-    answers: dict[int, tuple[float, float]] = {}
-    newest = 0
-    for line in _lines(file, "ping"):
-        found = _PING.match(line)
-        if found is None or "(DUP!)" in line:
-            continue
-        stamp, number, round_trip_ms = found[1], int(found[2]), float(found[3])
-        number += max(0, newest - number + _WRAP // 2) // _WRAP * _WRAP  # it has 16 bits
-        newest = max(newest, number)
-        if stamp and interval_s is not None:
-            raise ScenarioError(f"{file}: --interval must be left out: it has times, by ping -D")
-        sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * (interval_s or 1.0)
-        answers[number] = sent_s, round_trip_ms / 2
-    if len(answers) < 2:
-        raise ScenarioError(f"{file}: does not contain two replies in the format of ping")
-    first, last = min(answers), max(answers)
-    numbers = np.arange(first, last + 1)
-    known = sorted(answers)
-    times_s = np.interp(numbers, known, [answers[number][0] for number in known])
-    missing = (0.0, float("nan"))
-    times_s = np.maximum.accumulate(times_s)  # ping rounds long round trips to whole milliseconds
-    return MeasuredDelays(times_s, np.array([answers.get(int(n), missing)[1] for n in numbers]))
+    lines = _lines(file, "ping")
+    has_times = any(line.startswith("[") for line in lines)
+    try:
+        found = round_trips.from_ping(file, lines, interval_s if has_times else interval_s or 1.0)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
+    return MeasuredDelays(found.sent_s, found.round_trips_ms / 2)
 
 
 def from_candump(
@@ -136,9 +119,9 @@ def from_csv(
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     start_ms, end_ms = (columns.values[name] * UNITS_MS[units[name]] for name in (sent, end_name))
-    if delay == ACK_ROUND_TRIP:  # beside the time of each ACK; no other packet has one
-        is_ack = np.isfinite(end_ms)
-        start_ms, end_ms = (start_ms - end_ms)[is_ack], 0.5 * end_ms[is_ack]
+    if delay == ACK_ROUND_TRIP:
+        found = round_trips.of_acks(start_ms / 1e3, end_ms / 1e3)
+        return MeasuredDelays(found.sent_s, found.round_trips_ms / 2)
     order = np.argsort(start_ms, kind="stable")
     delays_ms = end_ms - start_ms if received else end_ms
     return MeasuredDelays(start_ms[order] / 1e3, delays_ms[order])

@@ -17,6 +17,7 @@ from bus_schema.configuration import ConfigurationError, shown
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.configuration import PROCESS
+from deploy.scenario.base_units import in_base_units
 from deploy.scenario.checking.checks import check
 from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.checking.foreign_code import name_code
@@ -129,7 +130,7 @@ def given_values(
     given = _extended(values, source)
     for text in overrides:
         _override(given, text)
-    return given
+    return in_base_units(given)
 
 
 def _override(values: dict[str, Any], text: str) -> None:

@@ -76,7 +76,7 @@ def add_drive_torques(motion: Matrix, time_s: float, drive: DriveLoop, torques: 
     for i in range(torques.size):
         position, resolution = motion[0, i], drive.resolution_rad[i]
         if resolution > 0.0:
-            position = resolution * np.round(position / resolution)
+            position = resolution * np.rint(position / resolution)
         velocity = motion[1, i] + drive.noise_rad_s[row, i]
         target_velocity = drive.target[1, i]
         target = drive.target[0, i] + age_s * target_velocity

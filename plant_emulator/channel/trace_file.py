@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bus_schema.arrays import Vector
 from bus_schema.tables import read_columns
+from plant_emulator.channel.round_trips import measured_round_trips
 
 LOST_NS = -1
 """Stands for a delay where a message was lost."""
@@ -78,7 +80,8 @@ def read_trace(path: Path) -> Trace:
 
     Args:
         path: CSV or Parquet with columns ``time_s`` and either ``delay_ms`` or ``round_trip_ms``
-            (empty: lost), and perhaps ``lost`` (0 or 1) and ``size``, which is ignored.
+            (empty: lost), and perhaps ``lost`` (0 or 1) and ``size``, which is ignored. Or output
+            of ``ping -D``, or a table of tshark with ``tcp.analysis.ack_rtt``.
 
     Raises:
         ValueError: it cannot be read, or holds something else; the message names line and column.
@@ -92,6 +95,9 @@ def read_trace(path: Path) -> Trace:
 
 @lru_cache(maxsize=4)  # each run of a study needs it, and a large one takes seconds to read
 def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
+    found = measured_round_trips(path)
+    if found is not None:
+        return _trace(path, found.sent_s, found.round_trips_ms, is_round_trip=True)
     columns = read_columns(path, ["time_s"], [*DELAYS, "lost", "size"])
     given = [name for name in DELAYS if name in columns.values]
     if len(given) != 1:
@@ -110,9 +116,14 @@ def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
     if "lost" in columns.values:
         allowed = f"must be 1 if {given[0]} is empty, otherwise 0"
         columns.refuse_where(columns.values["lost"] != is_lost, "lost", allowed)
+    return _trace(path, times_s, delays_ms, is_round_trip=given[0] == ROUND_TRIP)
+
+
+def _trace(path: Path, times_s: Vector, delays_ms: Vector, *, is_round_trip: bool) -> Trace:
+    """Return a trace of delays, which are NaN where a message was lost."""
+    is_lost = np.isnan(delays_ms)
     if is_lost.all() or times_s[-1] == times_s[0]:
         raise ValueError(f"{path}: a trace must have a duration, and some messages must arrive")
-    is_round_trip = given[0] == ROUND_TRIP
     scale = 0.5e6 if is_round_trip else 1e6
     delays_ns = np.rint(np.where(is_lost, 0.0, delays_ms) * scale).astype(np.int64)
     delays_ns[is_lost] = LOST_NS

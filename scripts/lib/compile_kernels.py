@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import metadata
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -12,7 +13,6 @@ from bus_schema.runtime.compiled import HAS_SAID  # its import chooses where the
 from bus_schema.runtime.kernel_cache import FOLDER
 from controller.laws import TORQUE_LAWS
 
-ROOT = Path(__file__).resolve().parents[2]
 SHORT = "duration_s=0.01"
 DEFAULT = "fixed_time_adaptive"
 COMPENSATED = ["controller.delay_compensation.enabled=true"]
@@ -26,9 +26,13 @@ def main() -> None:
     """
     folder = os.environ.get(FOLDER)
     is_usual = "--usual" in sys.argv
-    # In .venv, as numba's cache of these sources is of no use to the same ones elsewhere.
-    stamps = [ROOT / ".venv" / f"kernels-{name}" for name in ("all", "usual")[: 1 + is_usual]]
-    if folder is None or any(each.is_file() and each.read_text() == folder for each in stamps):
+    if folder is None:
+        return
+    # Beside the kernels, which serve all copies of these sources, but one version of Python.
+    made_by = f"{sys.implementation.cache_tag}-numba-{metadata.version('numba')}"
+    kinds = ("all", "usual")[: 1 + is_usual]
+    stamps = [Path(folder, f"compiled-{kind}-{made_by}") for kind in kinds]
+    if any(each.is_file() for each in stamps):
         return
     if is_usual:
         print("Compiling the numerical kernels, once (up to a minute)", flush=True)
@@ -40,7 +44,7 @@ def main() -> None:
     others = [[], COMPENSATED] if is_usual else [COMPENSATED, OVER_CAN]
     for overrides in laws + others:
         simulate(load_setup("paper_arm", [SHORT, *overrides]))
-    stamps[-1].write_text(folder)
+    stamps[-1].touch()
 
 
 if __name__ == "__main__":

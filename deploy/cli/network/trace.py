@@ -17,6 +17,7 @@ from deploy.measure import trace_import
 from deploy.measure.clocks import at_least, drift_ppm, without_drift
 from deploy.measure.time_units import check_interval, units_of
 from deploy.measure.trace_output import scenario_lines, write_trace
+from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 
@@ -123,7 +124,7 @@ def import_trace(
     measurements = _read(kind, file, _Names(sent, received, delay), interval_s, interface,
                          (unit, delay_unit))  # fmt: skip
     path = out or Path(f"{file.stem}_trace.csv")
-    is_round_trip = kind is Kind.PING or delay == trace_import.ACK_ROUND_TRIP
+    is_round_trip = kind is Kind.PING or delay == ACK_ROUND_TRIP
     for bus, measured in measurements.items():
         own = path if len(measurements) == 1 else path.with_stem(f"{path.stem}_{_word(bus)}")
         try:

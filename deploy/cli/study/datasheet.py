@@ -31,7 +31,10 @@ class DatasheetOptions(GateOptions, WorkerOptions):
     scenario: ScenarioArgument = "paper_arm"
     law: Annotated[str, typer.Option(help="The control law.")] = "fixed_time_adaptive"
     network: Annotated[
-        str | None, typer.Option(metavar="LOG", help="A file of delays, or a shipped trace.")
+        str | None,
+        typer.Option(
+            metavar="LOG", help="A trace or its name, output of ping -D, or tshark's table."
+        ),
     ] = None
     plants: Annotated[int, typer.Option(min=0, help="Number of uncertain plants.")] = 0
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter runs.")] = False

@@ -279,6 +279,20 @@ def test_what_is_no_measurement_is_refused(tmp_path, funnel_hil, text, words, co
     assert not out.exists()
 
 
+def test_output_of_ping_is_the_same_trace_with_and_without_import(imported, tmp_path) -> None:
+    lines, time_s = ["PING robot (10.0.0.2) 56(84) bytes of data."], 1_700_000_000.0
+    for number, round_trip_ms in enumerate((2.04, 3.18, 70.5, 1.0), 1):
+        end = f"[{time_s + 0.01 * number + round_trip_ms / 1e3:.6f}]"
+        lines.append(f"{end} 64 bytes from x: icmp_seq={number} ttl=64 time={round_trip_ms} ms")
+    imported("ping.txt", "\n".join(lines), "ping")
+    direct = read_trace(tmp_path / "ping.txt")
+    through = read_trace(tmp_path / "trace.parquet")
+    assert direct.is_round_trip
+    assert through.is_round_trip
+    np.testing.assert_array_equal(direct.delays_ns, through.delays_ns)
+    np.testing.assert_allclose(direct.times_ns, through.times_ns, atol=1)
+
+
 def test_imported_trace_can_be_run(imported, tmp_path: Path) -> None:
     imported("ping.txt", PING, "ping", "--interval", "0.05")
     setup = load_setup(

@@ -1,0 +1,107 @@
+"""Kernels that others call become part of their callers; Python can call each of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.warm_process import ROOT
+
+KERNELS = """
+from bus_schema.runtime.compiled import compiled
+
+@compiled
+def root(value):
+    if value < -9:
+        raise ValueError("no root of", value)
+    if value < 0:
+        raise ValueError("no root")
+    return value**0.5
+
+@compiled
+def twice(value):
+    return 2.0 * root(value)
+
+@compiled
+def sum_of_roots(value):
+    return root(value) + twice(value)
+"""
+RUN = """
+import numpy as np
+from bus_schema.runtime import compiled
+assert compiled.all_finite(np.zeros(2))
+print(sum(compiled.all_finite.stats.cache_misses.values()), compiled.__file__)
+"""
+
+
+@pytest.fixture
+def kernels(tmp_path):
+    file = tmp_path / "kernels.py"
+    file.write_text(KERNELS)
+
+    def load():
+        spec = importlib.util.spec_from_file_location(file.stem, file)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
+
+
+def test_only_the_outermost_kernel_becomes_machine_code(kernels):
+    module = kernels()
+    assert module.sum_of_roots(4.0) == 6.0
+    folder = Path(module.sum_of_roots.stats.cache_path)
+    assert {file.name.partition("-")[0] for file in folder.glob("*.nbi")} == {
+        "kernels.sum_of_roots"
+    }
+    assert module.root.signatures == module.twice.signatures == []
+    assert (module.twice(9.0), module.root(9.0)) == (6.0, 3.0)
+
+
+def test_exceptions_of_inner_kernels_reach_python_with_their_arguments(kernels):
+    for module in (kernels(), kernels()):  # compiled, and loaded
+        assert math.isnan(module.sum_of_roots(math.nan))
+        with pytest.raises(ValueError, match=r"^no root$"):
+            module.sum_of_roots(-4.0)
+        with pytest.raises(ValueError, match="no root of") as raised:
+            module.sum_of_roots(-16.0)
+        assert raised.value.args == ("no root of", -16.0)
+
+
+def test_another_copy_of_the_sources_uses_the_same_machine_code(tmp_path):
+    shutil.copytree(ROOT / "bus_schema", tmp_path / "copy" / "bus_schema")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    found = []
+    for folder in (ROOT, tmp_path / "copy"):
+        words = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(folder)!r})\n{RUN}"]
+        done = subprocess.run(
+            words, capture_output=True, text=True, check=True, cwd=folder, env=environment
+        )
+        found.append(done.stdout.split())
+    assert [misses for misses, _ in found] == ["1", "0"]
+    assert found[1][1].startswith(str(tmp_path))
+
+
+def test_kernels_work_without_what_numba_keeps_to_itself(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    words = f"""
+import sys
+sys.path[:0] = [{str(ROOT)!r}, {str(tmp_path)!r}]
+import numba.core.codegen
+del numba.core.codegen.JITCodeLibrary
+from kernels import root, sum_of_roots
+print(sum_of_roots(4.0), len(root.signatures))
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    done = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, check=True, env=environment
+    )
+    assert done.stdout.split() == ["6.0", "1"]

@@ -1,0 +1,60 @@
+"""Angles in degrees and lengths in mm are those in rad and m, wherever a scenario has them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from deploy.scenario.base_units import in_base_units
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "expected"),
+    [
+        ("angle_rad", "180deg", math.pi),
+        ("angle_rad", "-0.5 deg", -math.pi / 360),
+        ("angle_rad", "2mrad", 0.002),
+        ("final_rad", ["90deg", 1, "1e1deg"], [math.pi / 2, 1, math.pi / 18]),
+        ("speed_rad_s", "360deg/s", 2 * math.pi),
+        ("limit_rad_s2", "90deg/s2", math.pi / 2),
+        ("length_m", "5mm", 0.005),
+        ("speed_m_s", "5cm/s", 0.05),
+    ],
+)
+def test_values_with_units_are_those_of_their_key(key, given, expected):
+    found = in_base_units({"a": [{key: given}]})["a"][0][key]
+    assert found == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("key", "given"),
+    [("a_rad", "2mm"), ("a_m", "2deg"), ("stiffness_nm_rad", "2deg"), ("law", "2deg"),
+     ("a_rad", "1e3"), ("a_rad", "deg"), ("a_rad_s", "2deg")],
+)  # fmt: skip
+def test_other_texts_stay_as_they_are(key, given):
+    assert in_base_units({key: given}) == {key: given}
+
+
+def test_scenario_in_degrees_is_the_scenario_in_rad():
+    keys = "robot.initial_offset_rad", "funnel.final_rad"
+    degrees = [0.5, 0.4]
+    one = load_setup("paper_arm", [f"{k}={v}deg" for k, v in zip(keys, degrees, strict=True)])
+    other = load_setup(
+        "paper_arm", [f"{k}={math.radians(v)!r}" for k, v in zip(keys, degrees, strict=True)]
+    )
+    np.testing.assert_allclose(one.start_position_rad, other.start_position_rad, rtol=1e-14)
+    np.testing.assert_allclose(one.funnel.final_rad, other.funnel.final_rad, rtol=1e-14)
+
+
+def test_held_joints_are_angles_or_lengths():
+    found = in_base_units({"robot": {"hold": {"lift": "200mm", "head": "90deg"}}})
+    assert found["robot"]["hold"] == {"lift": 0.2, "head": pytest.approx(math.pi / 2, rel=1e-15)}
+
+
+def test_unit_that_does_not_fit_is_refused_with_its_key():
+    with pytest.raises(ScenarioError, match=r"initial_offset_rad.*'2mm'"):
+        load_setup("paper_arm", ["robot.initial_offset_rad=2mm"])
