@@ -35,7 +35,7 @@ from controller.cycle_messages import CycleMessages
 from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.slow_law import SlowLaw, checked_rows
+from controller.slow_law import Starvation, checked_rows
 from controller.torque_guard import TorqueGuard
 
 logger = logging.getLogger(__name__)
@@ -50,6 +50,7 @@ class ControlTask:
         limits: limits of torques and motion.
         compensation: predicts the state in which a torque will act; None for none.
         sends_targets: commands carry targets for drives that close their own loop.
+        longest_step_s: time between states above which some were absent: the law's step is 0 then.
     """
 
     robot: RobotDescription
@@ -60,6 +61,7 @@ class ControlTask:
     limits: JointLimits
     compensation: DelayCompensation | None = None
     sends_targets: bool = False
+    longest_step_s: float = math.inf
 
 
 class ControlLoop:
@@ -178,8 +180,9 @@ class ControlLoop:
             "limits": self._guard.counts.summary(), "kernel": own_kernel(),
             "newest_cycle_s": 1e-9 * self._status.cycle_started_ns, "seed_used": is_seed_used(),
         }  # fmt: skip
-        if isinstance(self._task.law, SlowLaw):
-            counts["starved"] = self._task.law.starvation.summary()
+        starvation: Starvation | None = getattr(self._task.law, "starvation", None)
+        if starvation is not None:
+            counts["starved"] = starvation.summary()
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()
         return counts
@@ -201,13 +204,14 @@ class ControlLoop:
             self.late += 1
             self._write()
             return False
-        step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
+        step_s = (stamp_ns - self.stamp_ns) * 1e-9 if self.stamp_ns >= 0 else 0.0
+        if step_s > self._task.longest_step_s:
+            step_s = 0.0
         self.stamp_ns = stamp_ns
         messages.accept()
         self.tracking.update(
-            (stamp_ns - self._start_ns) * 1e-9, step_ns * 1e-9, self._task.reference,
-            self._task.funnel,
-        )  # fmt: skip
+            (stamp_ns - self._start_ns) * 1e-9, step_s, self._task.reference, self._task.funnel
+        )
         return True
 
     def _read_plant_status(self, plant_status: bytes | None, stamp_ns: int) -> int:

@@ -119,6 +119,7 @@ class SlowLaw:
     def torque(self, tracking: Tracking) -> Vector:
         """Torque in force at a state, N m, shape (joints,)."""
         now_s, coming = tracking.time_s, self._coming
+        self._unasked_s += tracking.step_s
         if coming is not None and now_s >= coming.ready_s - _NEAR * self._timing.period_s:
             self._in_force, self._coming = coming, None
         if self._states % self._timing.every == 0 and self._coming is None:
@@ -151,11 +152,13 @@ class SlowLaw:
     def _forget(self) -> None:
         self._random = plain_generator(self._timing.seed)
         self._states = self._asked = 0
+        self._unasked_s = 0.0
         self.starvation = Starvation()
         self._in_force = self._coming = None
 
     def _ask(self, tracking: Tracking) -> _Answer:
-        joints = tracking.position.size
+        joints, step_s = tracking.position.size, tracking.step_s
+        tracking.step_s, self._unasked_s = self._unasked_s, 0.0
         torques = checked_rows("torques", self._law.torque(tracking), (joints,))
         wanted = (
             [tracking.reference_position, tracking.reference_velocity]
@@ -163,6 +166,7 @@ class SlowLaw:
             else self._own_target(tracking)
         )
         targets = checked_rows("targets", wanted, (2, joints))
+        tracking.step_s = step_s
         jitter_s = self._timing.jitter_s
         jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
         inference_s = self._timing.first_s if self._asked == 1 else self._timing.inference_s

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
@@ -26,19 +24,12 @@ class OuterLaw:
         self._torque: Vector = np.zeros(joints)
         self._target: Matrix = np.zeros((2, joints))
         self._ahead: Matrix = np.zeros((3, joints))
-        self._preview_s, self._longest_step_s = 0.0, math.inf
+        self._preview_s = 0.0
         self._reference: Reference | None = None
 
-    def follow(self, reference: Reference, preview_s: float, longest_step_s: float) -> None:
-        """Read a reference ahead of a state, and integrate over no absence of states.
-
-        Args:
-            reference: positions that the robot follows.
-            preview_s: how far ahead of a state it is read.
-            longest_step_s: time between states above which some were absent.
-        """
+    def follow(self, reference: Reference, preview_s: float) -> None:
+        """Read a reference this far ahead of a state."""
         self._reference, self._preview_s = reference, preview_s
-        self._longest_step_s = longest_step_s
 
     def reset(self) -> None:
         """Forget everything."""
@@ -46,10 +37,6 @@ class OuterLaw:
     def torque(self, tracking: Tracking) -> Vector:  # noqa: ARG002
         """Return zeros: the robot's own controller finds its torques."""
         return self._torque
-
-    def step_s(self, tracking: Tracking) -> float:
-        """Return the time to integrate over; 0 after an absence of states."""
-        return tracking.step_s if tracking.step_s <= self._longest_step_s else 0.0
 
     def ahead(self, tracking: Tracking) -> Matrix:
         """Return the previewed reference: position, velocity, acceleration; shape (3, joints)."""

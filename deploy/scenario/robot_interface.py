@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
@@ -20,21 +21,33 @@ _KEY = "plant.interface.kind"
 _LAW = "controller.law"
 
 
-def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
-    """Return a law whose commands are what the robot takes.
+def law_for_robot(setup: Setup) -> ControlLaw:
+    """Return the scenario's law, asked as often as it says, with commands that the robot takes.
 
     A law of positions or velocities reads the reference ahead; the torque of another one moves the
-    nominal model.
+    nominal model at each state, however seldom the law is asked.
     """
-    longest_step_s = 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
-    if isinstance(law, OuterLaw):
-        law.follow(setup.reference.copied(), preview_s(setup), longest_step_s)
-        return law
-    if takes_torque(setup) or hasattr(law, "target"):
-        return law
+    controller = setup.scenario.controller
     rotors = setup.scenario.plant.actuator.rotor_inertia(setup.robot.joints)
-    model = setup.scenario.controller.nominal_model(setup.nominal, rotors)
-    return Admittance(law, model, setup.largest_torques_nm, longest_step_s)
+    law = controller.build_law(setup.gains, setup.nominal, rotors)
+    if isinstance(law, OuterLaw):
+        law.follow(setup.reference.copied(), preview_s(setup))
+    takes = setup.scenario.plant.interface.takes
+    period_s, gives_targets = 1e-9 * setup.grid.period_ns, hasattr(law, "target")
+    paced = controller.paced(law, period_s, setup.scenario.seed, takes if gives_targets else TORQUE)
+    if takes == TORQUE or gives_targets:
+        return paced
+    model = controller.nominal_model(setup.nominal, rotors)
+    return Admittance(paced, model, setup.largest_torques_nm)
+
+
+def longest_step_s(setup: Setup) -> float:
+    """Return the time between states over which a law integrates at most.
+
+    The motion of a robot that takes targets would jump after an absence of states.
+    """
+    is_bounded = not takes_torque(setup)
+    return 1e-9 * ABSENCE_STATES * setup.grid.period_ns if is_bounded else math.inf
 
 
 def takes_torque(setup: Setup) -> bool:

@@ -28,7 +28,12 @@ from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
 from deploy.scenario.plant_count import FunnelCounter
 from deploy.scenario.playout import horizon_settings, resolved_link
-from deploy.scenario.robot_interface import interface_in_force, law_for_robot, takes_torque
+from deploy.scenario.robot_interface import (
+    interface_in_force,
+    law_for_robot,
+    longest_step_s,
+    takes_torque,
+)
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -116,12 +121,7 @@ class Setup:
             robot=self.robot,
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
-            law=controller.paced(
-                law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
-                1e-9 * self.grid.period_ns,
-                self.scenario.seed,
-                self.scenario.plant.interface.takes,
-            ),
+            law=law_for_robot(self),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
@@ -132,6 +132,7 @@ class Setup:
                 rotors,
             ),
             sends_targets=controller.drive_feedback.enabled or not takes_torque(self),
+            longest_step_s=longest_step_s(self),
         )
 
     @property

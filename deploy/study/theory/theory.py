@@ -9,7 +9,6 @@ it answers small errors there. States are sampled, torques are held. Two things 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -98,7 +97,7 @@ def _outer_law(law: ControlLaw, setup: Setup) -> LinearLaw | str:
     robot = _robot(setup)
     if robot is None or not isinstance(law, OuterLaw):
         return _OWN_LOOPS
-    law.follow(setup.reference, 0.0, math.inf)  # at rest, as the probe has it
+    law.follow(setup.reference, 0.0)  # at rest, as the probe has it
     found = linear_law(law, setup, robot.row)
     if isinstance(found, LinearLaw) and not robot.shows_velocity:
         reads_velocity = bool(found.taps[:, :, setup.robot.joints :].any())
