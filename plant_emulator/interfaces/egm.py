@@ -14,13 +14,14 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import NonNegative, Positive
-from plant_emulator.interfaces.interface import Motion, Reflex, is_over
+from plant_emulator.interfaces.interface import Integrator, Motion, Reflexes
+from plant_emulator.interfaces.missing_targets import Silence
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes
 
 TIMEOUT = "egm_communication_timeout"
 
 
-class Egm:
+class Egm(Reflexes):
     """Corrections with a gain, a filter and a time-out that is a fault.
 
     Args:
@@ -35,27 +36,21 @@ class Egm:
     ) -> None:
         self._period_s, self._gain_per_s, self._timeout_s = period_s, gain_per_s, timeout_s
         self._share = 1.0 - math.exp(-2.0 * math.pi * filter_hz * period_s)
-        self.reflex: Reflex | None = None
+        self._silence = Silence(period_s, timeout_s)
 
     def start(self, position_rad: Vector) -> None:
-        self._position, self._silent_s = position_rad.copy(), 0.0
-        self._velocity: Vector = np.zeros(position_rad.size)
-        self._target: Matrix = np.stack([position_rad, self._velocity])
+        self._joints = Integrator(position_rad)
+        self._target: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
+        self._silence.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        period_s = self._period_s
-        self._silent_s = 0.0 if target is not None else self._silent_s + period_s
         if target is not None:
             self._target = target.copy()
-        if is_over(self._silent_s, self._timeout_s):
-            words = f"no correction for {1e3 * self._timeout_s:g} ms"
-            self.reflex = Reflex(TIMEOUT, -1, words)
-        wanted = self._target[1] + self._gain_per_s * (self._target[0] - self._position)
-        change = self._share * (wanted - self._velocity)
-        motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
-        self._position += period_s * (self._velocity + 0.5 * change)
-        self._velocity = self._velocity + change
-        return motion
+        if self._silence.note(has_target=target is not None):
+            self.stop(TIMEOUT, f"no correction for {1e3 * self._timeout_s:g} ms")
+        joints = self._joints
+        wanted = self._target[1] + self._gain_per_s * (self._target[0] - joints.position_rad)
+        return joints.step(self._share * (wanted - joints.velocity_rad_s), self._period_s)
 
 
 class EgmSettings(InterfaceSettings):

@@ -17,7 +17,8 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflexes
+from plant_emulator.interfaces.missing_targets import LostInARow
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes
 
 MOST_LOST = 20
@@ -29,6 +30,11 @@ _JERK = f"{_PREFIX}acceleration_discontinuity"
 _ROUNDING = 1.0 + 1e-6
 
 
+def filter_share(period_s: float, filter_hz: float) -> float:
+    """Return the share of what is left that libfranka's low pass takes in a cycle."""
+    return period_s / (period_s + 1.0 / (2.0 * math.pi * filter_hz))
+
+
 class MotionLimits(NamedTuple):
     """Largest velocity, acceleration and jerk of a joint, rad/s, rad/s², rad/s³."""
 
@@ -37,7 +43,7 @@ class MotionLimits(NamedTuple):
     jerk_rad_s3: float
 
 
-class FrankaMotion:
+class FrankaMotion(Reflexes):
     """Positions or velocities of a Franka arm.
 
     Args:
@@ -54,18 +60,18 @@ class FrankaMotion:
     ) -> None:  # fmt: skip
         self._period_s, self._limits = period_s, limits
         self._takes_velocities, self._limiter = takes_velocities, limiter
-        self._share = period_s / (period_s + 1.0 / (2.0 * math.pi * filter_hz))
-        self.reflex: Reflex | None = None
+        self._share, self._lost = filter_share(period_s, filter_hz), LostInARow(MOST_LOST)
 
     def start(self, position_rad: Vector) -> None:
         self._position = position_rad.copy()
         self._velocity, self._acceleration = np.zeros((2, position_rad.size))
-        self._lost = 0
+        self._lost.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
         period_s = self._period_s
         velocity = self._velocity + period_s * self._acceleration
-        self._lost = 0 if target is not None else self._lost + 1
+        if self._lost.note(has_target=target is not None):
+            self.stop(LOST, f"{MOST_LOST} targets in a row were late or lost")
         if target is not None:
             velocity = self._wanted(target)
         acceleration = (velocity - self._velocity) / period_s
@@ -92,10 +98,7 @@ class FrankaMotion:
         return np.asarray(self._velocity + period_s * np.clip(wanted, -down, up))
 
     def _check(self, velocity: Vector, acceleration: Vector) -> None:
-        """Note a reflex if targets were lost or a limit is passed."""
-        if self._lost >= MOST_LOST:
-            self.reflex = Reflex(LOST, -1, f"{MOST_LOST} targets in a row were late or lost")
-            return
+        """Note a reflex if a limit is passed."""
         jerk = (acceleration - self._acceleration) / self._period_s
         fastest, most, jerkiest = self._limits
         for kind, values, limit, unit in (
@@ -104,9 +107,8 @@ class FrankaMotion:
             (_JERK, jerk, jerkiest, "rad/s³"),
         ):
             joint = int(np.abs(values).argmax())
-            if self.reflex is None and abs(values[joint]) > limit * _ROUNDING:
-                words = f"{abs(values[joint]):.3g} of at most {limit:g} {unit}"
-                self.reflex = Reflex(kind, joint, words)
+            if abs(values[joint]) > limit * _ROUNDING:
+                self.stop(kind, f"{abs(values[joint]):.3g} of at most {limit:g} {unit}", joint)
 
 
 class FrankaMotionSettings(InterfaceSettings):

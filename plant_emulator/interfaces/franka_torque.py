@@ -13,15 +13,16 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.franka import LOST, MOST_LOST
-from plant_emulator.interfaces.interface import Reflex
+from plant_emulator.interfaces.franka import LOST, MOST_LOST, filter_share
+from plant_emulator.interfaces.interface import Reflexes
+from plant_emulator.interfaces.missing_targets import LostInARow
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes
 
 _RATE = "controller_torque_discontinuity"
 _ROUNDING = 1.0 + 1e-6
 
 
-class FrankaTorque:
+class FrankaTorque(Reflexes):
     """Torques of a Franka arm.
 
     Args:
@@ -35,19 +36,18 @@ class FrankaTorque:
         self, period_s: float, most_nm_s: float, *, limiter: bool, filter_hz: float
     ) -> None:
         self._most_nm, self._limiter = most_nm_s * period_s, limiter
-        self._share = period_s / (period_s + 1.0 / (2.0 * math.pi * filter_hz))
-        self.reflex: Reflex | None = None
+        self._share, self._lost = filter_share(period_s, filter_hz), LostInARow(MOST_LOST)
 
     def start(self, position_rad: Vector) -> None:
         """Begin; the first torque is no step."""
-        self._torque, self._lost = np.full(position_rad.size, np.nan), 0
+        self._torque = np.full(position_rad.size, np.nan)
+        self._lost.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Vector:  # noqa: ARG002
         """Return the torque from this cycle on; the target has it as its only row."""
         torque_nm = None if target is None else target[0]
-        self._lost = 0 if torque_nm is not None else self._lost + 1
-        if self._lost >= MOST_LOST:
-            self.reflex = Reflex(LOST, -1, f"{MOST_LOST} torques in a row were late or lost")
+        if self._lost.note(has_target=torque_nm is not None):
+            self.stop(LOST, f"{MOST_LOST} torques in a row were late or lost")
         if torque_nm is not None:
             self._admit(torque_nm)
         return self._torque
@@ -61,7 +61,7 @@ class FrankaTorque:
         joint = int(steps.argmax())
         if steps[joint] > self._most_nm * _ROUNDING:
             words = f"{steps[joint]:.3g} N m in a cycle, of at most {self._most_nm:.3g}"
-            self.reflex = Reflex(_RATE, joint, words)
+            self.stop(_RATE, words, joint)
         self._torque = wanted
 
 

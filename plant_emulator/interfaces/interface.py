@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from bus_schema.arrays import Matrix, Vector
+import numpy as np
 
-_ROUNDING_S = 1e-9
+from bus_schema.arrays import Matrix, Vector
 
 
 class Motion(NamedTuple):
@@ -37,9 +37,42 @@ class Reflex(NamedTuple):
     words: str
 
 
-def is_over(silent_s: float, timeout_s: float) -> bool:
-    """Whether a robot that has waited so long for a target has timed out."""
-    return silent_s >= timeout_s - _ROUNDING_S
+class Reflexes:
+    """Reflexes of a robot's own controller: the first one stops it, and stays.
+
+    Attributes:
+        reflex: why the robot has stopped; None while it moves.
+    """
+
+    reflex: Reflex | None = None
+
+    def stop(self, kind: str, words: str, joint: int = -1) -> None:
+        """Note a reflex, unless the robot has stopped already."""
+        if self.reflex is None:
+            self.reflex = Reflex(kind, joint, words)
+
+
+class Integrator:
+    """Positions and velocities of joints that a robot accelerates.
+
+    Args:
+        position_rad: of the joints, at rest, shape (joints,).
+
+    Attributes:
+        position_rad: now.
+        velocity_rad_s: now.
+    """
+
+    def __init__(self, position_rad: Vector) -> None:
+        self.position_rad = position_rad.copy()
+        self.velocity_rad_s: Vector = np.zeros(position_rad.size)
+
+    def step(self, change_rad_s: Vector, period_s: float) -> Motion:
+        """Return the motion of a cycle in which velocities change steadily by so much."""
+        position, velocity = self.position_rad, self.velocity_rad_s
+        self.position_rad = position + period_s * (velocity + 0.5 * change_rad_s)
+        self.velocity_rad_s = velocity + change_rad_s
+        return Motion(position, velocity, change_rad_s / period_s)
 
 
 class RobotInterface(Protocol):

@@ -13,12 +13,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflexes
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings
 
 
-class JointTrajectory:
+class JointTrajectory(Reflexes):
     """Points with positions, or with positions and velocities, reached after a set time.
 
     Args:
@@ -38,7 +38,6 @@ class JointTrajectory:
     ) -> None:  # fmt: skip
         self._period_s, self._response, self._after_s = period_s, response, point_after_s
         self._is_cubic, self._from_desired = is_cubic, from_desired
-        self.reflex: Reflex | None = None
 
     def start(self, position_rad: Vector) -> None:
         self._response.start(position_rad)

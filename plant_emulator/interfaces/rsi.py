@@ -14,14 +14,15 @@ from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Whole
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflexes
+from plant_emulator.interfaces.missing_targets import LostInARow
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings
 
 TIMEOUT = "rsi_late_packets"
 
 
-class Rsi:
+class Rsi(Reflexes):
     """Positions with a count of late packets.
 
     Args:
@@ -32,21 +33,21 @@ class Rsi:
 
     def __init__(self, response: Response, most_late: int, *, holds: bool) -> None:
         self._response, self._most_late, self._holds = response, most_late, holds
-        self.reflex: Reflex | None = None
+        self._lost = LostInARow(most_late)
 
     def start(self, position_rad: Vector) -> None:
         self._response.start(position_rad)
         self._home: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
-        self._target, self._late = self._home, 0
+        self._target = self._home
+        self._lost.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        self._late = 0 if target is not None else self._late + 1
         if target is not None:
             self._target = target.copy()
         elif not self._holds:
             self._target = self._home
-        if self._late >= self._most_late:
-            self.reflex = Reflex(TIMEOUT, -1, f"{self._late} packets in a row were late")
+        if self._lost.note(has_target=target is not None):
+            self.stop(TIMEOUT, f"{self._most_late} packets in a row were late")
         return self._response.step(self._target)
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import NonNegative
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflexes
 from plant_emulator.interfaces.settings import InterfaceSettings
 
 
-class Servo:
+class Servo(Reflexes):
     """Targets with a dead band and a resolution.
 
     Args:
@@ -27,7 +27,6 @@ class Servo:
 
     def __init__(self, dead_band_rad: float, resolution_rad: float) -> None:
         self._dead_band_rad, self._resolution_rad = dead_band_rad, resolution_rad
-        self.reflex: Reflex | None = None
 
     def start(self, position_rad: Vector) -> None:
         self._position: Vector = position_rad.copy()

@@ -15,7 +15,8 @@ from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Number, Positive
-from plant_emulator.interfaces.interface import Motion, Reflex, is_over
+from plant_emulator.interfaces.interface import Motion, Reflexes
+from plant_emulator.interfaces.missing_targets import Silence
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings, TimeoutMs
 
@@ -24,7 +25,7 @@ _DEAD_MS, _SMOOTHING, _PER_GAIN = 4.0, 2.0 / 3.0, 200.0
 """Dead time; share of the lookahead that is lag, and its growth with a smaller gain."""
 
 
-class ServoJ:
+class ServoJ(Reflexes):
     """Positions with extrapolation, time-out and a response.
 
     Args:
@@ -38,33 +39,34 @@ class ServoJ:
         self, period_s: float, response: Response, timeout_s: float, stop_rad_s2: float
     ) -> None:
         self._period_s, self._response = period_s, response
-        self._timeout_s, self._stop = timeout_s, stop_rad_s2
-        self.reflex: Reflex | None = None
+        self._braking, self._silence = stop_rad_s2, Silence(period_s, timeout_s)
 
     def start(self, position_rad: Vector) -> None:
         self._response.start(position_rad)
         self._target = np.stack([position_rad, np.zeros(position_rad.size)])
-        self._silent_s, self._has_target = 0.0, False
+        self._silence.start()
+        self._has_target = False
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        since_s = self._silent_s + self._period_s
-        if target is not None and self._is_reachable(target[0], since_s):
+        since_s = self._silence.silent_s + self._period_s
+        is_taken = target is not None and self._is_reachable(target[0], since_s)
+        stops = self._silence.note(has_target=is_taken)
+        if target is not None and is_taken:
             speed = (target[0] - self._target[0]) / since_s if self._has_target else 0.0
             self._target[0], self._target[1] = target[0], speed
-            self._silent_s, self._has_target = 0.0, True
+            self._has_target = True
         else:
-            self._silent_s = since_s
-            self._go_on()
+            self._go_on(stops=stops)
         return self._response.step(self._target)
 
     def _is_reachable(self, position: Vector, since_s: float) -> bool:
         needed = np.abs(position - self._target[0]).max() / since_s
         return not self._has_target or bool(needed <= _FASTEST_RAD_S)
 
-    def _go_on(self) -> None:
+    def _go_on(self, *, stops: bool) -> None:
         """Extrapolate the target; brake after the time-out."""
-        if is_over(self._silent_s, self._timeout_s):
-            most = self._stop * self._period_s
+        if stops:
+            most = self._braking * self._period_s
             self._target[1] -= np.clip(self._target[1], -most, most)
         self._target[0] += self._period_s * self._target[1]
 

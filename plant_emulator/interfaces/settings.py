@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -17,7 +18,7 @@ TimeoutMs = Annotated[Positive, Field(le=200)]
 Automatic = NonNegative | Literal["auto"]
 
 
-class InterfaceSettings(StrictModel):
+class InterfaceSettings(StrictModel, ABC):
     """Settings of a kind of interface.
 
     Attributes:
@@ -37,13 +38,13 @@ class InterfaceSettings(StrictModel):
         """Return the lag of joints that move steadily behind what a cycle of a length reads."""
         return 0.0
 
+    @abstractmethod
     def build(self, period_s: float) -> RobotInterface:
         """Return a new controller of the robot.
 
         Args:
             period_s: of its cycles, by its own clock.
         """
-        raise NotImplementedError
 
 
 class ResponseSettings(InterfaceSettings):

@@ -13,11 +13,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflex, is_over
+from plant_emulator.interfaces.interface import Integrator, Motion, Reflexes
+from plant_emulator.interfaces.missing_targets import Silence
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes, TimeoutMs
 
 
-class SpeedJ:
+class SpeedJ(Reflexes):
     """Velocities with a limit of acceleration.
 
     Args:
@@ -32,26 +33,21 @@ class SpeedJ:
         self, period_s: float, acceleration_rad_s2: float, timeout_s: float, stop_rad_s2: float
     ) -> None:
         self._period_s, self._most = period_s, acceleration_rad_s2
-        self._timeout_s, self._stop = timeout_s, stop_rad_s2
-        self.reflex: Reflex | None = None
+        self._braking, self._silence = stop_rad_s2, Silence(period_s, timeout_s)
 
     def start(self, position_rad: Vector) -> None:
-        self._position, self._silent_s = position_rad.copy(), 0.0
-        self._velocity, self._wanted = np.zeros((2, position_rad.size))
+        self._joints = Integrator(position_rad)
+        self._wanted: Vector = np.zeros(position_rad.size)
+        self._silence.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        period_s = self._period_s
-        self._silent_s = 0.0 if target is not None else self._silent_s + period_s
         if target is not None:
-            self._wanted[:] = target[1]
-        stops = is_over(self._silent_s, self._timeout_s)
-        wanted = np.zeros_like(self._wanted) if stops else self._wanted
-        most = (self._stop if stops else self._most) * period_s
-        change = np.clip(wanted - self._velocity, -most, most)
-        motion = Motion(self._position.copy(), self._velocity.copy(), change / period_s)
-        self._position += period_s * (self._velocity + 0.5 * change)
-        self._velocity += change
-        return motion
+            self._wanted = target[1].copy()
+        most = self._most * self._period_s
+        if self._silence.note(has_target=target is not None):
+            self._wanted, most = 0.0 * self._wanted, self._braking * self._period_s
+        change = np.clip(self._wanted - self._joints.velocity_rad_s, -most, most)
+        return self._joints.step(change, self._period_s)
 
 
 class SpeedJSettings(InterfaceSettings):
