@@ -245,10 +245,6 @@ class ControllerConfiguration(StrictModel):
             raise ValueError(
                 f"law {EXTERNAL} needs external.command, the program and its arguments"
             )
-        if self.external.targets and not self.drive_feedback.enabled:
-            raise ValueError(
-                "external.targets must be false, unless drive_feedback.enabled is true"
-            )
         return self
 
     @field_validator("process")
@@ -429,6 +425,18 @@ class ControllerConfiguration(StrictModel):
             keeps_velocity=takes == "velocity",
         )  # fmt: skip
         return SlowLaw(law, timing)
+
+    def answer_age_s(self, period_s: float) -> float:
+        """Return the mean time from a question to the states at which its answer is in force.
+
+        The law is asked at every N-th state that finds no question open.
+
+        Args:
+            period_s: of the control loop.
+        """
+        waits = math.ceil(1e-3 * self.inference_ms / period_s - 1e-6)
+        asked_every = self.every * max(1, -(-waits // self.every))
+        return (waits + 0.5 * (asked_every - 1)) * period_s
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Return the bound on the law's settling time, s; None for a law without one."""

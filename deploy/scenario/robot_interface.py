@@ -5,20 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from bus_schema.configuration import ConfigurationError
 from controller.control_law import ABSENCE_STATES, ControlLaw
-from controller.laws import LAWS
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
-    from deploy.scenario.definition import ScenarioConfiguration
     from deploy.scenario.setup import Setup
-
-_KEY = "plant.interface.kind"
-_LAW = "controller.law"
 
 
 def law_for_robot(setup: Setup) -> ControlLaw:
@@ -65,15 +59,20 @@ def interface_in_force(setup: Setup) -> InterfaceConfiguration:
 def preview_s(setup: Setup) -> float:
     """Return how far ahead of a state the reference is read.
 
-    ``auto`` is the emulated round trip, or the play-out time if that is longer, and the lag of the
-    robot's own controller.
+    ``auto`` is the emulated round trip, or the play-out time if that is longer, the mean age of a
+    slow law's answer, and the lag of the robot's own controller. It is 0 for drives that close a
+    loop around targets: they move a target on with its velocity since its state.
     """
-    wanted_ms = setup.scenario.controller.preview_ms
-    if wanted_ms != "auto":
-        return 1e-3 * wanted_ms
-    link = setup.link
+    controller, interface = setup.scenario.controller, setup.scenario.plant.interface
+    if controller.preview_ms != "auto":
+        return 1e-3 * controller.preview_ms
+    if not interface.has_controller:
+        return 0.0
+    link, period_s = setup.link, 1e-9 * setup.grid.period_ns
     round_trip_ns = max(link.emulated_round_trip_ns, link.playout_ns)
-    return 1e-9 * round_trip_ns + robot_lag_s(setup)
+    moves_on = controller.between_answers == "linear" and interface.takes == "position"
+    age_s = 0.0 if moves_on else controller.answer_age_s(period_s)
+    return 1e-9 * round_trip_ns + age_s + robot_lag_s(setup)
 
 
 def robot_lag_s(setup: Setup) -> float:
@@ -83,44 +82,3 @@ def robot_lag_s(setup: Setup) -> float:
         return interface.lag_s
     drive = setup.drive  # which takes no velocities
     return interface.lag_s + float((drive.damping_nm_s / drive.stiffness_nm_rad).mean())
-
-
-def check_interface(setup: Setup) -> None:
-    """Check that the law gives what the robot takes, over a link that can carry it.
-
-    Raises:
-        ConfigurationError: it does not.
-    """
-    scenario = setup.scenario
-    controller, interface = scenario.controller, scenario.plant.interface
-    takes, where = interface.takes, f"{_KEY} = {interface.kind}"
-    gives = LAWS[controller.law].gives if controller.law in LAWS else TORQUE
-    if takes == TORQUE and gives != TORQUE and not controller.drive_feedback.enabled:
-        allowed = f"gives no torque, and {where} takes nothing else"
-        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
-    if takes != TORQUE and gives not in (takes, "motion", TORQUE):
-        allowed = f"gives {gives}, and {where} takes {takes}"
-        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
-    if interface.has_controller:
-        _check_link(scenario, is_predicted=takes == TORQUE)
-    elif controller.clock_ppm:
-        allowed = f"must be 0 where {where}: there is no second clock"
-        raise ConfigurationError("controller.clock_ppm", controller.clock_ppm, allowed, [_KEY])
-
-
-def _check_link(scenario: ScenarioConfiguration, *, is_predicted: bool) -> None:
-    """Check what does not go with a robot that has a controller of its own."""
-    feedback, compensation = (
-        section.enabled
-        for section in (scenario.controller.drive_feedback, scenario.controller.delay_compensation)
-    )
-    conflicts = {
-        "link.kind": (scenario.link.kind, scenario.link.kind == "can"),
-        "controller.drive_feedback.enabled": (True, feedback),
-        "controller.delay_compensation.enabled": (True, compensation and not is_predicted),
-    }
-    for key, (value, is_in_conflict) in conflicts.items():
-        if is_in_conflict:
-            kind = scenario.plant.interface.kind
-            allowed = f"must be another value with {_KEY} = {kind}"
-            raise ConfigurationError(key, value, allowed, [_KEY])

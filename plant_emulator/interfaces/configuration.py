@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
 from bus_schema.errors import did_you_mean
@@ -57,7 +57,7 @@ class InterfaceConfiguration(StrictModel):
     clock_ppm: Annotated[Number, Field(ge=-_MOST_PPM, le=_MOST_PPM)] = 0.0
     phase_ms: NonNegative = 0.0
     bandwidth_rad_s: Positive = 150.0
-    own: dict[str, Any] = Field(default_factory=dict)
+    own: dict[str, Any] = Field(default_factory=dict, validate_default=True)
     servoj: ServoJSettings = ServoJSettings()
     speedj: SpeedJSettings = SpeedJSettings()
     franka_position: FrankaMotionSettings = FrankaMotionSettings()
@@ -76,14 +76,15 @@ class InterfaceConfiguration(StrictModel):
             raise ValueError(f"one of {known}{did_you_mean(kind, INTERFACES)}")
         return kind
 
-    @model_validator(mode="after")
-    def _takes_its_own_settings(self) -> InterfaceConfiguration:
-        if self.kind in (TORQUE, *INTERFACES.shipped):
-            if self.own:
-                raise ValueError(f"own must be left out with {self.kind}")
-        else:
-            INTERFACES[self.kind].model_validate(self.own)
-        return self
+    @field_validator("own")
+    @classmethod
+    def _belong_to_the_kind(cls, own: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        kind = info.data.get("kind", TORQUE)  # absent if it is wrong itself
+        if kind not in (TORQUE, *INTERFACES.shipped):
+            INTERFACES[kind].model_validate(own)
+        elif own and "kind" in info.data:
+            raise ValueError(f"left out with plant.interface.kind = {kind}, which has a section")
+        return own
 
     @property
     def has_controller(self) -> bool:

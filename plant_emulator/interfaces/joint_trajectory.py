@@ -82,8 +82,22 @@ class JointTrajectorySettings(ResponseSettings):
     interpolation: Literal["linear", "cubic"] = "cubic"
     interpolate_from_desired_state: bool = False
 
+    @property
+    def restarts(self) -> bool:
+        return not self.interpolate_from_desired_state and any(self.response_ms)
+
     def lag_s(self, period_s: float) -> float:
-        return super().lag_s(period_s) + 1e-3 * self.point_after_ms - period_s
+        """Return the lag with a message in each cycle.
+
+        In a cycle of h, the trajectory takes a share g of the way to a point T ahead: x = h/T of a
+        line, 3x² − 2x³ of a cubic. Joints that lag by L while they start anew from where they are
+        stay behind by T + (L − h)/g.
+        """
+        after_s, taken = 1e-3 * self.point_after_ms, 1.0
+        if self.restarts:
+            x = min(1.0, period_s / after_s)
+            taken = x if self.interpolation == "linear" else x * x * (3.0 - 2.0 * x)
+        return after_s + (super().lag_s(period_s) - period_s) / taken
 
     def build(self, period_s: float) -> JointTrajectory:
         return JointTrajectory(

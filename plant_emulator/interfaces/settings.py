@@ -34,6 +34,11 @@ class InterfaceSettings(StrictModel, ABC):
         """Content of the commands that the robot takes."""
         return "position"
 
+    @property
+    def restarts(self) -> bool:
+        """Whether the lag depends on how often targets arrive: each one begins where joints are."""
+        return False
+
     def lag_s(self, period_s: float) -> float:  # noqa: ARG002
         """Return the lag of joints that move steadily behind what a cycle of a length reads."""
         return 0.0
@@ -70,7 +75,8 @@ class ResponseSettings(InterfaceSettings):
 
     def lag_s(self, period_s: float) -> float:
         dead_ms, lag_ms = self.response_ms
-        return 1e-3 * (dead_ms + lag_ms) + (0.5 * period_s if lag_ms else 0.0)
+        dead_s = period_s * round(1e-3 * dead_ms / period_s)
+        return dead_s + 1e-3 * lag_ms + (0.5 * period_s if lag_ms else 0.0)
 
     def response(self, period_s: float) -> Response:
         """Return the joints' response."""

@@ -20,6 +20,7 @@ from controller.laws.custom import are_left_out
 from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from controller.reference import Reference, sample_positions
 from deploy.scenario.checking.explanation import Origin
+from deploy.scenario.checking.robot_interface_checks import check_interface
 from deploy.scenario.definition import RobotConfiguration, ScenarioConfiguration
 from deploy.scenario.link_kinds.kind import LINK_KINDS
 from deploy.scenario.referenced_files import (
@@ -29,7 +30,6 @@ from deploy.scenario.referenced_files import (
     find_urdf,
     folders_of,
 )
-from deploy.scenario.robot_interface import check_interface
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import naming, plain

@@ -53,6 +53,7 @@ class CanKind(LinkKind[DrivenArm]):
     brings_plant_status = False
     controller_leads = True
     simulates_process_faults = False
+    has_drives = True
     no_link_faults = "without link.kind: can, for which link.can.faults has the faults of the bus"
 
     def check(self, run: LinkRun) -> None:

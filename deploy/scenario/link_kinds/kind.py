@@ -75,6 +75,7 @@ class LinkKind(ABC, Generic[Arm]):
         controller_leads: whether the controller may end a run in order, as the master of drives
             does.
         simulates_process_faults: whether a controller can be silenced in a simulation.
+        has_drives: whether the commands go to motor drives on a bus instead of to the robot.
         no_link_faults: what is allowed instead of scheduled faults of messages, if the plant cannot
             change this link's messages; None if it can.
     """
@@ -87,6 +88,7 @@ class LinkKind(ABC, Generic[Arm]):
     brings_plant_status = True
     controller_leads = False
     simulates_process_faults = True
+    has_drives = False
     no_link_faults: str | None = None
 
     def check(self, run: LinkRun) -> None:

@@ -1,6 +1,5 @@
 """Position correction: a filtered share of the error, and its integral."""
 
-
 import numpy as np
 import pytest
 

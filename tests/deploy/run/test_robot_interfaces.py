@@ -99,6 +99,7 @@ ROBOTS = {
         for key in ("velocity_rad_s", "acceleration_rad_s2", "jerk_rad_s3")
     ),
     "joint_trajectory": ("plant.interface.joint_trajectory.interpolate_from_desired_state=true",),
+    "joint_trajectory from the measured state": (FAST,),
 }
 """Those that take positions; where an integrator of velocities is depends on when it began."""
 
@@ -109,7 +110,7 @@ def test_an_arm_at_constant_speed_is_behind_by_delay_and_lag(file, kind, tmp_pat
     common = (
         *moving(tmp_path),
         STREAMING,
-        KIND.format(kind),
+        KIND.format(kind.split()[0]),
         *ROBOTS[kind],
         "link.downlink.delay_ms=24",
     )
@@ -120,6 +121,34 @@ def test_an_arm_at_constant_speed_is_behind_by_delay_and_lag(file, kind, tmp_pat
     expected = SPEED * (24e-3 + robot_lag_s(setup))
     assert behind[0] == pytest.approx(expected, rel=0.02)
     assert abs(behind[1]) < 0.02 * expected
+
+
+@pytest.mark.parametrize(
+    ("more", "age_ms"),
+    [
+        (["controller.every=21"], 10.0),
+        (["controller.inference_ms=30"], 30.0 + 14.5),
+        (["controller.every=20", "controller.inference_ms=25"], 25.0 + 19.5),
+        (["controller.every=20", "controller.between_answers=linear"], 0.0),
+    ],
+)
+def test_preview_makes_up_for_the_age_of_answers(file, more, age_ms, tmp_path):
+    """An answer is that old at its first state, and older by a tick at each further one."""
+    common = (*moving(tmp_path), STREAMING, KIND.format("rsi"), FAST, *more, "duration_s=4")
+    behind = []
+    for preview in (NO_PREVIEW, "controller.preview_ms=auto"):
+        setup = load_setup(str(file), [*common, preview])
+        behind.append(-simulate(setup).data().true_errors_rad[2000:3680, 0].mean())
+    expected = SPEED * (1e-3 * age_ms + robot_lag_s(setup))
+    assert behind[0] == pytest.approx(expected, rel=0.02)
+    assert abs(behind[1]) < 0.02 * expected
+
+
+def test_drives_that_move_targets_on_need_no_preview(file, tmp_path):
+    """Targets of 24 ms ago, moved on with their velocity, are those of now."""
+    drives = ("controller.drive_feedback.enabled=true", "link.downlink.delay_ms=24")
+    errors = run(file, *moving(tmp_path), STREAMING, *drives, "duration_s=3").true_errors_rad
+    assert abs(errors[1500:, 0].mean()) < 0.02 * SPEED * 24e-3
 
 
 LOSES = "link.downlink.schedule=[{{kind: outage, at_s: 1.0005, for_s: {}}}]"

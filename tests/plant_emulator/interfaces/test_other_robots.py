@@ -45,6 +45,19 @@ def test_new_messages_pull_a_lagging_robot_back_by_its_lag(lag_ms, from_desired)
     assert (speed[last] > 0.9 * SPEED).all()
 
 
+@pytest.mark.parametrize(("interpolation", "share"), [("linear", 0.1), ("cubic", 0.028)])
+@pytest.mark.parametrize("lag_ms", [5.0, 20.0])
+def test_lag_of_a_trajectory_that_starts_anew_in_each_cycle(interpolation, share, lag_ms):
+    """Driven at a constant speed until it is steady; `driven` measures a cycle too late."""
+    settings = JointTrajectorySettings(interpolation=interpolation, lag_ms=lag_ms)
+    cycles = 10_000
+    targets = (rows(SPEED * H * k, SPEED) for k in range(cycles))
+    position = driven(started(settings), targets)[-1, 0]
+    behind_s = H * (cycles - 1) - position / SPEED
+    late_s = H / share - H
+    assert behind_s == pytest.approx(settings.lag_s(H) + late_s, rel=3e-3)
+
+
 def test_egm_with_gain_0_is_pure_velocity():
     """A step to v through a first-order filter of 20 Hz: v (1 − e^(−2π 20 t))."""
     robot = started(EgmSettings(gain_per_s=0.0))
