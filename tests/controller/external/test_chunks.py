@@ -128,10 +128,10 @@ def test_answer_without_all_numbers_is_a_fault(tmp_path, rows, later, complaint)
 
 def test_targets_of_a_program_reach_a_robot_with_a_controller_of_its_own(tmp_path):
     """Joints go to the positions, which are asked for without torque."""
-    wanted = [0.1, 0.6, 0.7]
+    wanted = [0.4, -1.25, 1.25]  # near the start
     command = program(tmp_path, f"[0.0] * 3 + {wanted} + [0.0] * 3")
     robot = "plant.interface.kind=servoj"
-    smooth = ("plant.friction={}", "plant.disturbance={}")  # which the robot does not know
+    smooth = ("plant.friction={}", "plant.disturbance.terms=[]")  # which the robot does not know
     run = external(
         command, 1, "controller.external.targets=true", "duration_s=2", *smooth, takes=robot
     )
