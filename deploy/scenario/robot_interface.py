@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
+from plant_emulator.channel.delay_range import median_round_trip_ns
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
 
@@ -59,9 +60,9 @@ def interface_in_force(setup: Setup) -> InterfaceConfiguration:
 def preview_s(setup: Setup) -> float:
     """Return how far ahead of a state the reference is read.
 
-    ``auto`` is the emulated round trip, or the play-out time if that is longer, the mean age of a
-    slow law's answer, and the lag of the robot's own controller. It is 0 for drives that close a
-    loop around targets: they move a target on with its velocity since its state.
+    ``auto`` is the median of the emulated round trip, or the play-out time if that is longer, the
+    mean age of a slow law's answer, and the lag of the robot's own controller. It is 0 for drives
+    that close a loop around targets: they move a target on with its velocity since its state.
     """
     controller, interface = setup.scenario.controller, setup.scenario.plant.interface
     if controller.preview_ms != "auto":
@@ -69,7 +70,8 @@ def preview_s(setup: Setup) -> float:
     if not interface.has_controller:
         return 0.0
     link, period_s = setup.link, 1e-9 * setup.grid.period_ns
-    round_trip_ns = max(link.emulated_round_trip_ns, link.playout_ns)
+    sides = (side.model_copy(update={"schedule": ()}) for side in (link.uplink, link.downlink))
+    round_trip_ns = max(median_round_trip_ns(*sides), link.playout_ns)
     moves_on = controller.between_answers == "linear" and interface.takes == "position"
     age_s = 0.0 if moves_on else controller.answer_age_s(period_s)
     return 1e-9 * round_trip_ns + age_s + robot_lag_s(setup)
