@@ -1,6 +1,7 @@
-"""Dead time and first-order lag of a recorded system, from a command and a response.
+"""Dead time and lag of a recorded system, from a command and a response.
 
-The model is τ ẏ = k u(t − d) + b − y. For each d and τ the filtered command is exact between rows,
+The model is τ ẏ = k u(t − d) + b − y, or of second order, critically damped, with as much lag:
+(τ/2)² ÿ + τ ẏ = k u(t − d) + b − y. For each d and τ the filtered command is exact between rows,
 and k and b follow by least squares; a grid finds the best d and τ, and ever smaller steps refine
 them. Confidence intervals allow for residuals that resemble their neighbours (Newey and West,
 "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
@@ -48,6 +49,7 @@ class Latency:
         gain: response per command, in the end.
         explained: share of the response's variance that the model explains.
         misfit: why the model does not fit, so that the intervals mean nothing; None if it fits.
+        order: of the model, 1 or 2.
     """
 
     dead_time_s: tuple[float, float]
@@ -56,6 +58,7 @@ class Latency:
     gain: tuple[float, float]
     explained: float
     misfit: str | None
+    order: int = 1
 
 
 class _Fit:
@@ -67,12 +70,14 @@ class _Fit:
         response: shape (rows,); NaN where there is none.
         longest_s: of a dead time; rows before it only lead in.
         is_held: whether a command stays until the next, or is on a line to it.
+        order: of the model.
     """
 
     def __init__(
-        self, times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool
-    ) -> None:
-        self._times_s, self._command = times_s, command
+        self, times_s: Vector, command: Vector, response: Vector, longest_s: float, *,
+        is_held: bool, order: int,
+    ) -> None:  # fmt: skip
+        self._times_s, self._command, self._order = times_s, command, order
         slopes = np.diff(command) / np.diff(times_s)
         self._slopes = np.append(slopes * (not is_held), 0.0)
         self._first = int(np.searchsorted(times_s, times_s[0] + 2.0 * longest_s))
@@ -84,7 +89,7 @@ class _Fit:
         columns = np.ones((len(self._seen), 2))
         _filter(
             self._times_s, self._command, self._slopes, self._first, dead_time_s,
-            lag_s if lag_s > _SHORTEST_LAG_S else _NO_LAG_S, columns[:, 0],
+            lag_s if lag_s > _SHORTEST_LAG_S else _NO_LAG_S, self._order, columns[:, 0],
         )  # fmt: skip
         return columns[self._seen]
 
@@ -104,29 +109,41 @@ class _Fit:
 @compiled
 def _filter(
     times_s: Vector, command: Vector, slopes: Vector, first: int, dead_time_s: float,
-    lag_s: float, filtered: Vector,
+    lag_s: float, order: int, filtered: Vector,
 ) -> None:  # fmt: skip
     """Response of a lag to a command, delayed, at the rows from `first` on."""
-    at, state = 0, command[0]
+    at, state, rate = 0, command[0], 0.0
     for row in range(first, times_s.size):
         when_s = times_s[row] - dead_time_s
         while at + 1 < times_s.size and times_s[at + 1] <= when_s:
             span_s = times_s[at + 1] - times_s[at]
-            lead = slopes[at] * lag_s
-            decay = math.exp(-span_s / lag_s)
-            state = command[at] + slopes[at] * span_s - lead + (state - command[at] + lead) * decay
+            state, rate = _moved(state, rate, command[at], slopes[at], lag_s, order, span_s)
             at += 1
         span_s = when_s - times_s[at]
-        lead = slopes[at] * lag_s
-        filtered[row - first] = (
-            command[at] + slopes[at] * span_s - lead
-            + (state - command[at] + lead) * math.exp(-span_s / lag_s)
-        )  # fmt: skip
+        filtered[row - first], _ = _moved(
+            state, rate, command[at], slopes[at], lag_s, order, span_s
+        )
+
+
+@compiled
+def _moved(
+    state: float, rate: float, command: float, slope: float, lag_s: float, order: int, span_s: float
+) -> tuple[float, float]:
+    """Return state and rate of a lag after a time in which its command moves on a line."""
+    lead, end = slope * lag_s, command + slope * span_s
+    if order == 1:
+        return end - lead + (state - command + lead) * math.exp(-span_s / lag_s), 0.0
+    bandwidth = 2.0 / lag_s
+    away, decay = state - command + lead, math.exp(-bandwidth * span_s)
+    turn = rate - slope + bandwidth * away
+    moved = end - lead + (away + turn * span_s) * decay
+    return moved, slope + (rate - slope - bandwidth * turn * span_s) * decay
 
 
 def find_latency(
-    times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool
-) -> Latency:
+    times_s: Vector, command: Vector, response: Vector, longest_s: float, *, is_held: bool,
+    order: int = 1,
+) -> Latency:  # fmt: skip
     """Dead time and lag of a system.
 
     Args:
@@ -135,6 +152,7 @@ def find_latency(
         response: what it did, shape (rows,); NaN where there is only a command.
         longest_s: the longest dead time and lag that are looked for.
         is_held: whether a command stays until the next, or is on a line to it.
+        order: of the model, 1 or 2.
 
     Raises:
         ValueError: the rows do not say; the message says why.
@@ -146,7 +164,7 @@ def find_latency(
             f"{len(seen_s)} rows over {np.ptp(times_s):.3g} s: needs {_FEWEST_ROWS} rows and four"
             f" times the longest latency, {longest_s:g} s"
         )
-    fit = _Fit(times_s, command, response, longest_s, is_held=is_held)
+    fit = _Fit(times_s, command, response, longest_s, is_held=is_held, order=order)
     if np.ptp(command) == 0.0 or np.ptp(fit.response) == 0.0:
         raise ValueError("command or response never changes: the motion does not excite the system")
     best = _best(fit, longest_s, period_s)
@@ -175,7 +193,7 @@ def find_latency(
     is_exact = 1.0 - explained < _EXACT
     filtered = gain * fit.regressors(dead_time_s, lag_s)[:, 0]
     misfit = None if is_exact else _misfit(filtered, residuals)
-    return Latency(dead_time, lag, together, (float(gain), half[2]), explained, misfit)
+    return Latency(dead_time, lag, together, (float(gain), half[2]), explained, misfit, order)
 
 
 def _misfit(fitted: Vector, residuals: Vector) -> str | None:

@@ -36,6 +36,19 @@ uncertainty:
   link.downlink.delay_ms: {{distribution: uniform, from: {dead_low_ms:.4f}, to: {dead_high_ms:.4f}}}
   plant.actuator.lag_ms: {{distribution: uniform, from: {lag_low_ms:.4f}, to: {lag_high_ms:.4f}}}
 """
+_INTERFACE = """\
+# {summary}
+# Add it to a scenario, or give it a line "extends: SCENARIO.yaml". Logged at the robot, this is its
+# own response; logged at the controller, it includes the link, which must not delay again then.
+# Studies with "uncertainty" draw from its 95 % interval.
+plant:
+  interface: {{kind: {kind}, {kind}: {{dead_time_ms: {dead_ms:.4f}, lag_ms: {lag_ms:.4f}}}}}
+uncertainty:
+  plant.interface.{kind}.dead_time_ms:
+    {{distribution: uniform, from: {dead_low_ms:.4f}, to: {dead_high_ms:.4f}}}
+  plant.interface.{kind}.lag_ms:
+    {{distribution: uniform, from: {lag_low_ms:.4f}, to: {lag_high_ms:.4f}}}
+"""
 _MUJOCO = """\
 <!-- {summary}
   Include this file, and give the class "measured_latency" to actuators of type position, velocity
@@ -103,13 +116,14 @@ _TEMPLATES: dict[Export, Callable[..., str]] = {
 }
 
 
-def exported(found: Latency, export: Export, source: str) -> str:
+def exported(found: Latency, export: Export, source: str, kind: str | None = None) -> str:
     """Return a latency as a program reads it.
 
     Args:
         found: the latency, whose intervals become ranges.
         export: the program.
         source: name of the file in which it was found.
+        kind: interface of the robot whose response it is, for a scenario; None for actuators.
     """
     values = {"summary": _summary(found, source), "step_ms": 1e3 * _LEAST_STEP_S}
     for name, (middle_s, half_s) in (("dead", found.dead_time_s), ("lag", found.lag_s)):
@@ -120,6 +134,8 @@ def exported(found: Latency, export: Export, source: str) -> str:
     lag_s = found.lag_s[0]
     timeconst = f' timeconst="{lag_s:.7f}"' if lag_s > _NO_LAG_S else ""
     samples = math.ceil(found.dead_time_s[0] / _LEAST_STEP_S) + 1
+    if kind is not None:
+        return _INTERFACE.format(**values, kind=kind)
     return _TEMPLATES[export](**values, timeconst=timeconst, samples=samples)
 
 

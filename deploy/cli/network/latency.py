@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 from collections.abc import Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -21,6 +22,14 @@ from deploy.measure.latency import Latency, find_latency
 from deploy.measure.latency_export import ENDINGS, Export, exported
 from deploy.measure.mcap_series import element_place, read_field, rows_of
 from deploy.measure.time_units import UNITS_MS, check_interval, unit_of
+
+
+class Interface(StrEnum):
+    """Interfaces of robots that respond with a dead time and a lag."""
+
+    SERVOJ = "servoj"
+    RSI = "rsi"
+
 
 _Rows = tuple[Vector, Vector, Vector]
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
@@ -54,6 +63,14 @@ def latency(
     longest_ms: Annotated[
         float, typer.Option("--longest", metavar="MS", help="Largest dead time and lag to search.")
     ] = 500.0,
+    interface: Annotated[
+        Interface | None,
+        typer.Option(
+            help="Commands are positions for a robot with this interface: its response may be of"
+            " second order, and --export scenario writes plant.interface.",
+            show_default=False,
+        ),
+    ] = None,
     export: Annotated[
         Export | None, typer.Option(help="Write the latency for this program.", show_default=False)
     ] = None,
@@ -61,21 +78,25 @@ def latency(
         Path | None, typer.Option(help=r"File of --export.  \[default: <file>_latency.*]")
     ] = None,
 ) -> None:
-    """Estimate dead time and first-order lag from a recorded command and response.
+    """Estimate dead time and lag from a recorded command and response.
 
     Both come with 95 % intervals, as does their sum. If a file has several episodes, the longest is
     used.
     """
     read = _read(file, command, response, time, unit)
     longest_s, (rows, others) = longest_ms / 1e3, read.rows[:: -1 if linear else 1]
+    orders = (1,) if interface is None else (2, 1)
+    if interface is not None and export not in (None, Export.SCENARIO):
+        raise InputError(f"--export {export}: must be scenario with --interface {interface}")
     try:
-        found, seen_s, episodes = _fitted(*rows, longest_s, is_held=not linear)
+        fits = [_fitted(*rows, longest_s, is_held=not linear, order=order) for order in orders]
+        found, seen_s, episodes = max(fits, key=lambda each: each[0].explained)
         check_interval(seen_s)
     except ValueError as error:
         why = "; ".join([str(error), *read.notes])
         raise InputError(f"{file}: {command}, {response}: {why}") from error
     try:
-        other, *_ = _fitted(*others, longest_s, is_held=linear)
+        other, *_ = _fitted(*others, longest_s, is_held=linear, order=found.order)
     except ValueError:
         other = None
     of = f" (the longest of {episodes} episodes)" if episodes > 1 else ""
@@ -87,7 +108,7 @@ def latency(
     if found.misfit:
         print("".join(f"{each}\n" for each in read.doubts), end="")
     if export is not None:
-        _export(found, export, file, out)
+        _export(found, export, file, out, interface)
 
 
 class _Read(NamedTuple):
@@ -120,13 +141,15 @@ def _read(file: Path, command: str, response: str, time: str | None, unit: Unit)
     return _Read((held, on_lines), notes, doubts)
 
 
-def _export(found: Latency, export: Export, file: Path, out: Path | None) -> None:
+def _export(
+    found: Latency, export: Export, file: Path, out: Path | None, interface: Interface | None
+) -> None:
     """Write what was found for another program, and print the file's name."""
     if found.misfit:
         raise InputError(f"{file}: --export {export}: the model does not fit")
     path = out or Path(f"{file.stem}_latency{ENDINGS[export]}")
     try:
-        path.write_text(exported(found, export, file.name), encoding="utf-8")
+        path.write_text(exported(found, export, file.name, interface), encoding="utf-8")
     except OSError as error:
         raise InputError(f"--out {path}: cannot be written: {error.strerror}") from error
     print(f"{export}: {path}")
@@ -141,6 +164,8 @@ def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
     ):  # fmt: skip
         interval = "" if found.misfit else f" ± {scale * half:.3f}"
         print(f"{name}: {scale * value:.3f}{interval}{suffix}")
+    if found.order > 1:
+        print("response: of second order, critically damped; its lag is that of slow motions")
     print(f"explained: {100 * found.explained:.3f} % of the response's variance")
     if found.misfit:
         print(f"the model does not fit, so there are no intervals: {found.misfit}")
@@ -151,8 +176,9 @@ def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
 
 
 def _fitted(
-    times_s: Vector, commands: Vector, responses: Vector, longest_s: float, *, is_held: bool
-) -> tuple[Latency, Vector, int]:
+    times_s: Vector, commands: Vector, responses: Vector, longest_s: float, *, is_held: bool,
+    order: int,
+) -> tuple[Latency, Vector, int]:  # fmt: skip
     """Return the latency in the longest episode, its times of responses, and how many there are.
 
     Raises:
@@ -160,7 +186,9 @@ def _fitted(
     """
     starts = [0, *(np.flatnonzero(~(np.diff(times_s) > 0.0)) + 1).tolist(), len(times_s)]
     rows = slice(*max(itertools.pairwise(starts), key=lambda each: each[1] - each[0]))
-    found = find_latency(times_s[rows], commands[rows], responses[rows], longest_s, is_held=is_held)
+    found = find_latency(
+        times_s[rows], commands[rows], responses[rows], longest_s, is_held=is_held, order=order
+    )
     return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
