@@ -139,7 +139,7 @@ def _sentences_on_the_robot(run: RunData, summary: Mapping[str, Any]) -> list[st
         of_joint = "" if each["joint"] is None else f" of {each['joint']}"
         reflex = f"{each['kind']}{of_joint}"
         sentences.append(f"The robot stopped at {each['time_s']:.3f} s by its reflex {reflex}.")
-    lag, lags = worst_lag_ms(summary), summary.get("lag_ms")
+    lag, lags = worst_lag_ms(summary), summary.get("lag_ms") or []
     if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
         joint = run.setup.robot.joint_names[lags.index(lag)]
         way = "behind" if lag >= 0.0 else "ahead of"

@@ -28,7 +28,7 @@ HEADING = (
 def links(networks: Sequence[str], starts: Sequence[str]) -> dict[str, list[list[str]]]:
     """Return the settings of the runs of each link."""
     sides = "uplink", "downlink"
-    found = {
+    found: dict[str, list[list[str]]] = {
         "none": [[]],
         "40 ms": [[f"link.{side}.delay_ms=20" for side in sides]],
     }
