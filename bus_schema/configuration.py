@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
+    ValidationError,
 )
 
 from bus_schema.arrays import Vector
@@ -40,6 +41,22 @@ class ConfigurationError(BusError, ValueError):
         self.beside = beside
 
 
+class SettingsError(ConfigurationError):
+    """Settings of an extension have wrong keys or values.
+
+    Attributes:
+        section: dotted key of the settings.
+        error: what pydantic says.
+        model: the class of the settings.
+    """
+
+    def __init__(self, key: str, error: ValidationError, model: type[BaseModel]) -> None:
+        first = error.errors(include_url=False)[0]
+        name = ".".join([key, *map(str, first["loc"])])
+        super().__init__(name, first["input"], f"invalid: {first['msg']}")
+        self.section, self.error, self.model = key, error, model
+
+
 class StrictModel(BaseModel):
     """A configuration section: unknown keys are refused, values never change."""
 
@@ -51,10 +68,10 @@ class Sections:
     """For `Annotated`, where a function validates a value: the classes that define its keys.
 
     Attributes:
-        find: returns these classes, as registered at the time of the call.
+        find: returns the classes that ship, and those of the given extensions; None for all.
     """
 
-    find: Callable[[], Iterable[type]]
+    find: Callable[[Collection[str] | None], Iterable[type]]
 
 
 LARGEST = 1e12
@@ -116,6 +133,24 @@ PowerAboveOne = Annotated[Number, Field(gt=1)]
 PowerBelowOne = Annotated[Number, Field(gt=0, lt=1)]
 
 Gains = TypeVar("Gains", bound=tuple[Any, ...])
+Settings = TypeVar("Settings", bound=BaseModel)
+
+
+def validated(key: str, settings: type[Settings], values: Any) -> Settings:
+    """Return the settings of an extension from the values of a scenario.
+
+    Args:
+        key: dotted key of the values.
+        settings: class of the settings.
+        values: a mapping, as in the scenario.
+
+    Raises:
+        SettingsError: keys or values are wrong.
+    """
+    try:
+        return settings.model_validate(values)
+    except ValidationError as error:
+        raise SettingsError(key, error, settings) from error
 
 
 def expand(value: Vector, joints: int, key: str) -> Vector:

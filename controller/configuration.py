@@ -37,6 +37,8 @@ from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import did_you_mean
 from bus_schema.registry import NameIn
 from bus_schema.robot_description import RobotDescription
+from controller.chunks.answer import NEAR, BetweenAnswers, Holding
+from controller.chunks.configuration import ChunksConfiguration
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
 from controller.compensation.delay_compensation import (
@@ -56,7 +58,7 @@ from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
-from controller.slow_law import AnswerTiming, BetweenAnswers, SlowLaw
+from controller.slow_law import AnswerTiming, ChunkRules, SlowLaw
 
 LONGEST_HORIZON_MS = 1e-6 * LONGEST_HORIZON_NS
 PROCESS = "process"
@@ -150,7 +152,7 @@ def _check_gains(given: Any) -> dict[str, Any]:
     return {law: gains for law, gains in checked if gains is not None}
 
 
-def _section_now(only: Collection[str] | None = None) -> type[StrictModel]:
+def _section_now(only: Collection[str] | None) -> type[StrictModel]:
     """Return the section of gains, with the extensions of these names; None for all usable ones."""
     entries = LAWS.usable(only)
     unusable = [(law, dict[str, Any]) for law in only or () if law in LAWS and law not in entries]
@@ -166,7 +168,7 @@ def _gains_section(types: tuple[tuple[str, Any], ...]) -> type[StrictModel]:
 
 
 GainsByLaw = Annotated[
-    dict[str, Any], PlainValidator(_check_gains), Sections(lambda: [_section_now()])
+    dict[str, Any], PlainValidator(_check_gains), Sections(lambda only: [_section_now(only)])
 ]
 
 
@@ -194,8 +196,10 @@ class ControllerConfiguration(StrictModel):
         first_inference_ms: the same for the first question while the arm moves, which many policies
             answer more slowly; by default like the others. The answer that releases the arm acts at
             once.
-        between_answers: targets for the drives until the next answer: ``hold`` them, or
+        between_answers: targets for the drives until the next row of an answer: ``hold`` them, or
             ``linear``: continue at their velocity.
+        chunks: how a law is asked whose answers are chunks of actions, and how a new chunk takes
+            over; by default, the law is always asked again and a new chunk takes over at once.
         preview_ms: how far ahead laws for positions and velocities read the reference: ``auto`` for
             the round trip and the lag of the robot's own controller.
         clock_ppm: how much faster the control loop's clock runs than the run's, against which the
@@ -215,6 +219,7 @@ class ControllerConfiguration(StrictModel):
     inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
     between_answers: BetweenAnswers = "hold"
+    chunks: ChunksConfiguration | None = None
     preview_ms: Annotated[NonNegative, Field(le=10_000)] | Literal["auto"] = "auto"
     clock_ppm: Annotated[Number, Field(ge=-1e4, le=1e4)] = 0.0
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
@@ -239,9 +244,7 @@ class ControllerConfiguration(StrictModel):
 
     @model_validator(mode="after")
     def _has_a_program(self) -> ControllerConfiguration:
-        if self.law != EXTERNAL:
-            return self
-        if self.external is None:
+        if self.law == EXTERNAL and self.external is None:
             raise ValueError(
                 f"law {EXTERNAL} needs external.command, the program and its arguments"
             )
@@ -393,7 +396,9 @@ class ControllerConfiguration(StrictModel):
             predictor=settings.predictor,
         )
 
-    def paced(self, law: ControlLaw, period_s: float, seed: int, takes: str) -> ControlLaw:
+    def paced(
+        self, law: ControlLaw, period_s: float, seed: int, takes: str, velocities_rad_s: Vector
+    ) -> ControlLaw:
         """The law as often as it is to be asked.
 
         Args:
@@ -402,41 +407,48 @@ class ControllerConfiguration(StrictModel):
             seed: of the scenario.
             takes: what the robot takes of the law's answers: ``torque``, ``position`` or
                 ``velocity``.
+            velocities_rad_s: largest speeds of the joints, shape (joints,).
 
         Raises:
-            ConfigurationError: ``between_answers`` would have no effect.
+            ConfigurationError: ``between_answers`` would have no effect, or a merge of chunks
+                cannot work.
         """
         inference_s, jitter_s = 1e-3 * self.inference_ms, 1e-3 * self.inference_jitter_ms
         first_s = inference_s if self.first_inference_ms is None else 1e-3 * self.first_inference_ms
-        is_slow = self.every > 1 or max(inference_s, jitter_s, first_s) > 0.0 or self._rows > 1
+        is_slow = self.chunks is not None or self.every > 1 or self._rows > 1
+        is_slow = is_slow or max(inference_s, jitter_s, first_s) > 0.0
         between = self.between_answers
         sends_targets = self.drive_feedback.enabled or takes != "torque"
         if between != "hold" and not (is_slow and sends_targets):
             allowed = (
                 "must be hold, unless controller.drive_feedback.enabled is true or a robot takes"
                 " the law's targets, and one of controller.every and controller.external.rows above"
-                " 1 or controller.inference_ms above 0"
+                " 1, controller.inference_ms above 0 or controller.chunks"
             )
             raise ConfigurationError("controller.between_answers", between, allowed)
         if not is_slow:
             return law
-        timing = AnswerTiming(
-            self.every, inference_s, jitter_s, between, period_s, seed, first_s,
-            keeps_velocity=takes == "velocity",
+        holding = Holding(between, keeps_velocity=takes == "velocity")
+        timing = AnswerTiming(self.every, inference_s, jitter_s, holding, period_s, seed, first_s)
+        chunks = self.chunks
+        if chunks is None:
+            return SlowLaw(law, timing)
+        merge = chunks.build(period_s, max(first_s, inference_s + jitter_s), velocities_rad_s)
+        rules = ChunkRules(
+            merge, chunks.action_period_s(period_s), chunks.horizon, chunks.share_left,
+            chunks.ask_every, chunks.align,
         )  # fmt: skip
-        return SlowLaw(law, timing)
+        return SlowLaw(law, timing, rules)
 
     def answer_age_s(self, period_s: float) -> float:
-        """Return the mean time from a question to the states at which its answer is in force.
-
-        The law is asked at every N-th state that finds no question open.
+        """Return the mean age of an answer of one row in force.
 
         Args:
             period_s: of the control loop.
         """
-        waits = math.ceil(1e-3 * self.inference_ms / period_s - 1e-6)
-        asked_every = self.every * max(1, -(-waits // self.every))
-        return (waits + 0.5 * (asked_every - 1)) * period_s
+        inference_s = 1e-3 * self.inference_ms
+        between = self.every * max(1, math.ceil(inference_s / (self.every * period_s) - NEAR))
+        return inference_s + 0.5 * (between - 1) * period_s
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Return the bound on the law's settling time, s; None for a law without one."""

@@ -36,7 +36,7 @@ class Tracking:
 
     Attributes:
         time_s: time of measurement since the start of the run.
-        step_s: time since the law was last asked, without absences of states; 0 at first.
+        step_s: time since the previous measurement that the law received; 0 at the first.
         horizon_s: time from the measurement to this situation; 0 unless predicted.
         position: rad; velocity: rad/s; as measured.
         motion: both as rows, shape (2, joints).

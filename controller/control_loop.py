@@ -27,6 +27,8 @@ from bus_schema.runtime.clock import own_kernel
 from bus_schema.runtime.compiled import all_finite, bind
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from bus_schema.runtime.randomness import is_seed_used
+from controller.chunks.answer import checked_rows
+from controller.chunks.switches import ChunkLog
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
@@ -35,7 +37,6 @@ from controller.cycle_messages import CycleMessages
 from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.slow_law import Starvation, checked_rows
 from controller.torque_guard import TorqueGuard
 
 logger = logging.getLogger(__name__)
@@ -50,7 +51,8 @@ class ControlTask:
         limits: limits of torques and motion.
         compensation: predicts the state in which a torque will act; None for none.
         sends_targets: commands carry targets for drives that close their own loop.
-        longest_step_s: time between states above which some were absent: the law's step is 0 then.
+        longest_step_s: time between states above which some were absent: the step of such a
+            state is 0.
     """
 
     robot: RobotDescription
@@ -180,9 +182,9 @@ class ControlLoop:
             "limits": self._guard.counts.summary(), "kernel": own_kernel(),
             "newest_cycle_s": 1e-9 * self._status.cycle_started_ns, "seed_used": is_seed_used(),
         }  # fmt: skip
-        starvation: Starvation | None = getattr(self._task.law, "starvation", None)
-        if starvation is not None:
-            counts["starved"] = starvation.summary()
+        log = getattr(self._task.law, "log", None)
+        if isinstance(log, ChunkLog):
+            counts |= {"starved": log.starved(), "chunks": log.summary()}
         self._events.append((EventKind.ENDED, json.dumps(counts)))
         self._publish_events()
         return counts
@@ -204,14 +206,13 @@ class ControlLoop:
             self.late += 1
             self._write()
             return False
-        step_s = (stamp_ns - self.stamp_ns) * 1e-9 if self.stamp_ns >= 0 else 0.0
-        if step_s > self._task.longest_step_s:
-            step_s = 0.0
+        step_s = 1e-9 * (stamp_ns - self.stamp_ns) if self.stamp_ns >= 0 else 0.0
+        step_s = step_s if step_s <= self._task.longest_step_s else 0.0
         self.stamp_ns = stamp_ns
         messages.accept()
         self.tracking.update(
             (stamp_ns - self._start_ns) * 1e-9, step_s, self._task.reference, self._task.funnel
-        )
+        )  # fmt: skip
         return True
 
     def _read_plant_status(self, plant_status: bytes | None, stamp_ns: int) -> int:

@@ -1,23 +1,21 @@
 """A law that is slower than the control loop: a policy at 10 to 500 Hz, as an example.
 
 The loop goes on at its own rate. The law is asked at every N-th state, and its answer comes into
-force once its inference time is over. An answer may be a chunk: rows for the next ticks.
+force once its inference time is over. An answer may be a chunk: rows for the next ticks or actions.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Literal
-
-import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.randomness import plain_generator
+from controller.chunks.answer import NEAR, Answer, Holding, checked_rows
+from controller.chunks.merge import ChunkMerge
+from controller.chunks.merges import Replace
+from controller.chunks.switches import ChunkLog
 from controller.control_law import ControlLaw, Tracking
-
-BetweenAnswers = Literal["hold", "linear"]
-_NEAR = 1e-6  # of a tick, as times are floating-point numbers
-_MOST_STRETCHES = 1000
 
 
 @dataclass(frozen=True)
@@ -25,61 +23,43 @@ class AnswerTiming:
     """Times at which a law is asked and its answers act.
 
     Attributes:
-        every: the law is asked at every so many states.
+        every: the law is asked at every so many states, at most.
         inference_s: time from a question to its answer.
         jitter_s: random change of that time, uniform within ± this value.
-        between: what targets do after an answer's last row: stay, or go on at their velocity.
-        period_s: of the control loop; rows of a chunk are so far apart.
+        holding: what targets do between rows.
+        period_s: of the control loop.
         seed: of the inference times drawn.
         first_s: `inference_s` of the first question in motion, the second of a run.
-        keeps_velocity: held targets keep their velocity, as for a robot that takes velocities.
     """
 
     every: int
     inference_s: float
     jitter_s: float
-    between: BetweenAnswers
+    holding: Holding
     period_s: float
     seed: int
     first_s: float
-    keeps_velocity: bool = False
 
 
 @dataclass(frozen=True)
-class _Answer:
-    """Answer of a law: torques of shape (rows, joints), targets of shape (rows, 2, joints)."""
-
-    asked_s: float
-    ready_s: float
-    torques: Matrix
-    targets: Matrix
-
-
-@dataclass
-class Starvation:
-    """Counter of ticks at which the chunk in force had no row left, and the next one was missing.
+class ChunkRules:
+    """Rules of a law with chunks: times of its questions, and the merge of its answers.
 
     Attributes:
-        ticks: states in that situation.
-        stretches_s: begin and end of each such time without a break, s.
+        merge: how it takes over.
+        action_s: between two rows; None for the period of the control loop.
+        horizon: rows that each answer must have; None for any.
+        ask_when: share of the rows of a chunk at or below which the law is asked.
+        ask_every: instead, rows from one question to the next.
+        align: a first row is meant for the time of its state, or acts when it arrives.
     """
 
-    ticks: int = 0
-    stretches_s: list[list[float]] = field(default_factory=list)
-    _is_starved: bool = False
-
-    def note(self, now_s: float, *, is_starved: bool) -> None:
-        """Note whether the law has nothing left to send at a state."""
-        if is_starved:
-            self.ticks += 1
-            if not self._is_starved:
-                self.stretches_s.append([now_s, now_s])
-            self.stretches_s[-1][1] = now_s
-        self._is_starved = is_starved
-
-    def summary(self) -> dict[str, object]:
-        """Return the ticks and the first stretches, ready for JSON."""
-        return {"ticks": self.ticks, "stretches_s": self.stretches_s[:_MOST_STRETCHES]}
+    merge: ChunkMerge
+    action_s: float | None = None
+    horizon: int | None = None
+    ask_when: float = 1.0
+    ask_every: int | None = None
+    align: Literal["time", "count"] = "time"
 
 
 class SlowLaw:
@@ -88,22 +68,30 @@ class SlowLaw:
     The first answer acts at once, as a robot is released only when its policy has answered.
 
     Args:
-        law: what is asked. Its torques may have a row for each of the next ticks. If it has a
+        law: what is asked. Its torques may have a row for each of the next actions. If it has a
             method ``target``, that gives positions and velocities for the drives, shape (2, joints)
-            or (rows, 2, joints); the reference is their target otherwise.
+            or (rows, 2, joints); the reference is their target otherwise. If it has a method
+            ``guide``, that receives the guidance of the merge before each question.
         timing: when it is asked.
+        rules: of its chunks; by default a new one takes over at once.
 
     Attributes:
-        starvation: when it ran out of rows; answers of one row are meant to be held.
+        log: how its answers followed each other.
     """
 
-    def __init__(self, law: ControlLaw, timing: AnswerTiming) -> None:
+    def __init__(
+        self, law: ControlLaw, timing: AnswerTiming, rules: ChunkRules | None = None
+    ) -> None:
         self._law, self._timing = law, timing
+        self._rules = ChunkRules(Replace()) if rules is None else rules
         own_target = getattr(law, "target", None)
         self._own_target = own_target if callable(own_target) else None
+        guide = getattr(law, "guide", None)
+        self._guide = guide if callable(guide) else None
+        self._row_s = self._rules.action_s or timing.period_s
         self.diagnostics = law.diagnostics
-        self._in_force: _Answer | None = None
-        self._coming: _Answer | None = None
+        self._in_force: Answer | None = None
+        self._coming: Answer | None = None
         self._forget()
 
     def reset(self) -> None:
@@ -118,84 +106,95 @@ class SlowLaw:
 
     def torque(self, tracking: Tracking) -> Vector:
         """Torque in force at a state, N m, shape (joints,)."""
-        now_s, coming = tracking.time_s, self._coming
-        self._unasked_s += tracking.step_s
-        if coming is not None and now_s >= coming.ready_s - _NEAR * self._timing.period_s:
-            self._in_force, self._coming = coming, None
-        if self._states % self._timing.every == 0 and self._coming is None:
+        now_s = tracking.time_s
+        self._since_s += tracking.step_s
+        if self._coming is not None and now_s >= self._ready_s - NEAR * self._timing.period_s:
+            self._take_over(self._coming, now_s)
+        if self._states % self._timing.every == 0 and self._coming is None and self._wants(now_s):
             answer = self._ask(tracking)
-            if self._in_force is None or answer.ready_s <= now_s:
-                self._in_force = answer
+            if self._in_force is None or self._ready_s <= now_s:
+                self._take_over(answer, now_s)
             else:
                 self._coming = answer
         self._states += 1
         acting = self._in_force
         assert acting is not None
-        ticks = self._ticks_since_asked(now_s)
-        rows = (len(acting.torques), len(acting.targets))
-        self.starvation.note(now_s, is_starved=any(1 < each <= ticks for each in rows))
-        row: Vector = acting.torques[min(ticks, rows[0] - 1)]
-        return row
+        self.log.note(acting, now_s)
+        return acting.torque_at(now_s)
 
     def target(self, tracking: Tracking) -> Matrix:
         """Target of the drives at a state, shape (2, joints); to be called after `torque`."""
         assert self._in_force is not None
-        targets, period_s = self._in_force.targets, self._timing.period_s
-        place = min(self._ticks_since_asked(tracking.time_s), len(targets) - 1)
-        target: Matrix = targets[place].copy()
-        if self._timing.between == "linear":
-            target[0] += (tracking.time_s - self._in_force.asked_s - place * period_s) * target[1]
-        elif place == len(targets) - 1 and not self._timing.keeps_velocity:
-            target[1] = 0.0
-        return target
+        return self._in_force.target_at(tracking.time_s)
 
     def _forget(self) -> None:
         self._random = plain_generator(self._timing.seed)
         self._states = self._asked = 0
-        self._unasked_s = 0.0
-        self.starvation = Starvation()
+        self._asked_s = self._ready_s = self._since_s = 0.0
+        self._rules.merge.reset()
+        self.log = ChunkLog(has_targets=self._own_target is not None)
         self._in_force = self._coming = None
 
-    def _ask(self, tracking: Tracking) -> _Answer:
+    def _wants(self, now_s: float) -> bool:
+        """Whether the law is to be asked at a state."""
+        acting, rules = self._in_force, self._rules
+        if acting is None:
+            return True
+        if rules.merge.waits:
+            return now_s >= acting.end_s - NEAR * self._row_s
+        if rules.ask_every is not None:
+            return now_s - self._asked_s >= (rules.ask_every - NEAR) * self._row_s
+        left = (acting.end_s - now_s) / acting.period_s - 1.0
+        return left <= rules.ask_when * acting.rows + NEAR
+
+    def _take_over(self, answer: Answer, now_s: float) -> None:
+        old, self._coming = self._in_force, None
+        if old is None:
+            self._in_force = answer
+            return
+        if self._rules.align == "count":
+            answer = replace(answer, starts_s=now_s)
+        self._in_force = self._rules.merge.merged(old, answer, now_s)
+        self.log.note_switch(old, self._in_force, now_s)
+
+    def _ask(self, tracking: Tracking) -> Answer:
+        self._tell(tracking.time_s)
+        torques, targets = self._answers(tracking)
+        jitter_s = self._timing.jitter_s
+        jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
+        inference_s = self._timing.first_s if self._asked == 1 else self._timing.inference_s
+        self._asked += 1
+        self._asked_s = now_s = tracking.time_s
+        self._ready_s = now_s + max(0.0, inference_s + jitter_s)
+        return self._checked(
+            Answer(now_s, now_s, self._row_s, torques, targets, self._timing.holding)
+        )
+
+    def _answers(self, tracking: Tracking) -> tuple[Matrix, Matrix]:
+        """Return torques and targets of the law, whose step is the time since its last question."""
         joints, step_s = tracking.position.size, tracking.step_s
-        tracking.step_s, self._unasked_s = self._unasked_s, 0.0
+        tracking.step_s, self._since_s = self._since_s, 0.0
         torques = checked_rows("torques", self._law.torque(tracking), (joints,))
         wanted = (
             [tracking.reference_position, tracking.reference_velocity]
             if self._own_target is None
             else self._own_target(tracking)
         )
-        targets = checked_rows("targets", wanted, (2, joints))
         tracking.step_s = step_s
-        jitter_s = self._timing.jitter_s
-        jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
-        inference_s = self._timing.first_s if self._asked == 1 else self._timing.inference_s
-        self._asked += 1
-        ready_s = tracking.time_s + max(0.0, inference_s + jitter_s)
-        return _Answer(tracking.time_s, ready_s, torques, targets)
+        return torques, checked_rows("targets", wanted, (2, joints))
 
-    def _ticks_since_asked(self, now_s: float) -> int:
-        assert self._in_force is not None
-        return int((now_s - self._in_force.asked_s) / self._timing.period_s + _NEAR)
+    def _tell(self, now_s: float) -> None:
+        """Tell a policy what it continues, if it has asked for that."""
+        if self._guide is None or self._in_force is None:
+            return
+        guidance = self._rules.merge.guidance(self._in_force, now_s)
+        if guidance is not None:
+            self._guide(*guidance)
 
-
-def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
-    """A copy of a law's answer, as one row or more.
-
-    Args:
-        what: it is, for the error message.
-        answer: from the law.
-        shape: of a row.
-
-    Raises:
-        ValueError: the answer has another shape, or an entry is not finite.
-    """
-    rows: Matrix = np.array(answer, dtype=np.float64)
-    given = rows.shape
-    if given == shape:
-        rows = rows[np.newaxis]
-    if rows.shape[1:] != shape or not rows.size:
-        raise ValueError(f"{what} have shape {given}: must be {shape}, or {shape} for each row")
-    if not np.isfinite(rows).all():
-        raise ValueError(f"{what} {rows.tolist()}: must be finite")
-    return rows
+    def _checked(self, answer: Answer) -> Answer:
+        horizon = self._rules.horizon
+        if horizon is not None and answer.rows != horizon:
+            raise ValueError(
+                f"an answer has {answer.rows} rows: must be {horizon}, as controller.chunks.horizon"
+            )
+        return answer

@@ -55,13 +55,14 @@ class Feedback:
 
 
 class Policy:
-    """A policy that sends positions alone along `WAVE`, with a row for each millisecond.
+    """A policy that sends positions along `WAVE`, with a row for each millisecond or `spacing_s`.
 
-    The drives' own loop follows them, two of its time constants behind.
+    Without their velocities, the drives' own loop follows them two of its time constants behind.
     """
 
-    def __init__(self, model, rows=1):
-        self.diagnostics, self._rows = Diagnostics(model.joints), rows
+    def __init__(self, model, rows=1, spacing_s=1e-3, knows_velocity=False):
+        self.diagnostics, self._knows_velocity = Diagnostics(model.joints), knows_velocity
+        self._later_s = spacing_s * np.arange(rows)
 
     def reset(self):
         pass
@@ -70,19 +71,23 @@ class Policy:
         return np.zeros_like(tracking.error)
 
     def target(self, tracking):
-        positions = -0.5 * np.cos(tracking.time_s + 1e-3 * np.arange(self._rows))
-        return np.stack([positions, np.zeros(self._rows)], axis=1)[:, :, None]
+        times_s = tracking.time_s + self._later_s
+        velocities = 0.5 * np.sin(times_s) if self._knows_velocity else np.zeros_like(times_s)
+        return np.stack([-0.5 * np.cos(times_s), velocities], axis=1)[:, :, None]
 
 
-def policy_setup(folder: Path, *overrides: str, rows: int = 1, every: int = 1) -> Setup:
+def policy_setup(
+    folder: Path, *overrides: str, rows: int = 1, every: int = 1, funnel_rad: float = 0.05,
+    **gains: Any,
+) -> Setup:  # fmt: skip
     """Return a scenario with `Policy` along `WAVE`, and a loop at the drives of 100 rad/s."""
     drive = {"enabled": True, "bandwidth_rad_s": 100.0}
     controller = {
-        "law": "tests.one_joint:Policy", "gains": {"custom": {"rows": rows}}, "every": every,
-        "drive_feedback": drive,
+        "law": "tests.one_joint:Policy", "gains": {"custom": {"rows": rows, **gains}},
+        "every": every, "drive_feedback": drive,
     }  # fmt: skip
     more = {"controller": controller, "reference": WAVE, "duration_s": 4.0}
-    return pd_setup(folder, 0.5, 0.0, 0.0, *overrides, **more)
+    return pd_setup(folder, 0.5, 0.0, 0.0, *overrides, funnel_rad=funnel_rad, **more)
 
 
 def pd_setup(

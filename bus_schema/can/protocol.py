@@ -6,13 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, validated
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.registry import Registry
@@ -83,12 +83,7 @@ class DriveProtocol(ABC):
             raise ConfigurationError(key, can.settings, allowed, ["link.can.protocol"])
         if self.settings_type is None:
             return None
-        try:
-            return self.settings_type.model_validate(can.settings or {})
-        except ValidationError as error:
-            wrong = error.errors(include_url=False)[0]
-            name = ".".join([key, *map(str, wrong["loc"])])
-            raise ConfigurationError(name, wrong["input"], f"invalid: {wrong['msg']}") from error
+        return validated(key, self.settings_type, can.settings or {})
 
     def questions(self, can: CanConfiguration, node_id: int) -> Sequence[CanFrame]:  # noqa: ARG002
         """Frames that a drive answers and that change nothing; none if there are no such frames."""

@@ -25,6 +25,8 @@ HEAD = struct.Struct("<BQ")
 _CRC = struct.Struct("<I")
 _MESSAGE = struct.Struct("<HIQQ")
 """Head of a message: channel, sequence number, log time, publish time."""
+_CHUNK_HEAD = struct.Struct("<QQQ")
+"""Head of a chunk: times of its first and last message, size when unpacked."""
 _FOOTER_BYTES = 8 + 8 + _CRC.size
 _LARGEST_RECORD_BYTES = 1 << 28
 """Also of an unpacked chunk: many times what recorders write, and less than exhausts a memory."""
@@ -42,7 +44,7 @@ _PARSERS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.METADATA: records.Metadata.read,
     Opcode.STATISTICS: records.Statistics.read,
 }
-_CALLED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment"}
+_CALLED: dict[int, str] = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment"}
 
 
 class _TooLargeError(ValueError):
@@ -125,7 +127,7 @@ class CheckedRecords:
             record = parse(_stream(raw.content))
             return _inner_records(record) if isinstance(record, records.Chunk) else [record]
         except _DAMAGED as error:
-            name = _CALLED.get(Opcode(raw.opcode), "record")
+            name = _CALLED.get(raw.opcode, "record")
             why = error if isinstance(error, _TooLargeError) else "cannot be read"
             self.damage.append(f"the {name} at byte {raw.start} {why}")
             return []
@@ -156,6 +158,28 @@ class CheckedRecords:
             _check(expected, actual)
         except ValueError:
             self.damage.append(otherwise)
+
+
+def check_sizes(file: IO[bytes], size: int) -> None:
+    """Check the sizes of all records, and of all chunks once unpacked; nothing is unpacked.
+
+    Args:
+        file: an MCAP file.
+        size: its bytes.
+
+    Raises:
+        ValueError: a record or chunk is too large.
+    """
+    place = len(MAGIC)
+    while place + HEAD.size <= size:
+        file.seek(place)
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        head = file.read(_CHUNK_HEAD.size) if opcode == Opcode.CHUNK else b""
+        unpacked = _CHUNK_HEAD.unpack(head)[-1] if len(head) == _CHUNK_HEAD.size else 0
+        if max(length, unpacked) > _LARGEST_RECORD_BYTES:
+            name = _CALLED.get(opcode, "record")
+            raise _TooLargeError(f"the {name} at byte {place} {_too_large(max(length, unpacked))}")
+        place += HEAD.size + length
 
 
 def _too_large(size: int) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bus_schema.runtime.child import how_it_ended
 
-_WAIT_S, _MEMORY_BYTES = 9.0, 1 << 30
+_WAIT_S, _MEMORY_BYTES = 30.0, 1 << 30
 
 
 class LimitedProcessError(Exception):
@@ -45,7 +45,7 @@ class LimitedProcess:
         Raises:
             LimitedProcessError: the process crashed, or exceeded its time or memory.
         """
-        answer = b""
+        answer: bytes | None = None
         with self._process as process:
             try:
                 answer, _ = process.communicate(timeout=_WAIT_S)
@@ -55,6 +55,8 @@ class LimitedProcess:
                 process.kill()
         if code := process.returncode:
             raise LimitedProcessError(how_it_ended(code))
+        if answer is None:  # it ended by itself just before it was killed
+            raise LimitedProcessError(f"no answer within {_WAIT_S:g} s")
         return answer
 
 

@@ -28,8 +28,15 @@ _PATIENCE = 2.0
 
 GROWS_BY = 0.05
 """How fast an announced horizon grows towards the wanted one; commands act so much less often."""
-_SHRINKS_IN_NS = 5e9
-"""Time constant with which an announced horizon shrinks after commands came late."""
+_SHRINKS_IN_NS, _RETURNS_IN_NS = 5e9, 0.5e9
+"""Time constants with which an announced horizon shrinks after commands came late, and with which
+it returns to its usual limit."""
+_EPISODE_NS = 20_000_000
+"""Commands that come late for this long are no exception: they have a longer delay.
+
+A horizon that jumps by a time leaves the arm without a new torque for just as long. After a burst
+of states or commands that all arrive at one instant, the next ones are in time.
+"""
 
 
 class HorizonSettings(NamedTuple):
@@ -39,6 +46,9 @@ class HorizonSettings(NamedTuple):
         least_ns: the plant's own play-out time, if it has one.
         first_ns: the horizon at first.
         wanted_ns: of an announced horizon, the one to reach slowly and to keep.
+        most_ns: of an announced horizon, the longest one for the sake of commands that come late
+            now and then. Those that come late for long are waited for longer.
+        grows_by: how fast it grows to the wanted one, as a share of the time.
         is_announced: each command says when it acts, and the plant holds it until then.
         reserve_ns: what is added to the largest delay that was reported.
         bridge_rows: rows of a command after its first.
@@ -51,6 +61,8 @@ class HorizonSettings(NamedTuple):
     least_ns: int = 0
     first_ns: int = 0
     wanted_ns: int = 0
+    most_ns: int = LONGEST_HORIZON_NS
+    grows_by: float = GROWS_BY
     is_announced: bool = False
     reserve_ns: int = 0
     bridge_rows: int = 0
@@ -101,8 +113,9 @@ class Commands(NamedTuple):
         state: one row, `HorizonSettings` and what changes. `horizon_ns`: time from a state until
             its torque acts, expected from `mean_delay_ns` and `spread_ns`, or announced;
             `exact_ns`: the latter before rounding; `longest_ns`: what late commands needed, slowly
-            forgotten; `first` and `newest`: numbers of commands; `in_force`: the one that the plant
-            reported last.
+            forgotten; `late_since_ns`: stamp of the state since which all reported commands came
+            late, -1 for none; `first` and `newest`: numbers of commands; `in_force`: the one that
+            the plant reported last.
     """
 
     numbers: NDArray[np.int64]
@@ -136,7 +149,8 @@ def no_commands(joints: int, settings: HorizonSettings = _AS_REPORTED) -> Comman
     """Return an empty table of commands."""
     state = {
         **settings._asdict(), "horizon_ns": 0, "longest_ns": 0.0, "exact_ns": 0.0,
-        "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD, "in_force": HELD,
+        "mean_delay_ns": 0.0, "spread_ns": 0.0, "late_since_ns": -1,
+        "first": HELD, "newest": HELD, "in_force": HELD,
     }  # fmt: skip
     ends = PIECES + 1 if settings.bridge_rows else 0
     commands = Commands(
@@ -155,6 +169,7 @@ def forget_commands(commands: Commands) -> None:
     commands.numbers[:] = HELD
     state.first = state.newest = state.in_force = HELD
     state.mean_delay_ns = state.spread_ns = 0.0
+    state.late_since_ns = -1
     state.longest_ns, state.exact_ns = 0.0, float(state.first_ns)
     _expect(state, state.first_ns)
 
@@ -240,7 +255,7 @@ def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns:
             # Nothing acts yet, so the first command has been on its way for at least this long.
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
             state.exact_ns = max(state.exact_ns, float(waited_ns))
-        _announce(commands, arrival_ns, now_ns - last_ns)
+        _announce(commands, arrival_ns, now_ns, now_ns - last_ns)
     state.in_force = sequence
 
 
@@ -264,15 +279,17 @@ def _follow_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
 
 
 @compiled
-def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
+def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) -> None:
     """Choose the horizon to announce, after a state reported how long commands take to arrive.
 
-    It grows at once when a command came late, and slowly towards the wanted one; it shrinks slowly
-    to what arrivals need, but not below the wanted one.
+    It grows at once when a command came late, but only for an episode of late commands above its
+    usual limit, and slowly towards the wanted one. It shrinks slowly to what arrivals need, but not
+    below the wanted one.
 
     Args:
         commands: all that were sent.
         arrival_ns: as in `CommandFeedback`.
+        now_ns: stamp of the state.
         step_ns: time since the last state.
     """
     state = commands.state[0]
@@ -282,16 +299,23 @@ def _announce(commands: Commands, arrival_ns: int, step_ns: int) -> None:
         state.mean_delay_ns += surprise_ns if is_first else _FOLLOW * surprise_ns
         if not is_first:
             state.spread_ns += _FOLLOW * (abs(surprise_ns) - state.spread_ns)
+        if arrival_ns <= state.horizon_ns:
+            state.late_since_ns = -1
+        elif state.late_since_ns < 0:
+            state.late_since_ns = now_ns
     needed_ns = arrival_ns + state.reserve_ns
+    if state.late_since_ns < 0 or now_ns - state.late_since_ns < _EPISODE_NS:
+        needed_ns = min(needed_ns, state.most_ns)
     excess_ns = max(0.0, state.longest_ns - state.mean_delay_ns)
-    state.longest_ns -= excess_ns * min(1.0, step_ns / _SHRINKS_IN_NS)
+    shrinks_in_ns = _RETURNS_IN_NS if state.longest_ns > state.most_ns else _SHRINKS_IN_NS
+    state.longest_ns -= excess_ns * min(1.0, step_ns / shrinks_in_ns)
     if arrival_ns > state.wanted_ns:
         state.longest_ns = max(state.longest_ns, needed_ns)
     exact_ns = state.exact_ns
     if arrival_ns > state.horizon_ns:
         exact_ns = max(exact_ns, needed_ns)
     elif exact_ns < state.wanted_ns:
-        exact_ns = min(exact_ns + GROWS_BY * step_ns, state.wanted_ns)
+        exact_ns = min(exact_ns + state.grows_by * step_ns, state.wanted_ns)
     else:
         exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
     state.exact_ns = exact_ns

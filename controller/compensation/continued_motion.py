@@ -29,6 +29,8 @@ RETURNS = 15.0
 With 5 an arm whose model is wrong is corrected too late, with 40 some leave their bounds at 96 ms
 as they do without a filter; between 10 and 20 margins differ by hundredths of a bound.
 """
+_RETURNS_LATE = 4.0
+"""The same while commands come late: a prediction then has them act too early."""
 
 
 class ContinuedMotion(NamedTuple):
@@ -89,7 +91,8 @@ def continue_motion(
             Flight(newest, newest + 1, newest, 0),
             from_ns, acts_ns, motion, continued.actuator_nm, impulse,
         )  # fmt: skip
-        left = math.exp(-RETURNS * (acts_ns - from_ns) / horizon_ns)
+        returns = RETURNS if commands.state[0].late_since_ns < 0 else _RETURNS_LATE
+        left = math.exp(-returns * (acts_ns - from_ns) / horizon_ns)
         if is_possible(motion):
             for k in range(2):
                 for i in range(joints):

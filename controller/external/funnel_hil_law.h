@@ -17,7 +17,7 @@ struct funnel_hil_situation {
     size_t joints;
     double time_s;    /* since the start of the run, of the measurement or, with delay
                          compensation, of the moment in which the torque will act */
-    double step_s;    /* since the law was last asked; 0 at first */
+    double step_s;    /* since the measurement of the question before; 0 at the first */
     double horizon_s; /* how far this lies ahead of its measurement; 0 unless predicted */
     const double *position_rad, *velocity_rad_s;
     const double *reference_position_rad, *reference_velocity_rad_s, *reference_acceleration_rad_s2;

@@ -1,8 +1,8 @@
-"""The user's files that Python reads, with digests of their contents.
+"""Digests of the user's files that Python reads.
 
 An audit hook sees every file that Python opens, in this thread and those started meanwhile:
-modules, tables, weights, libraries of ``ctypes``. It does not see files that a library opens in C,
-nor where code looks whether a file exists.
+modules, tables, weights and libraries of ``ctypes``. It sees neither files that a library opens in
+C, nor checks whether a file exists.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ABSENT = "absent"
 
 @dataclass(frozen=True)
 class _Reading:
-    """Digests of what is read, and threads that read for others, such as a recorder's."""
+    """Digests of files by path, and threads from before, whose files do not count."""
 
     read: dict[str, str]
     other_threads: set[threading.Thread]
@@ -71,10 +71,10 @@ def digest_of_file(path: Path) -> str | None:
 
 @contextlib.contextmanager
 def files_read() -> Iterator[dict[str, str]]:
-    """Return digests by path, complete at the end, of the user's files that are read meanwhile.
+    """Yield the digests, by path, of the user's files that are read while the context lasts.
 
-    Files that are also written are results, not inputs: their digest is empty. Files that are gone
-    at the end are left out; those that were missing when they were opened are `ABSENT`.
+    A file that is also written is a result, not an input, and has an empty digest. At the end,
+    files that no longer exist are left out. A file that was missing when it was opened is `ABSENT`.
     """
     _install_hook()
     read: dict[str, str] = {}

@@ -28,7 +28,12 @@ class OuterLaw:
         self._reference: Reference | None = None
 
     def follow(self, reference: Reference, preview_s: float) -> None:
-        """Read a reference this far ahead of a state."""
+        """Read a reference ahead of a state.
+
+        Args:
+            reference: positions that the robot follows.
+            preview_s: how far ahead of a state it is read.
+        """
         self._reference, self._preview_s = reference, preview_s
 
     def reset(self) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import PerJointNonNegative, PerJointPositive
-from bus_schema.runtime.compiled import compiled
 from controller.control_law import Dynamics, Tracking
 from controller.outer_laws.outer_law import OuterLaw
 
@@ -39,29 +38,20 @@ class PositionCorrection(OuterLaw):
     def __init__(self, gains: PositionCorrectionGains, _model: Dynamics, limits_nm: Vector) -> None:
         super().__init__(limits_nm.size)
         self._gains: Any = gains
-        self._memory: Matrix = np.zeros((2, limits_nm.size))
+        self._filtered, self._integral = np.zeros((2, limits_nm.size))
 
     def reset(self) -> None:
         """Forget filter and integral."""
-        self._memory[:] = 0.0
+        self._filtered[:] = 0.0
+        self._integral[:] = 0.0
 
     def target(self, tracking: Tracking) -> Matrix:
         """Return corrected positions, and the velocity of the reference; shape (2, joints)."""
-        ahead = self.ahead(tracking)
-        _correct(tracking.error, tracking.step_s, self._gains, self._memory, self._target[0])
-        self._target[0] += ahead[0]
+        gains, step_s, ahead = self._gains, tracking.step_s, self.ahead(tracking)
+        share = [1.0 - math.exp(-each * step_s) for each in gains.filter_rad_s]  # not by SIMD
+        self._filtered += share * (tracking.error - self._filtered)
+        self._integral += step_s * self._filtered
+        correction = gains.proportional * self._filtered + gains.integral * self._integral
+        self._target[0] = ahead[0] - correction
         self._target[1] = ahead[1]
         return self._target
-
-
-@compiled
-def _correct(
-    error: Vector, step_s: float, gains: PositionCorrectionGains, memory: Matrix, correction: Vector
-) -> None:
-    """Update filter and integral, the rows of `memory`, and write −k_p ē − k_i ∫ē."""
-    filtered, integral = memory
-    for i in range(error.size):
-        share = 1.0 - math.exp(-gains.filter_rad_s[i] * step_s)
-        filtered[i] += share * (error[i] - filtered[i])
-        integral[i] += step_s * filtered[i]
-        correction[i] = -gains.proportional[i] * filtered[i] - gains.integral[i] * integral[i]

@@ -38,6 +38,7 @@ PANELS = {
     "Answer": {
         "datasheet": "cli.study.datasheet:datasheet",
         "margin": "cli.study.studies:margin",
+        "policy": "cli.study.policy:policy",
         "sweep": "cli.study.studies:sweep",
         "compare": "cli.study.studies:compare",
         "tune": "cli.study.studies:tune",

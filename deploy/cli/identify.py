@@ -67,7 +67,12 @@ def identify(
         str | None, typer.Option(help="Columns of commanded positions, for the dead time.")
     ] = None,
     time: Annotated[str | None, typer.Option(help="Column of times.")] = None,
-    unit: Annotated[Unit, typer.Option(help="Unit of the times.")] = Unit.S,
+    unit: Annotated[
+        Unit | None,
+        typer.Option(
+            help=r"Unit of the times, if the name of their column does not say it.  \[default: s]"
+        ),
+    ] = None,
     degrees: Annotated[
         bool, typer.Option("--degrees", help="Positions and velocities are in degrees.")
     ] = False,

@@ -62,7 +62,7 @@ def values_of(hint: Any) -> str:
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
         if named := [each for each in parts if isinstance(each, NameIn)]:
-            return ", ".join(f"`{name}`" for name in REGISTRIES[named[0].kind].usable())
+            return ", ".join(f"`{name}`" for name in REGISTRIES[named[0].kind].shipped)
         return values_of(parts[0]) + "".join(_limits(each) for each in parts[1:])
     if origin is Literal:
         return ", ".join(f"`{each}`" for each in parts)
@@ -93,7 +93,7 @@ def _limits(metadata: Any) -> str:
 def sections_in(hint: Any) -> Iterator[type]:
     """The sections that a type is made of."""
     if isinstance(hint, Sections):  # in `Annotated`: classes from a table of the product
-        yield from hint.find()
+        yield from hint.find(())
     elif inspect.isclass(hint) and (issubclass(hint, BaseModel) or hasattr(hint, "_fields")):
         yield hint
     for part in get_args(hint):

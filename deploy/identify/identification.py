@@ -38,7 +38,7 @@ class Wishes:
 
     Attributes:
         columns: as `read_robot_log` takes them.
-        unit: of times in tables whose columns do not name it.
+        unit: of times in tables whose columns do not name it; None for seconds.
         degrees: whether positions and velocities are in degrees.
         link_side: whether the torques are measured beyond the gears, where rotors do not act.
         held_out: share at the end of each log that is not fitted, if there are no `tests`.
@@ -47,7 +47,7 @@ class Wishes:
     """
 
     columns: Mapping[str, str | None] = field(default_factory=dict)
-    unit: str = "s"
+    unit: str | None = None
     degrees: bool = False
     link_side: bool = False
     held_out: float = 1.0 / 3.0

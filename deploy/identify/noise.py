@@ -130,9 +130,9 @@ def _likelihood(rows: Matrix, decays: Vector, share: float) -> tuple[float, floa
 
 def _decays(times_s: Vector, runs: NDArray[np.int64], correlation_s: float) -> Vector:
     """Return the correlation of each row with the one before; 0 where a motion begins."""
-    found = np.exp(-np.diff(times_s, prepend=times_s[0]) / correlation_s)
-    found[np.diff(runs, prepend=-1) != 0] = 0.0
-    return np.asarray(found)
+    found, goes_on = np.zeros(len(times_s)), np.diff(runs) == 0
+    found[1:][goes_on] = np.exp(-np.diff(times_s)[goes_on] / correlation_s)  # else time jumps back
+    return found
 
 
 @compiled

@@ -13,8 +13,8 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
-from deploy.measure.recordings import Recording
-from deploy.measure.time_units import UNITS_MS, unit_of
+from deploy.measure.recordings import opened
+from deploy.measure.time_units import UNITS_MS, units_of
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SHORTEST_S, FEWEST_ROWS = 5.0, 200
@@ -102,7 +102,7 @@ class RobotLog:
 
 
 def read_robot_log(
-    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit: str = "s"
+    path: Path, joints: Sequence[str], given: Mapping[str, str | None], unit: str | None = None
 ) -> RobotLog:
     """Read a log.
 
@@ -111,12 +111,14 @@ def read_robot_log(
         joints: the robot's joints.
         given: by keys of `PATTERNS` and ``time``: columns, separated by commas or as a pattern with
             ``{n}`` or ``{joint}``; in bags, ``position`` is the topic. None: known names.
-        unit: of the times in tables, if the name of their column does not say it.
+        unit: of the times in tables, if the name of their column does not say it; else seconds.
 
     Raises:
         InputError: it cannot be read, or lacks values; the message names file, column and line.
     """
     if path.is_dir() or path.suffix in (".mcap", ".db3"):
+        if unit is not None:
+            raise InputError(f"{path}: --unit must be left out: bags have stamps")
         return _from_bag(_bag_in(path), joints, given.get("position"))
     try:
         names = column_names(path)
@@ -134,7 +136,9 @@ def read_robot_log(
         also = [EPISODE] if EPISODE in names else []
         every = [time, *(c for each in wanted.values() for c in each), *also]
         found = read_columns(path, every, None)
-        times_s = found.values[time] * (UNITS_MS[unit_of(time, unit)] / 1e3)
+        times_s = found.values[time] * (
+            UNITS_MS[units_of([time], unit, f"{path}: --unit")[time]] / 1e3
+        )
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -244,19 +248,28 @@ def _joint_states(
     """Return the joint states on each topic, and the names on topics that lack a joint."""
     found: _JointStates = {}
     others: dict[str, Sequence[str]] = {}
-    for message in Recording(path).messages(wanted):
-        try:
-            state = message.content
-            if not set(joints) <= set(state.name):
-                others[message.topic] = state.name
-                continue
-            stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
-            values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
-        except Exception as error:  # rosbags raises many kinds of errors
-            what = f"a message on {message.topic} is no {JOINT_STATE}: {error}"
-            raise InputError(f"{path}: {what}") from error
-        found.setdefault(message.topic, []).append((message.logged_ns, stamp_ns, np.array(values)))
+    with opened(path) as recording:
+        for message in recording.messages(wanted):
+            try:
+                state = message.content
+                if set(joints) <= set(state.name):
+                    row = (message.logged_ns, *_stamped(state, joints))
+                    found.setdefault(message.topic, []).append(row)
+                else:
+                    others[message.topic] = state.name
+            except MemoryError:
+                raise
+            except Exception as error:  # rosbags raises many kinds of errors
+                what = f"a message on {message.topic} is no {JOINT_STATE}: {error}"
+                raise InputError(f"{path}: {what}") from error
     return found, others
+
+
+def _stamped(state: Any, joints: Sequence[str]) -> tuple[int, Matrix]:
+    """Return the stamp of a JointState, and its position, velocity and effort."""
+    stamp_ns = state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
+    values = [_by_name(state, kind, joints) for kind in ("position", "velocity", "effort")]
+    return stamp_ns, np.array(values)
 
 
 def _by_name(state: Any, kind: str, joints: Sequence[str]) -> Vector:

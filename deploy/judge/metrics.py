@@ -14,6 +14,7 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import all_damage, judge_bounds, may_have_moved, plant_count
+from deploy.judge.chunks import chunks
 from deploy.judge.findings.chattering import chatter_shares
 from deploy.judge.findings.growing import growths, longest_growth_time_s
 from deploy.judge.findings.identified import identified
@@ -84,7 +85,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
         "transport": _transport(run),
-        "chunks": _chunks(run),
+        "chunks": chunks(run),
         "limits": _limits(run),
         "reflexes": run.last_values(Role.PLANT, EventKind.COUNTS).get("reflexes", []),
         "identified": identified(run),
@@ -253,12 +254,6 @@ def times_us(run: RunData) -> dict[str, Vector]:
     }
     # negative: there is none
     return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
-
-
-def _chunks(run: RunData) -> dict[str, Any] | None:
-    """Return for how many states a slow law had nothing left to send; None for other laws."""
-    starved = run.last_values(Role.CONTROLLER, EventKind.ENDED).get("starved")
-    return None if starved is None else {"starved_ticks": starved.get("ticks")}
 
 
 def _limits(run: RunData) -> dict[str, Any]:

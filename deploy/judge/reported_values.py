@@ -42,6 +42,12 @@ _STRETCHES = TypeAdapter(
         Field(max_length=1000),
     ]
 )
+_FINITE = Annotated[float, Field(ge=-1e15, lt=1e15, allow_inf_nan=False)]
+_SWITCHES = TypeAdapter(
+    Annotated[
+        list[Annotated[list[_FINITE], Field(min_length=4, max_length=4)]], Field(max_length=1000)
+    ]
+)
 _CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
 
 
@@ -51,6 +57,15 @@ class _Reflex(BaseModel):
     joint: Annotated[str, Field(max_length=100)] | None
 
 
+class _Jump(BaseModel):
+    jump_rad: _FINITE
+    time_s: _FINITE
+    joint: Annotated[int, Field(strict=True, ge=0, lt=1000)]
+    before_rad: Annotated[list[_FINITE], Field(max_length=1000)]
+    after_rad: Annotated[list[_FINITE], Field(max_length=1000)]
+
+
+_JUMP = TypeAdapter(Annotated[_Jump, AfterValidator(_Jump.model_dump)] | None)
 _REFLEXES = TypeAdapter(
     Annotated[list[Annotated[_Reflex, AfterValidator(_Reflex.model_dump)]], Field(max_length=100)]
 )
@@ -66,12 +81,16 @@ _PLAYOUT = {
     "least_slack_ms": _SLACK,
     **dict.fromkeys(("late", "late_in_a_row"), _COUNT),
 }
+_CHUNKS = {
+    "states": _COUNT, "switches": _COUNT, "first_switches": _SWITCHES, "largest": _JUMP,
+    "age_ms": {"median": _AMOUNT, "largest": _AMOUNT},
+}  # fmt: skip
 _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {
         "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
         "limits": _COUNTS, "physics": _TEXT, "cycles": _COUNT, "seed_used": _MAYBE_TRUTH,
         "kernel": _COUNT, "start_s": _AMOUNT, "newest_cycle_s": _AMOUNT,
-        "starved": {"ticks": _COUNT, "stretches_s": _STRETCHES},
+        "starved": {"ticks": _COUNT, "stretches_s": _STRETCHES}, "chunks": _CHUNKS,
         "bounds": {"ticks": _COUNT, "outside": _COUNT, "margin_min": _MARGIN},
     },
     EventKind.COUNTS: {

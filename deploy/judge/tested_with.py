@@ -30,8 +30,8 @@ _OF_THE_LAW = ("controller.", "plant.drive_feedback.stiffness_nm_rad",
                "plant.drive_feedback.damping_nm_s")  # fmt: skip
 _GIVEN_TO_THE_LAW = ("model", "model_scale", "rotor_scale", "every", "inference_ms",
                      "inference_jitter_ms", "first_inference_ms")  # fmt: skip
-_WITHOUT_EFFECT = ("name", "clock", "seed", "robot.drive_data", "metrics.", "link.domain",
-                   "link.security.", "link.publish_")  # fmt: skip
+_WITHOUT_EFFECT = ("name", "clock", "seed", "robot.drive_data", "link.domain", "link.security.",
+                   "link.publish_")  # fmt: skip
 """Keys that change no number of a gate; ``seed`` is one of a study's seeds."""
 _CAN = "link.can."
 _FILES = ("robot.urdf", *DATA_FILES)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
+from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
 from deploy.judge.run_data import RunData
 
@@ -31,13 +32,23 @@ def tip_error_mm(run: RunData) -> dict[str, float | None]:
 
 def _distances_m(run: RunData, rows: np.ndarray) -> Vector:
     """Return the tip's distance from the reference at some ticks, shape (rows,)."""
-    robot = run.setup.robot
+    actual = run.tables[topics.PLANT_TRUTH.name]["position"][rows]
+    wanted = actual - run.true_errors_rad[rows]
+    return tips_apart_m(run.setup.robot, actual, wanted)
+
+
+def tips_apart_m(robot: RobotDescription, some: Matrix, others: Matrix) -> Vector:
+    """Return the distances between tips, m, shape (rows,).
+
+    Args:
+        robot: the arm.
+        some: positions of its joints, shape (rows, joints).
+        others: likewise.
+    """
     arm = (robot.text, robot.tip_link)
     if arm not in _models:
         _models[arm] = ManipulatorModel(robot)
-    actual = run.tables[topics.PLANT_TRUTH.name]["position"][rows]
-    wanted = actual - run.true_errors_rad[rows]
     with np.errstate(invalid="ignore", over="ignore"):
-        tips = _models[arm].tip_positions(np.concatenate([actual, wanted]))
-        away = tips[: len(actual)] - tips[len(actual) :]
+        tips = _models[arm].tip_positions(np.concatenate([some, others]))
+        away = tips[: len(some)] - tips[len(some) :]
         return np.asarray(np.sqrt((away**2).sum(axis=1)))

@@ -1,7 +1,7 @@
 """Dead time and lag of a recorded system, from a command and a response.
 
-The model is τ ẏ = k u(t − d) + b − y, or of second order, critically damped, with as much lag:
-(τ/2)² ÿ + τ ẏ = k u(t − d) + b − y. For each d and τ the filtered command is exact between rows,
+The model is τ ẏ = k u(t − d) + b − y or, of second order, critically damped with the same lag τ at
+a steady speed, (τ/2)² ÿ + τ ẏ = k u(t − d) + b − y. The filtered command is exact between rows,
 and k and b follow by least squares; a grid finds the best d and τ, and ever smaller steps refine
 them. Confidence intervals allow for residuals that resemble their neighbours (Newey and West,
 "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
@@ -75,9 +75,10 @@ class _Fit:
 
     def __init__(
         self, times_s: Vector, command: Vector, response: Vector, longest_s: float, *,
-        is_held: bool, order: int,
+        is_held: bool, order: int = 1,
     ) -> None:  # fmt: skip
-        self._times_s, self._command, self._order = times_s, command, order
+        self._filter = _filter if order == 1 else _filter_twice
+        self._times_s, self._command = times_s, command
         slopes = np.diff(command) / np.diff(times_s)
         self._slopes = np.append(slopes * (not is_held), 0.0)
         self._first = int(np.searchsorted(times_s, times_s[0] + 2.0 * longest_s))
@@ -87,9 +88,9 @@ class _Fit:
     def regressors(self, dead_time_s: float, lag_s: float) -> Matrix:
         """The filtered command and a constant where there is a response, shape (responses, 2)."""
         columns = np.ones((len(self._seen), 2))
-        _filter(
+        self._filter(
             self._times_s, self._command, self._slopes, self._first, dead_time_s,
-            lag_s if lag_s > _SHORTEST_LAG_S else _NO_LAG_S, self._order, columns[:, 0],
+            lag_s if lag_s > _SHORTEST_LAG_S else _NO_LAG_S, columns[:, 0],
         )  # fmt: skip
         return columns[self._seen]
 
@@ -109,35 +110,51 @@ class _Fit:
 @compiled
 def _filter(
     times_s: Vector, command: Vector, slopes: Vector, first: int, dead_time_s: float,
-    lag_s: float, order: int, filtered: Vector,
+    lag_s: float, filtered: Vector,
 ) -> None:  # fmt: skip
     """Response of a lag to a command, delayed, at the rows from `first` on."""
-    at, state, rate = 0, command[0], 0.0
+    at, state = 0, command[0]
     for row in range(first, times_s.size):
         when_s = times_s[row] - dead_time_s
         while at + 1 < times_s.size and times_s[at + 1] <= when_s:
             span_s = times_s[at + 1] - times_s[at]
-            state, rate = _moved(state, rate, command[at], slopes[at], lag_s, order, span_s)
+            lead = slopes[at] * lag_s
+            decay = math.exp(-span_s / lag_s)
+            state = command[at] + slopes[at] * span_s - lead + (state - command[at] + lead) * decay
             at += 1
         span_s = when_s - times_s[at]
-        filtered[row - first], _ = _moved(
-            state, rate, command[at], slopes[at], lag_s, order, span_s
-        )
+        lead = slopes[at] * lag_s
+        filtered[row - first] = (
+            command[at] + slopes[at] * span_s - lead
+            + (state - command[at] + lead) * math.exp(-span_s / lag_s)
+        )  # fmt: skip
 
 
 @compiled
-def _moved(
-    state: float, rate: float, command: float, slope: float, lag_s: float, order: int, span_s: float
-) -> tuple[float, float]:
-    """Return state and rate of a lag after a time in which its command moves on a line."""
-    lead, end = slope * lag_s, command + slope * span_s
-    if order == 1:
-        return end - lead + (state - command + lead) * math.exp(-span_s / lag_s), 0.0
+def _filter_twice(
+    times_s: Vector, command: Vector, slopes: Vector, first: int, dead_time_s: float,
+    lag_s: float, filtered: Vector,
+) -> None:  # fmt: skip
+    """Response of second order to a command, critically damped, as `_filter` gives it."""
     bandwidth = 2.0 / lag_s
-    away, decay = state - command + lead, math.exp(-bandwidth * span_s)
-    turn = rate - slope + bandwidth * away
-    moved = end - lead + (away + turn * span_s) * decay
-    return moved, slope + (rate - slope - bandwidth * turn * span_s) * decay
+    at, state, speed = 0, command[0], slopes[0]
+    for row in range(first, times_s.size):
+        when_s = times_s[row] - dead_time_s
+        while at + 1 < times_s.size and times_s[at + 1] <= when_s:
+            span_s = times_s[at + 1] - times_s[at]
+            away = state - command[at] + slopes[at] * lag_s
+            pull = speed - slopes[at] + bandwidth * away
+            decay = math.exp(-bandwidth * span_s)
+            state = command[at] + slopes[at] * (span_s - lag_s) + (away + pull * span_s) * decay
+            speed = slopes[at] + (pull - bandwidth * (away + pull * span_s)) * decay
+            at += 1
+        span_s = when_s - times_s[at]
+        away = state - command[at] + slopes[at] * lag_s
+        pull = speed - slopes[at] + bandwidth * away
+        decay = math.exp(-bandwidth * span_s)
+        filtered[row - first] = (
+            command[at] + slopes[at] * (span_s - lag_s) + (away + pull * span_s) * decay
+        )
 
 
 def find_latency(

@@ -36,18 +36,12 @@ uncertainty:
   link.downlink.delay_ms: {{distribution: uniform, from: {dead_low_ms:.4f}, to: {dead_high_ms:.4f}}}
   plant.actuator.lag_ms: {{distribution: uniform, from: {lag_low_ms:.4f}, to: {lag_high_ms:.4f}}}
 """
-_INTERFACE = """\
+_ROBOT = """\
 # {summary}
-# Add it to a scenario, or give it a line "extends: SCENARIO.yaml". Logged at the robot, this is its
-# own response; logged at the controller, it includes the link, which must not delay again then.
-# Studies with "uncertainty" draw from its 95 % interval.
+# Add it to a scenario, or give it a line "extends: SCENARIO.yaml". The robot takes positions, as
+# the laws streaming and position_correction send; the log's whole dead time is the robot's.
 plant:
-  interface: {{kind: {kind}, {kind}: {{dead_time_ms: {dead_ms:.4f}, lag_ms: {lag_ms:.4f}}}}}
-uncertainty:
-  plant.interface.{kind}.dead_time_ms:
-    {{distribution: uniform, from: {dead_low_ms:.4f}, to: {dead_high_ms:.4f}}}
-  plant.interface.{kind}.lag_ms:
-    {{distribution: uniform, from: {lag_low_ms:.4f}, to: {lag_high_ms:.4f}}}
+  interface: {{kind: servoj, servoj: {{dead_time_ms: {dead_ms:.4f}, lag_ms: {lag_ms:.4f}}}}}
 """
 _MUJOCO = """\
 <!-- {summary}
@@ -116,14 +110,14 @@ _TEMPLATES: dict[Export, Callable[..., str]] = {
 }
 
 
-def exported(found: Latency, export: Export, source: str, kind: str | None = None) -> str:
+def exported(found: Latency, export: Export, source: str, *, is_robot: bool = False) -> str:
     """Return a latency as a program reads it.
 
     Args:
         found: the latency, whose intervals become ranges.
         export: the program.
         source: name of the file in which it was found.
-        kind: interface of the robot whose response it is, for a scenario; None for actuators.
+        is_robot: a scenario gets it as the response of a robot that takes positions.
     """
     values = {"summary": _summary(found, source), "step_ms": 1e3 * _LEAST_STEP_S}
     for name, (middle_s, half_s) in (("dead", found.dead_time_s), ("lag", found.lag_s)):
@@ -134,9 +128,8 @@ def exported(found: Latency, export: Export, source: str, kind: str | None = Non
     lag_s = found.lag_s[0]
     timeconst = f' timeconst="{lag_s:.7f}"' if lag_s > _NO_LAG_S else ""
     samples = math.ceil(found.dead_time_s[0] / _LEAST_STEP_S) + 1
-    if kind is not None:
-        return _INTERFACE.format(**values, kind=kind)
-    return _TEMPLATES[export](**values, timeconst=timeconst, samples=samples)
+    template = _ROBOT.format if is_robot and export == Export.SCENARIO else _TEMPLATES[export]
+    return template(**values, timeconst=timeconst, samples=samples)
 
 
 def _summary(found: Latency, source: str) -> str:

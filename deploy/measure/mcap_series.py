@@ -13,7 +13,7 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
-from deploy.measure.recordings import Recording
+from deploy.measure.recordings import RecordedMessage, opened
 
 _PART = re.compile(r"(\w+)|\[([^\[\]]+)\]")
 
@@ -81,35 +81,70 @@ def rows_of(command: Field, response: Field, *, is_held: bool) -> tuple[Vector, 
     return times_s, np.interp(times_s, (command.times_ns - times_ns[0]) / 1e9, command.values), rows
 
 
-def read_field(file: Path, name: str) -> Field:
-    """Read one number of the messages on a topic.
+def read_fields(file: Path, first: str, second: str) -> tuple[Field, Field]:
+    """Read two numbers, each of the messages on a topic, in one pass over the recording.
 
     Messages that name joints, but not this one, are skipped: another device sends them. A place in
     messages that name joints means the joint at this place in most of them.
 
     Args:
         file: with messages in CDR and their definitions.
-        name: topic and field, as ``/joint_commands.effort[2]`` or ``/states.position[elbow]``.
+        first: topic and field, as ``/joint_commands.effort[2]`` or ``/states.position[elbow]``.
+        second: likewise.
+
+    Raises:
+        InputError: the file cannot be read, or a message has no such number.
     """
-    topic, _, field = name.partition(".")
-    *parts, last = [(word, index) for word, index in _PART.findall(field)] or [("", "")]
-    recording, found = Recording(file), list[tuple[int, tuple[str, ...], Any]]()
-    for message in recording.messages(topic):
+    fields = [_FieldReader(first), _FieldReader(second)]
+    with opened(file) as recording:
+        for message in recording.messages(*(each.topic for each in fields)):
+            for each in fields:
+                if message.topic == each.topic:
+                    each.take(file, message)
+        for each in fields:
+            if not each.found:
+                topics = sorted(recording.topics)
+                known = f"topics are {', '.join(topics)}{did_you_mean(each.topic, topics)}"
+                raise InputError(f"{file}: no messages on {each.topic}; {known}")
+        one, other = (each.field(file) for each in fields)
+    return one, other
+
+
+class _FieldReader:
+    """Collects one number from messages.
+
+    Args:
+        name: topic and field.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self.topic, _, field = name.partition(".")
+        *self._parts, self._last = [*_PART.findall(field)] or [("", "")]
+        self.found: list[tuple[int, tuple[str, ...], Any]] = []
+
+    def take(self, file: Path, message: RecordedMessage) -> None:
+        """Take the value of one message, of which the last part of the name selects the number."""
         try:
             names, value = _joints(message.content), message.content
-            for part in parts:
+            for part in self._parts:
                 value = _part(value, part, names)
+        except MemoryError:
+            raise
         except Exception as error:  # rosbags raises many kinds of errors
-            raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
-        found.append((message.logged_ns, names, value))
-    if not found:
-        topics = sorted(recording.topics)
-        hint = did_you_mean(topic, topics)
-        raise InputError(f"{file}: no messages on {topic}; topics are {', '.join(topics)}{hint}")
-    try:
-        return _field(topic, last, sorted(found, key=lambda each: each[0]))
-    except (ValueError, TypeError, IndexError) as error:
-        raise InputError(f"{file}: {name}: cannot be read as a number: {error}") from error
+            raise self._refusal(file, error) from error
+        self.found.append((message.logged_ns, names, value))
+
+    def field(self, file: Path) -> Field:
+        """Return what was collected, by time."""
+        try:
+            found = sorted(self.found, key=lambda each: each[0])
+            return _field(self.topic, self._last, found)
+        except (ValueError, TypeError, IndexError) as error:
+            raise self._refusal(file, error) from error
+
+    def _refusal(self, file: Path, error: Exception) -> InputError:
+        return InputError(f"{file}: {self._name}: cannot be read as a number: {error}")
 
 
 def _field(

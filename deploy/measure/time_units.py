@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from bus_schema.arrays import Vector
+from bus_schema.errors import InputError
 
 UNITS_MS = {"s": 1e3, "ms": 1.0, "us": 1e-3, "ns": 1e-6}
 _SUFFIX = re.compile(r"(?:_|\s*[\[(])([mnuµμ]?)s(?:ec)?[\])]?$")
@@ -23,6 +25,24 @@ def unit_of(column: str, otherwise: str) -> str:
     """
     found = _SUFFIX.search(column)
     return otherwise if found is None else f"{_PREFIXES.get(found[1], found[1])}s"
+
+
+def units_of(columns: Sequence[str], given: str | None, option: str) -> dict[str, str]:
+    """Return the units of columns: those that their names say, else the one that the user gave.
+
+    Args:
+        columns: their names.
+        given: the user's unit; None for seconds.
+        option: the option that gives it.
+
+    Raises:
+        InputError: all names say units, and another than the user gave.
+    """
+    named = {name: unit_of(name, "") for name in columns}
+    if given is not None and all(named.values()) and set(named.values()) != {given}:
+        said = ", ".join(f"{name} is in {unit}" for name, unit in named.items())
+        raise InputError(f"{option} {given}: must be left out, as by their names {said}")
+    return {name: unit or given or "s" for name, unit in named.items()}
 
 
 def check_interval(times_s: Vector) -> None:

@@ -15,7 +15,7 @@ from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
 from bus_schema.user_files import read_text
 from deploy.judge.findings.link_delays import MeasuredDelays
-from deploy.measure.recordings import Recording
+from deploy.measure.recordings import opened
 from deploy.measure.time_units import UNITS_MS
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -26,12 +26,15 @@ _CAN_LOG = re.compile(r"\(([\d.]+)\)\s+(\S+)\s+([0-9A-Fa-f]+)(?:#|\s+\[)")
 _WRAP = 1 << 16
 
 
-def from_ping(file: Path, interval_s: float) -> MeasuredDelays:
+def from_ping(file: Path, interval_s: float | None = None) -> MeasuredDelays:
     """Half of each round trip that ``ping`` shows; numbers that are missing were lost.
 
     Args:
         file: its output; with ``-D`` it has the times of answers.
-        interval_s: between two requests, for output without times.
+        interval_s: between two requests, for output without times; 1 s by default.
+
+    Raises:
+        ScenarioError: it cannot be read, or has times beside `interval_s`.
     """
     answers: dict[int, tuple[float, float]] = {}
     newest = 0
@@ -42,7 +45,9 @@ def from_ping(file: Path, interval_s: float) -> MeasuredDelays:
         stamp, number, round_trip_ms = found[1], int(found[2]), float(found[3])
         number += max(0, newest - number + _WRAP // 2) // _WRAP * _WRAP  # it has 16 bits
         newest = max(newest, number)
-        sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * interval_s
+        if stamp and interval_s is not None:
+            raise ScenarioError(f"{file}: --interval must be left out: it has times, by ping -D")
+        sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * (interval_s or 1.0)
         answers[number] = sent_s, round_trip_ms / 2
     if len(answers) < 2:
         raise ScenarioError(f"{file}: does not contain two replies in the format of ping")
@@ -149,12 +154,13 @@ def from_mcap(file: Path, topic: str, answer: str | None) -> MeasuredDelays:
             logged to when the other was. A message that is not answered was lost.
     """
     logged: dict[str, dict[int, int]] = {name: {} for name in (topic, answer or topic)}
-    recording = Recording(file)
-    for message in recording.messages(topic, answer):
-        stamp_ns = stamp_of(message.data)
-        if message.topic in logged and stamp_ns is not None:
-            times_ns = logged[message.topic]
-            times_ns[stamp_ns] = min(message.logged_ns, times_ns.get(stamp_ns, message.logged_ns))
+    with opened(file) as recording:
+        for message in recording.messages(topic, answer):
+            stamp_ns = stamp_of(message.data)
+            if message.topic in logged and stamp_ns is not None:
+                times_ns = logged[message.topic]
+                first_ns = times_ns.get(stamp_ns, message.logged_ns)
+                times_ns[stamp_ns] = min(message.logged_ns, first_ns)
     for name, found in logged.items():
         if not found:
             topics = sorted(recording.topics)

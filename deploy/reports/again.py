@@ -83,15 +83,22 @@ def _run_again(path: Path) -> Again:
 
 
 def _study_again(path: Path) -> Again:
-    """Judge the rows of a study; show its earlier summary if its scenarios have changed."""
+    """Judge the rows of a study; show its earlier summary if they cannot be judged alike today.
+
+    So it is if its scenarios or laws have changed, or if its search needs other runs today.
+    """
     study = read_study(path)
     folder = StudyFolder(path.resolve(), study)
 
     def judge() -> Results:
-        changed, summary = "; ".join(changes_since(study, folder.path)), read_summary(folder.path)
+        changed = "; ".join([*changes_since(study, folder.path), *folder.law_changes])
+        summary = read_summary(folder.path)
         if not changed:
+            study.recall(summary)
             retrace(study, folder)
-            return write_study(study, folder)
+            if not summary.get("completed") or study.findings(folder.rows)["completed"]:
+                return write_study(study, folder)
+            changed = "made by another search"
         if "conditions" not in summary:
             raise ScenarioError(
                 f"{folder.path}: {changed}: must be as it was, as no summary is there"

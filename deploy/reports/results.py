@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.conditions import conditions_of_recording, conditions_of_runs
 from deploy.judge.run_rows import read_rows, write_rows
-from deploy.judge.tested_with import TESTED_WITH, tested_with
+from deploy.judge.tested_with import TESTED_WITH
 from deploy.judge.verdict import Verdict, decide, with_verdict
 from deploy.reports.kinds import kind_of
 from deploy.reports.page import Cards, Fact, Page
@@ -80,18 +80,12 @@ def write_results(folder: ResultFolder, results: Results, *, draws_report: bool 
 
 
 def run_results(folder: RunFolder, run: JudgedRun) -> Results:
-    """Judge a run; a confirmation in its folder is kept, and how the same run was tested.
-
-    A recording has the arm resolved, in other words than its file.
-    """
-    before = read_summary(folder.path)
+    """Judge a run; a confirmation in its folder is kept."""
+    before, manifest = read_summary(folder.path), read_manifest(folder.path)
     confirmed = run.summary.get(CONFIRMATION) or before.get(CONFIRMATION)
     run.summary |= {CONFIRMATION: confirmed} if confirmed else {}
-    setup, is_same = run.data.setup, before.get("digest") == run.summary["digest"]
-    tested = before.get(TESTED_WITH) if is_same else None
-    tested = tested or tested_with([setup], {"seeds": [setup.scenario.seed]})
-    run.summary |= {TESTED_WITH: tested}
-    return Results(run.summary, run_page(run, read_manifest(folder.path)), [run])
+    run.summary |= {TESTED_WITH: manifest.get(TESTED_WITH)}
+    return Results(run.summary, run_page(run, manifest), [run])
 
 
 def write_run(folder: RunFolder, run: JudgedRun, *, draws_report: bool = True) -> Results:
@@ -140,9 +134,10 @@ def diff_results(compared: RecordedRuns) -> Results:
 
 def judge_rows(study: StudyOfRuns, folder: StudyFolder) -> dict[str, Any]:
     """Write the table of a study's rows; return its summary."""
-    summary = study.summary(folder.rows)
+    summary, manifest = study.summary(folder.rows), read_manifest(folder.path)
     study.keep_files(summary, folder.path)
-    summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
+    summary |= {TESTED_WITH: manifest.get(TESTED_WITH)}
+    summary["conditions"] = study.conditions(summary, manifest)
     if folder.unseen:
         summary["conditions"][_REUSE] = folder.unseen
     folder.write(summary["conditions"], completed=summary["completed"])

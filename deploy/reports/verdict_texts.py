@@ -108,6 +108,7 @@ def verdict_on_run(
             " run): this loop vibrates."
             for each in summary.get("vibrating", ())
         ),
+        *_sentences_on_chunks(summary.get("chunks")),
         *_sentences_on_ranges(summary),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
@@ -130,6 +131,27 @@ def _sentences_on_the_tip(summary: Mapping[str, Any], from_s: float) -> list[str
         return []
     most = f"{number(largest_mm)} mm at most"
     return [f"The tip was off by {number(rms_mm)} mm RMS, {most}, from {from_s:g} s on."]
+
+
+def _sentences_on_chunks(chunks: Mapping[str, Any] | None) -> list[str]:
+    """Return what is worth a look of a slow law's answers: jumps, old observations, no row left."""
+    if chunks is None or not chunks.get("switches"):
+        return []
+    jump_rad, ages = chunks["jump_rad"], chunks["age_ms"]
+    jumped = (
+        ""
+        if jump_rad is None
+        else (
+            f", largest jump of a target {number(_MRAD * jump_rad)} mrad ({chunks['jump_joint']} at"
+            f" {chunks['jump_s']:.2f} s; {number(chunks['jump_mm'])} mm at the tip)"
+        )
+    )
+    left = f" Nothing was left to send at {100 * chunks['starved_share']:.3g} % of the states."
+    return [
+        f"{chunks['switches']} new answers of the law{jumped}. The observation behind an answer in"
+        f" force was {number(ages['median'])} ms old (median), {number(ages['largest'])} ms at"
+        f" most.{left if chunks['starved_ticks'] else ''}"
+    ]
 
 
 def _sentences_on_the_robot(run: RunData, summary: Mapping[str, Any]) -> list[str]:

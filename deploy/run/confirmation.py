@@ -63,7 +63,7 @@ def check_confirmable(setup: Setup) -> None:
     if not others:
         raise ScenarioError(
             "--confirm: no other physics engine is installed: pip install "
-            + " ".join(engine.distribution for engine in ENGINES.usable().values())
+            + " ".join(engine.distribution for engine in ENGINES.usable(()).values())
         )
 
 
@@ -101,10 +101,13 @@ def simulated_otherwise(setup: Setup, path: Path) -> list[str]:
 
 
 def other_physics(setup: Setup) -> dict[str, Setup]:
-    """Return the scenario on every other installed physics, by the name of that physics."""
+    """Return the scenario on all other installed physics, by name: what ships, and its own engine.
+
+    Engines of packages that the scenario does not use take no part.
+    """
     own, found = physics_text(setup.scenario.plant), {}
     needs_rotors = setup.scenario.plant.actuator.has_rotors
-    for name, engine in ENGINES.usable().items():
+    for name, engine in ENGINES.usable({engine_name(setup.scenario.plant)}).items():
         is_able = engine.is_installed and (engine.has_rotors or not needs_rotors)
         for integrator in engine.integrators if is_able else ():
             physics = PhysicsConfiguration.model_validate(

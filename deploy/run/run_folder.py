@@ -28,6 +28,7 @@ from bus_schema.user_files import read_text
 from controller.laws.custom import custom_laws_left_out
 from deploy.judge.arithmetic import libm_fingerprint
 from deploy.judge.run_data import RunData, build_run_data
+from deploy.judge.tested_with import TESTED_WITH, tested_with
 from deploy.run.new_folder import FolderLock, missing_recording, new_folder
 from deploy.run.recording import (
     DAMAGING,
@@ -123,15 +124,16 @@ class RunFolder(ResultFolder):
     def write_manifest(
         self, setup: Setup, grants: Mapping[str, Any], real_delay: Mapping[str, Any] | None = None
     ) -> None:
-        """Write the manifest: what was run, with what, and where.
+        """Write the manifest: what was run, how it was tested, with what, and where.
 
         Args:
-            setup: the scenario.
+            setup: the scenario, whose recording has the arm in other words.
             grants: real-time setup, by role.
             real_delay: a real delay of the link, and how exactly it was kept; None for none.
         """
         delay = {} if real_delay is None else {"real_delay": dict(real_delay)}
-        write_json(self.manifest, manifest_of([setup], grants) | delay)
+        tested = tested_with([setup], {"seeds": [setup.scenario.seed]})
+        write_json(self.manifest, manifest_of([setup], grants) | delay | {TESTED_WITH: tested})
 
 
 def read_summary(path: Path) -> dict[str, Any]:

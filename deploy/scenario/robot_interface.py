@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from bus_schema.configuration import ConfigurationError
 from controller.control_law import ABSENCE_STATES, ControlLaw
+from controller.laws import LAWS
+from controller.laws.custom import EXTERNAL
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from plant_emulator.channel.delay_range import median_round_trip_ns
@@ -13,36 +16,42 @@ from plant_emulator.interfaces.configuration import InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
+    from deploy.scenario.definition import ScenarioConfiguration
     from deploy.scenario.setup import Setup
 
+_SECTION = "plant.interface"
+_KEY = f"{_SECTION}.kind"
+_LAW, _PREVIEW = "controller.law", "controller.preview_ms"
+_OF_ITS_CONTROLLER = ("rate_hz", "clock_ppm", "phase_ms", "bandwidth_rad_s")
+"""Keys of the section that only robots with a controller of their own have."""
 
-def law_for_robot(setup: Setup) -> ControlLaw:
-    """Return the scenario's law, asked as often as it says, with commands that the robot takes.
+
+def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
+    """Return a law whose commands are what the robot takes.
 
     A law of positions or velocities reads the reference ahead; the torque of another one moves the
-    nominal model at each state, however seldom the law is asked.
+    nominal model, at every state even if the law is slower.
     """
-    controller = setup.scenario.controller
-    rotors = setup.scenario.plant.actuator.rotor_inertia(setup.robot.joints)
-    law = controller.build_law(setup.gains, setup.nominal, rotors)
+    scenario = setup.scenario
+    controller, takes = scenario.controller, scenario.plant.interface.takes
     if isinstance(law, OuterLaw):
         law.follow(setup.reference.copied(), preview_s(setup))
-    takes = setup.scenario.plant.interface.takes
-    period_s, gives_targets = 1e-9 * setup.grid.period_ns, hasattr(law, "target")
-    paced = controller.paced(law, period_s, setup.scenario.seed, takes if gives_targets else TORQUE)
-    if takes == TORQUE or gives_targets:
+    else:
+        _check_no_preview(setup)
+    moves_model = takes != TORQUE and not hasattr(law, "target")
+    period_s, fastest_rad_s = 1e-9 * setup.grid.period_ns, setup.robot.velocity_limits_rad_s
+    takes = TORQUE if moves_model else takes
+    paced = controller.paced(law, period_s, scenario.seed, takes, fastest_rad_s)
+    if not moves_model:
         return paced
+    rotors = scenario.plant.actuator.rotor_inertia(setup.robot.joints)
     model = controller.nominal_model(setup.nominal, rotors)
     return Admittance(paced, model, setup.largest_torques_nm)
 
 
 def longest_step_s(setup: Setup) -> float:
-    """Return the time between states over which a law integrates at most.
-
-    The motion of a robot that takes targets would jump after an absence of states.
-    """
-    is_bounded = not takes_torque(setup)
-    return 1e-9 * ABSENCE_STATES * setup.grid.period_ns if is_bounded else math.inf
+    """Return the time between states above which some were absent, for laws that send targets."""
+    return math.inf if takes_torque(setup) else 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
 
 
 def takes_torque(setup: Setup) -> bool:
@@ -61,8 +70,11 @@ def preview_s(setup: Setup) -> float:
     """Return how far ahead of a state the reference is read.
 
     ``auto`` is the median of the emulated round trip, or the play-out time if that is longer, the
-    mean age of a slow law's answer, and the lag of the robot's own controller. It is 0 for drives
-    that close a loop around targets: they move a target on with its velocity since its state.
+    lag of the robot's own controller, and the age of a slow law's answers. It is 0 for drives, which go on
+    along their targets from the stamp of the state.
+
+    Raises:
+        ConfigurationError: it is ``auto``, but the robot's lag is unknown.
     """
     controller, interface = setup.scenario.controller, setup.scenario.plant.interface
     if controller.preview_ms != "auto":
@@ -71,16 +83,104 @@ def preview_s(setup: Setup) -> float:
         return 0.0
     link, period_s = setup.link, 1e-9 * setup.grid.period_ns
     sides = (side.model_copy(update={"schedule": ()}) for side in (link.uplink, link.downlink))
-    round_trip_ns = max(median_round_trip_ns(*sides), link.playout_ns)
-    moves_on = controller.between_answers == "linear" and interface.takes == "position"
-    age_s = 0.0 if moves_on else controller.answer_age_s(period_s)
-    return 1e-9 * round_trip_ns + age_s + robot_lag_s(setup)
+    round_trip_s = 1e-9 * max(median_round_trip_ns(*sides), link.playout_ns)
+    goes_on = controller.between_answers == "linear" and interface.takes == "position"
+    age_s = 0.0 if goes_on else controller.answer_age_s(period_s)
+    return round_trip_s + age_s + robot_lag_s(setup)
 
 
 def robot_lag_s(setup: Setup) -> float:
-    """Return how far joints that move steadily are behind targets that have arrived."""
+    """Return how far joints that move steadily are behind targets that have arrived.
+
+    Raises:
+        ConfigurationError: it is unknown.
+    """
     interface = setup.scenario.plant.interface
+    lag_s = interface.lag_s(1e-9 * setup.grid.period_ns)
+    if lag_s is None:
+        allowed = f"must be a time in ms where {_KEY} = {interface.kind} and targets come more"
+        allowed += " slowly than its cycles: its lag has no closed form"
+        raise ConfigurationError(_PREVIEW, "auto", allowed, ["rate_hz", f"{_SECTION}.rate_hz"])
     if not interface.has_controller or interface.settings.knows_arm:
-        return interface.lag_s
+        return lag_s
     drive = setup.drive  # which takes no velocities
-    return interface.lag_s + float((drive.damping_nm_s / drive.stiffness_nm_rad).mean())
+    return lag_s + float((drive.damping_nm_s / drive.stiffness_nm_rad).mean())
+
+
+def check_interface(setup: Setup) -> None:
+    """Check that the law gives what the robot takes, over a link that can carry it.
+
+    Raises:
+        ConfigurationError: it does not.
+    """
+    scenario = setup.scenario
+    controller, interface = scenario.controller, scenario.plant.interface
+    takes, where = interface.takes, f"{_KEY} = {interface.kind}"
+    gives = LAWS[controller.law].gives if controller.law in LAWS else TORQUE
+    if takes == TORQUE and gives != TORQUE and not controller.drive_feedback.enabled:
+        allowed = f"gives no torque, and {where} takes nothing else"
+        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+    if takes != TORQUE and gives not in (takes, "motion", TORQUE):
+        allowed = f"gives {gives}, and {where} takes {takes}"
+        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+    if controller.process is not None:
+        _check_no_preview(setup)
+    _check_targets_arrive(scenario)
+    if interface.has_controller:
+        _check_link(scenario, reaches_it=setup.link_kind.reaches_robots)
+    else:
+        _check_no_controller(scenario)
+
+
+def _check_no_preview(setup: Setup) -> None:
+    """Check that no preview is given to a controller that reads no reference ahead."""
+    controller = setup.scenario.controller
+    if controller.preview_ms != "auto":
+        allowed = f"must be auto with {controller.name}, which reads no reference ahead"
+        raise ConfigurationError(_PREVIEW, controller.preview_ms, allowed, [_LAW])
+
+
+def _check_targets_arrive(scenario: ScenarioConfiguration) -> None:
+    """Check that drives or a robot take the targets of a program."""
+    controller = scenario.controller
+    if controller.law != EXTERNAL or controller.external is None or not controller.external.targets:
+        return
+    if not controller.drive_feedback.enabled and scenario.plant.interface.takes == TORQUE:
+        allowed = (
+            "must be false, unless controller.drive_feedback.enabled is true or a robot takes"
+            " positions or velocities"
+        )
+        raise ConfigurationError("controller.external.targets", True, allowed, [_KEY])
+
+
+def _check_no_controller(scenario: ScenarioConfiguration) -> None:
+    """Check that nothing is set of a controller that a robot does not have."""
+    if ppm := scenario.controller.clock_ppm:
+        allowed = f"must be 0 where {_KEY} = torque: there is no second clock"
+        raise ConfigurationError("controller.clock_ppm", ppm, allowed, [_KEY])
+    interface = scenario.plant.interface
+    for name in _OF_ITS_CONTROLLER:
+        value, usual = getattr(interface, name), type(interface).model_fields[name].default
+        if value != usual:
+            usual = "left out" if usual is None else f"{usual:g}"
+            allowed = f"must be {usual} where {_KEY} = torque: the robot has no own controller"
+            raise ConfigurationError(f"{_SECTION}.{name}", value, allowed, [_KEY])
+
+
+def _check_link(scenario: ScenarioConfiguration, *, reaches_it: bool) -> None:
+    """Check what does not go with a robot that has a controller of its own."""
+    takes_torque = scenario.plant.interface.takes == TORQUE
+    plant, controller = scenario.plant.drive_feedback, scenario.controller
+    feedback = controller.drive_feedback.enabled
+    compensation = controller.delay_compensation.enabled
+    conflicts = {
+        "link.kind": (scenario.link.kind, not reaches_it),
+        "controller.drive_feedback.enabled": (True, feedback),
+        "controller.delay_compensation.enabled": (True, compensation and not takes_torque),
+        "plant.drive_feedback.enabled": (True, plant.enabled and takes_torque),
+    }
+    for key, (value, is_in_conflict) in conflicts.items():
+        if is_in_conflict:
+            kind = scenario.plant.interface.kind
+            allowed = f"must be another value with {_KEY} = {kind}"
+            raise ConfigurationError(key, value, allowed, [_KEY])

@@ -121,7 +121,7 @@ class Setup:
             robot=self.robot,
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
-            law=law_for_robot(self),
+            law=law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
@@ -142,8 +142,7 @@ class Setup:
         if not takes_torque(self):
             inertia = self.governing_inertia_kg_m2
             gains = critically_damped(inertia, interface.bandwidth_rad_s)
-            knows_arm = interface.settings.knows_arm
-            return gains if knows_arm else self.scenario.plant.drive_feedback.gains(gains)
+            return self.scenario.plant.drive_feedback.gains(gains)
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from bus_schema.configuration import ConfigurationError, shortened, shown
+from bus_schema.configuration import ConfigurationError, SettingsError, shortened, shown
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.user_files import is_file, read_text
 from deploy.scenario.checking.explanation import Origin, explain
@@ -43,6 +43,9 @@ def naming(source: Path | Origin) -> Iterator[None]:
     origin = source if isinstance(source, Origin) else Origin(source)
     try:
         yield
+    except SettingsError as error:
+        explained = explain(error.error, error.model, origin, error.section.split("."))
+        raise ScenarioError(explained) from error
     except ConfigurationError as error:
         raise ScenarioError(f"{origin.of(error.key, error.beside)}: {error}") from error
     except ScenarioError as error:

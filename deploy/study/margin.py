@@ -10,7 +10,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Number, Positive
-from deploy.judge.run_rows import Row, tolerated
+from controller.laws.custom import is_custom
+from deploy.judge.run_rows import Row, tolerated, uses_seed
 from deploy.scenario.checking.warnings import require_hold
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
@@ -94,6 +95,7 @@ class Margin(StudyOfCases):
         ]
         self.follow_ups: dict[int, dict[str, MarginSearch]] = {}
         self.theories: dict[int, dict[str, Any]] = {}
+        self._recalled: dict[int, dict[str, Any]] = {}
         if self.definition.pattern is not None:
             self.columns["pattern"] = "string"
             for setting, start in ((case.setting, case.variants[0]) for case in self.cases):
@@ -110,10 +112,12 @@ class Margin(StudyOfCases):
     @property
     def own_test(self) -> dict[str, Any]:
         wanted, steps = self.definition, self.searches[0].steps
+        unknown = sorted({name for case in self.cases for name in self._unknowns(case.setting)})
         return {
             **super().own_test,
             "offsets": wanted.offsets,
             "pattern": wanted.pattern,
+            "unknowns": unknown or None,  # as in older baselines
             "resolution": steps.resolution,
             "limit": steps.value(steps.limit),
         }
@@ -189,7 +193,8 @@ class Margin(StudyOfCases):
         """Compute the theory of a case when a run has shown that its law works, for the search."""
         if self.definition.quantity != "delay" or not search.outcomes:
             return
-        theory = self.theories[index] = theory_beside(self.cases[index].setting)
+        theory = self._recalled.get(index) or theory_beside(self.cases[index].setting)
+        self.theories[index] = theory
         if "unstable_ms" in theory:
             search.parts, search.hints = 1, first_loss(theory, search.steps)
 
@@ -198,7 +203,9 @@ class Margin(StudyOfCases):
         case, wanted, steps = self.cases[index], self.definition, search.steps
         setting, block = case.setting, _MOST_VARIANTS * len(case.variants)
         if wanted.what_helps and search.margin is not None and search.first_failure is not None:
-            most = sum(map(len, search.rows.values())) // 2  # a third of all
+            rows = [row for rows in search.rows.values() for row in rows]
+            seeds = len(wanted.seeds) if any(map(uses_seed, rows)) else 1
+            most = len(rows) // 2 // seeds  # variants, whose runs are a third of all
             yield "what_helps", remedies.trials_of(case, search, 2 * block, most)
         if (margin := search.margin) is None:
             return
@@ -227,6 +234,14 @@ class Margin(StudyOfCases):
     def keeps(self, row: Row) -> bool:
         """Whether a row is of what helps, which a gate in the same folder does not ask for."""
         return not self.definition.what_helps and row.get(COLUMN) is not None
+
+    def recall(self, summary: Mapping[str, Any]) -> None:
+        """Take over the theory of custom laws, which `report` does not run."""
+        for index, tags in enumerate(case.setting.tags for case in self.cases):
+            if is_custom(tags["law"]):
+                for each in summary.get("cases", ()):
+                    if tags.items() <= each.items() and each.get("theory"):
+                        self._recalled[index] = each["theory"]
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):
@@ -268,7 +283,7 @@ class Margin(StudyOfCases):
             **self._follow_up_findings(index),
             "theory": self.theories.get(index) if search.next() is None else None,
         }
-        return {**found, **quoted(found)}
+        return {**found, **quoted(found, is_over=self._is_over(index))}
 
     def _follow_up_findings(self, index: int) -> dict[str, Any]:
         """Return the findings about patterns, disturbances and remedies that were asked for."""

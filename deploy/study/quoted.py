@@ -19,17 +19,18 @@ class Because(StrEnum):
     MODEL = "model error"
 
 
-def quoted(case: Found) -> dict[str, Any]:
+def quoted(case: Found, *, is_over: bool = True) -> dict[str, Any]:
     """Return the smallest margin that is known of a case, and why, for a summary.
 
     Args:
         case: what was found of it.
+        is_over: whether its search and all that is tried after it are over.
 
     Returns:
         ``quoted``: the number, in the unit of the quantity; null for none. ``quoted_because``: a
-        `Because`; null while the search is not over.
+        `Because`; null while it is not over.
     """
-    if not case["completed"]:
+    if not is_over:
         return {"quoted": None, "quoted_because": None}
     known = list(_known(case))
     none = next((because for number, because in known if number is None), None)

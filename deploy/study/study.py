@@ -24,7 +24,7 @@ from controller.laws.read_files import files_read
 from deploy.judge.conditions import Conditions, conditions_of_runs
 from deploy.judge.findings.loss_reason import AFTER_S
 from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
-from deploy.judge.tested_with import TESTED_WITH, tested_with
+from deploy.judge.tested_with import tested_with
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import InProcess, execute
 from deploy.run.run_folder import RunFolder, provenance
@@ -316,9 +316,11 @@ class StudyOfRuns(ABC):
             "commonest_error": commonest_error(rows),
             "seeds": seeds_of(rows) or self.definition.seeds,
             CONFIRMATION: confirmations(rows),
-            TESTED_WITH: self.tested_with,
             **self.findings(rows),
         }
+
+    def recall(self, summary: Mapping[str, Any]) -> None:  # noqa: B027 (few have any)
+        """Take over what today's commands cannot find again from the summary of all its rows."""
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:  # noqa: B027 (few have any)
         """Add files to the folder of the study, and their paths to its summary."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from bus_schema.can.protocol import PROTOCOLS
-from bus_schema.configuration import expand
+from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.registry import Registry
@@ -29,6 +29,19 @@ DRIVES: Registry[type[Drive[Any]]] = Registry(
     },
 )
 """The drives of each protocol of `bus_schema.can.protocol.PROTOCOLS`."""
+
+
+def drive_of(protocol: str) -> type[Drive[Any]]:
+    """Return the class of a protocol's drives.
+
+    Raises:
+        ConfigurationError: the package of the protocol has none, or they cannot be loaded.
+    """
+    if protocol in PROTOCOLS and protocol not in DRIVES:
+        owner = PROTOCOLS.extension(protocol)
+        allowed = f"{owner} has no drives: its package must add {protocol} to funnel_hil.drives too"
+        raise ConfigurationError(DRIVES.key, protocol, allowed)
+    return DRIVES[protocol]
 
 
 def commission(
@@ -100,4 +113,4 @@ def build_bank(
         settings = tuple(replace(each, is_polled=True) for each in settings)
     elif "command_timeout_ms" not in can.model_fields_set:
         settings = tuple(replace(each, watchdog_ms=0.0) for each in settings)
-    return DriveBank(DRIVES[can.protocol], settings, send)
+    return DriveBank(drive_of(can.protocol), settings, send)

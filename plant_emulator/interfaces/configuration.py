@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
+from bus_schema.configuration import NonNegative, Number, Positive, StrictModel, validated
 from bus_schema.errors import did_you_mean
 from bus_schema.registry import NameIn, Registry
 from plant_emulator.interfaces.egm import EgmSettings
@@ -78,12 +78,10 @@ class InterfaceConfiguration(StrictModel):
 
     @field_validator("own")
     @classmethod
-    def _belong_to_the_kind(cls, own: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        kind = info.data.get("kind", TORQUE)  # absent if it is wrong itself
-        if kind not in (TORQUE, *INTERFACES.shipped):
-            INTERFACES[kind].model_validate(own)
-        elif own and "kind" in info.data:
-            raise ValueError(f"left out with plant.interface.kind = {kind}, which has a section")
+    def _is_of_its_kind(cls, own: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        kind = info.data.get("kind", TORQUE)
+        if own and kind in (TORQUE, *INTERFACES.shipped):
+            raise ValueError(f"left out with kind = {kind}: it is for kinds of installed packages")
         return own
 
     @property
@@ -98,16 +96,31 @@ class InterfaceConfiguration(StrictModel):
 
     @property
     def settings(self) -> InterfaceSettings:
-        """The section of its kind, if it has a controller of its own."""
+        """The section of its kind, if it has a controller of its own.
+
+        Raises:
+            ConfigurationError: `own` has wrong keys or values, or its package cannot be loaded.
+        """
         if self.kind in INTERFACES.shipped:
             section: InterfaceSettings = getattr(self, self.kind)
             return section
-        return INTERFACES[self.kind].model_validate(self.own)
+        return validated("plant.interface.own", INTERFACES[self.kind], self.own)
 
-    @property
-    def lag_s(self) -> float:
-        """Time from a target's arrival until joints that move steadily have it."""
-        return self.settings.lag_s(self.true_period_s) if self.has_controller else 0.0
+    def lag_s(self, targets_s: float) -> float | None:
+        """Return the time from a target's arrival until joints that move steadily have it.
+
+        None where that is unknown.
+
+        Args:
+            targets_s: time from one target to the next.
+        """
+        if not self.has_controller:
+            return 0.0
+        settings, period_s = self.settings, self.true_period_s
+        targets_s = max(period_s, targets_s)
+        lag_s = settings.lag_s(period_s, targets_s)
+        held_s = 0.0 if settings.goes_on else 0.5 * (targets_s - period_s)
+        return None if lag_s is None else lag_s + held_s
 
     @property
     def period_s(self) -> float:

@@ -14,14 +14,14 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import NonNegative, Positive
-from plant_emulator.interfaces.interface import Integrator, Motion, Reflexes
-from plant_emulator.interfaces.missing_targets import Silence
-from plant_emulator.interfaces.settings import InterfaceSettings, Takes
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
+from plant_emulator.interfaces.settings import InterfaceSettings, Takes, low_pass_lag_s
+from plant_emulator.interfaces.velocity_integrator import VelocityIntegrator
 
 TIMEOUT = "egm_communication_timeout"
 
 
-class Egm(Reflexes):
+class Egm(Stoppable):
     """Corrections with a gain, a filter and a time-out that is a fault.
 
     Args:
@@ -34,23 +34,23 @@ class Egm(Reflexes):
     def __init__(
         self, period_s: float, gain_per_s: float, filter_hz: float, timeout_s: float
     ) -> None:
-        self._period_s, self._gain_per_s, self._timeout_s = period_s, gain_per_s, timeout_s
+        self._gain_per_s, self._timeout_s = gain_per_s, timeout_s
+        self._joints = VelocityIntegrator(period_s)
+        self._silence = LostCount.until(timeout_s, period_s)
         self._share = 1.0 - math.exp(-2.0 * math.pi * filter_hz * period_s)
-        self._silence = Silence(period_s, timeout_s)
 
     def start(self, position_rad: Vector) -> None:
-        self._joints = Integrator(position_rad)
-        self._target: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
+        self._joints.start(position_rad)
         self._silence.start()
+        self._target: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
         if target is not None:
             self._target = target.copy()
-        if self._silence.note(has_target=target is not None):
-            self.stop(TIMEOUT, f"no correction for {1e3 * self._timeout_s:g} ms")
-        joints = self._joints
-        wanted = self._target[1] + self._gain_per_s * (self._target[0] - joints.position_rad)
-        return joints.step(self._share * (wanted - joints.velocity_rad_s), self._period_s)
+        if self._silence.is_over(arrived=target is not None):
+            self.stop(TIMEOUT, -1, f"no correction for {1e3 * self._timeout_s:g} ms")
+        wanted = self._target[1] + self._gain_per_s * (self._target[0] - self._joints.position)
+        return self._joints.change(self._share * (wanted - self._joints.velocity))
 
 
 class EgmSettings(InterfaceSettings):
@@ -71,8 +71,8 @@ class EgmSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "position" if self.gain_per_s else "velocity"
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
-        return 1.0 / (2.0 * math.pi * self.filter_hz) if not self.gain_per_s else 0.0
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
+        return low_pass_lag_s(self.filter_hz) if not self.gain_per_s else 0.0
 
     def build(self, period_s: float) -> Egm:
         return Egm(period_s, self.gain_per_s, self.filter_hz, 1e-3 * self.timeout_ms)

@@ -17,9 +17,8 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflexes
-from plant_emulator.interfaces.missing_targets import LostInARow
-from plant_emulator.interfaces.settings import InterfaceSettings, Takes
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
+from plant_emulator.interfaces.settings import InterfaceSettings, Takes, low_pass_lag_s
 
 MOST_LOST = 20
 LOST = "communication_constraints_violation"
@@ -30,11 +29,6 @@ _JERK = f"{_PREFIX}acceleration_discontinuity"
 _ROUNDING = 1.0 + 1e-6
 
 
-def filter_share(period_s: float, filter_hz: float) -> float:
-    """Return the share of what is left that libfranka's low pass takes in a cycle."""
-    return period_s / (period_s + 1.0 / (2.0 * math.pi * filter_hz))
-
-
 class MotionLimits(NamedTuple):
     """Largest velocity, acceleration and jerk of a joint, rad/s, rad/s², rad/s³."""
 
@@ -43,7 +37,12 @@ class MotionLimits(NamedTuple):
     jerk_rad_s3: float
 
 
-class FrankaMotion(Reflexes):
+def low_pass_share(period_s: float, filter_hz: float) -> float:
+    """Return the share of a new value that libfranka's low pass takes; 1 for inf Hz."""
+    return period_s / (period_s + low_pass_lag_s(filter_hz))
+
+
+class FrankaMotion(Stoppable):
     """Positions or velocities of a Franka arm.
 
     Args:
@@ -60,7 +59,8 @@ class FrankaMotion(Reflexes):
     ) -> None:  # fmt: skip
         self._period_s, self._limits = period_s, limits
         self._takes_velocities, self._limiter = takes_velocities, limiter
-        self._share, self._lost = filter_share(period_s, filter_hz), LostInARow(MOST_LOST)
+        self._share = low_pass_share(period_s, filter_hz)
+        self._lost = LostCount(MOST_LOST)
 
     def start(self, position_rad: Vector) -> None:
         self._position = position_rad.copy()
@@ -70,8 +70,8 @@ class FrankaMotion(Reflexes):
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
         period_s = self._period_s
         velocity = self._velocity + period_s * self._acceleration
-        if self._lost.note(has_target=target is not None):
-            self.stop(LOST, f"{MOST_LOST} targets in a row were late or lost")
+        if self._lost.is_over(arrived=target is not None):
+            self.stop(LOST, -1, f"{MOST_LOST} targets in a row were late or lost")
         if target is not None:
             velocity = self._wanted(target)
         acceleration = (velocity - self._velocity) / period_s
@@ -108,7 +108,8 @@ class FrankaMotion(Reflexes):
         ):
             joint = int(np.abs(values).argmax())
             if abs(values[joint]) > limit * _ROUNDING:
-                self.stop(kind, f"{abs(values[joint]):.3g} of at most {limit:g} {unit}", joint)
+                words = f"{abs(values[joint]):.3g} of at most {limit:g} {unit}"
+                self.stop(kind, joint, words)
 
 
 class FrankaMotionSettings(InterfaceSettings):
@@ -123,14 +124,15 @@ class FrankaMotionSettings(InterfaceSettings):
     """
 
     rate_hz: ClassVar[float] = 1000.0
+    goes_on: ClassVar[bool] = True
     velocity_rad_s: Positive = 2.62
     acceleration_rad_s2: Positive = 10.0
     jerk_rad_s3: Positive = 5000.0
     limiter: bool = False
     filter_hz: Positive | None = None
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
-        return 0.0 if self.filter_hz is None else 1.0 / (2.0 * math.pi * self.filter_hz)
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
+        return 0.0 if self.filter_hz is None else low_pass_lag_s(self.filter_hz)
 
     def build(self, period_s: float) -> FrankaMotion:
         limits = MotionLimits(self.velocity_rad_s, self.acceleration_rad_s2, self.jerk_rad_s3)

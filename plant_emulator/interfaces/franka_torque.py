@@ -13,16 +13,15 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.franka import LOST, MOST_LOST, filter_share
-from plant_emulator.interfaces.interface import Reflexes
-from plant_emulator.interfaces.missing_targets import LostInARow
+from plant_emulator.interfaces.franka import LOST, MOST_LOST, low_pass_share
+from plant_emulator.interfaces.interface import LostCount, Stoppable
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes
 
 _RATE = "controller_torque_discontinuity"
 _ROUNDING = 1.0 + 1e-6
 
 
-class FrankaTorque(Reflexes):
+class FrankaTorque(Stoppable):
     """Torques of a Franka arm.
 
     Args:
@@ -36,7 +35,8 @@ class FrankaTorque(Reflexes):
         self, period_s: float, most_nm_s: float, *, limiter: bool, filter_hz: float
     ) -> None:
         self._most_nm, self._limiter = most_nm_s * period_s, limiter
-        self._share, self._lost = filter_share(period_s, filter_hz), LostInARow(MOST_LOST)
+        self._share = low_pass_share(period_s, filter_hz)
+        self._lost = LostCount(MOST_LOST)
 
     def start(self, position_rad: Vector) -> None:
         """Begin; the first torque is no step."""
@@ -46,8 +46,8 @@ class FrankaTorque(Reflexes):
     def step(self, target: Matrix | None, measured: Matrix) -> Vector:  # noqa: ARG002
         """Return the torque from this cycle on; the target has it as its only row."""
         torque_nm = None if target is None else target[0]
-        if self._lost.note(has_target=torque_nm is not None):
-            self.stop(LOST, f"{MOST_LOST} torques in a row were late or lost")
+        if self._lost.is_over(arrived=target is not None):
+            self.stop(LOST, -1, f"{MOST_LOST} torques in a row were late or lost")
         if torque_nm is not None:
             self._admit(torque_nm)
         return self._torque
@@ -61,7 +61,7 @@ class FrankaTorque(Reflexes):
         joint = int(steps.argmax())
         if steps[joint] > self._most_nm * _ROUNDING:
             words = f"{steps[joint]:.3g} N m in a cycle, of at most {self._most_nm:.3g}"
-            self.stop(_RATE, words, joint)
+            self.stop(_RATE, joint, words)
         self._torque = wanted
 
 

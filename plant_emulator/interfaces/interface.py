@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from bus_schema.arrays import Matrix, Vector
+
+_ROUNDING_S = 1e-9
 
 
 class Motion(NamedTuple):
@@ -37,42 +38,47 @@ class Reflex(NamedTuple):
     words: str
 
 
-class Reflexes:
-    """Reflexes of a robot's own controller: the first one stops it, and stays.
+class Stoppable:
+    """Base of robots that may decide to stop.
 
     Attributes:
-        reflex: why the robot has stopped; None while it moves.
+        reflex: why the robot has stopped, the first cause; None while it moves.
     """
 
     reflex: Reflex | None = None
 
-    def stop(self, kind: str, words: str, joint: int = -1) -> None:
-        """Note a reflex, unless the robot has stopped already."""
+    def stop(self, kind: str, joint: int, words: str) -> None:
+        """Note a reflex, unless an earlier one has stopped the robot."""
         if self.reflex is None:
             self.reflex = Reflex(kind, joint, words)
 
 
-class Integrator:
-    """Positions and velocities of joints that a robot accelerates.
+class LostCount:
+    """Count of targets in a row that were late or lost.
 
     Args:
-        position_rad: of the joints, at rest, shape (joints,).
+        most: so many are too many.
 
     Attributes:
-        position_rad: now.
-        velocity_rad_s: now.
+        lost: how many there are now.
     """
 
-    def __init__(self, position_rad: Vector) -> None:
-        self.position_rad = position_rad.copy()
-        self.velocity_rad_s: Vector = np.zeros(position_rad.size)
+    def __init__(self, most: int) -> None:
+        self._most, self.lost = most, 0
 
-    def step(self, change_rad_s: Vector, period_s: float) -> Motion:
-        """Return the motion of a cycle in which velocities change steadily by so much."""
-        position, velocity = self.position_rad, self.velocity_rad_s
-        self.position_rad = position + period_s * (velocity + 0.5 * change_rad_s)
-        self.velocity_rad_s = velocity + change_rad_s
-        return Motion(position, velocity, change_rad_s / period_s)
+    @classmethod
+    def until(cls, timeout_s: float, period_s: float) -> LostCount:
+        """Return a count of cycles without a target until a time-out."""
+        return cls(math.ceil((timeout_s - _ROUNDING_S) / period_s))
+
+    def start(self) -> None:
+        """Begin with none."""
+        self.lost = 0
+
+    def is_over(self, *, arrived: bool) -> bool:
+        """Note a cycle with or without a target; return whether too many were lost."""
+        self.lost = 0 if arrived else self.lost + 1
+        return self.lost >= self._most
 
 
 class RobotInterface(Protocol):

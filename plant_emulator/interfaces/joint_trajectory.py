@@ -13,12 +13,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Motion, Reflexes
+from plant_emulator.interfaces.interface import Motion, Stoppable
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings
 
 
-class JointTrajectory(Reflexes):
+class JointTrajectory(Stoppable):
     """Points with positions, or with positions and velocities, reached after a set time.
 
     Args:
@@ -77,27 +77,28 @@ class JointTrajectorySettings(ResponseSettings):
     """
 
     rate_hz: ClassVar[float] = 500.0
+    goes_on: ClassVar[bool] = True
     usual_ms: ClassVar[tuple[float, float]] = (0.0, 20.0)
     point_after_ms: Positive = 10.0
     interpolation: Literal["linear", "cubic"] = "cubic"
     interpolate_from_desired_state: bool = False
 
-    @property
-    def restarts(self) -> bool:
-        return not self.interpolate_from_desired_state and any(self.response_ms)
+    def lag_s(self, period_s: float, targets_s: float) -> float | None:
+        """Return the lag with which a cycle moves the joints as far as their target moves.
 
-    def lag_s(self, period_s: float) -> float:
-        """Return the lag with a message in each cycle.
-
-        In a cycle of h, the trajectory takes a share g of the way to a point T ahead: x = h/T of a
-        line, 3x² − 2x³ of a cubic. Joints that lag by L while they start anew from where they are
-        stay behind by T + (L − h)/g.
+        From the measured state, L behind at speed v, a cycle of length h plans the step h v + (L −
+        T) s v with cubics, s = 3x² − 2x³ and x = h / T, or x L v with lines. This is ahead by the
+        lag of the response. From the trajectory's own state, that step is h v: L = T.
         """
-        after_s, taken = 1e-3 * self.point_after_ms, 1.0
-        if self.restarts:
-            x = min(1.0, period_s / after_s)
-            taken = x if self.interpolation == "linear" else x * x * (3.0 - 2.0 * x)
-        return after_s + (super().lag_s(period_s) - period_s) / taken
+        whole_s, behind_s = max(1e-3 * self.point_after_ms, period_s), self.response_lag_s(period_s)
+        if self.interpolate_from_desired_state:
+            return whole_s - period_s + behind_s if targets_s <= whole_s else None
+        if targets_s > period_s:
+            return None
+        share = period_s / whole_s
+        if self.interpolation == "linear":
+            return behind_s / share
+        return whole_s + (behind_s - period_s) / (share * share * (3.0 - 2.0 * share))
 
     def build(self, period_s: float) -> JointTrajectory:
         return JointTrajectory(

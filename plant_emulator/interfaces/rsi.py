@@ -14,15 +14,14 @@ from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Whole
-from plant_emulator.interfaces.interface import Motion, Reflexes
-from plant_emulator.interfaces.missing_targets import LostInARow
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings
 
 TIMEOUT = "rsi_late_packets"
 
 
-class Rsi(Reflexes):
+class Rsi(Stoppable):
     """Positions with a count of late packets.
 
     Args:
@@ -32,22 +31,22 @@ class Rsi(Reflexes):
     """
 
     def __init__(self, response: Response, most_late: int, *, holds: bool) -> None:
-        self._response, self._most_late, self._holds = response, most_late, holds
-        self._lost = LostInARow(most_late)
+        self._response, self._holds = response, holds
+        self._late = LostCount(most_late)
 
     def start(self, position_rad: Vector) -> None:
         self._response.start(position_rad)
         self._home: Matrix = np.stack([position_rad, np.zeros(position_rad.size)])
         self._target = self._home
-        self._lost.start()
+        self._late.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
         if target is not None:
             self._target = target.copy()
         elif not self._holds:
             self._target = self._home
-        if self._lost.note(has_target=target is not None):
-            self.stop(TIMEOUT, f"{self._most_late} packets in a row were late")
+        if self._late.is_over(arrived=target is not None):
+            self.stop(TIMEOUT, -1, f"{self._late.lost} packets in a row were late")
         return self._response.step(self._target)
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import NonNegative
-from plant_emulator.interfaces.interface import Motion, Reflexes
+from plant_emulator.interfaces.interface import Motion, Stoppable
 from plant_emulator.interfaces.settings import InterfaceSettings
 
 
-class Servo(Reflexes):
+class Servo(Stoppable):
     """Targets with a dead band and a resolution.
 
     Args:
@@ -55,7 +55,7 @@ class ServoSettings(InterfaceSettings):
     dead_band_rad: NonNegative = 0.0
     resolution_rad: NonNegative = 0.0
 
-    def lag_s(self, period_s: float) -> float:
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
         return 0.5 * period_s
 
     def build(self, period_s: float) -> Servo:  # noqa: ARG002

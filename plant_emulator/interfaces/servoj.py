@@ -8,15 +8,14 @@ that need more than 20 rad/s are ignored. The law behind lookahead and gain is u
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Number, Positive
-from plant_emulator.interfaces.interface import Motion, Reflexes
-from plant_emulator.interfaces.missing_targets import Silence
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
 from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.settings import ResponseSettings, TimeoutMs
 
@@ -25,7 +24,7 @@ _DEAD_MS, _SMOOTHING, _PER_GAIN = 4.0, 2.0 / 3.0, 200.0
 """Dead time; share of the lookahead that is lag, and its growth with a smaller gain."""
 
 
-class ServoJ(Reflexes):
+class ServoJ(Stoppable):
     """Positions with extrapolation, time-out and a response.
 
     Args:
@@ -39,7 +38,7 @@ class ServoJ(Reflexes):
         self, period_s: float, response: Response, timeout_s: float, stop_rad_s2: float
     ) -> None:
         self._period_s, self._response = period_s, response
-        self._braking, self._silence = stop_rad_s2, Silence(period_s, timeout_s)
+        self._silence, self._most = LostCount.until(timeout_s, period_s), stop_rad_s2 * period_s
 
     def start(self, position_rad: Vector) -> None:
         self._response.start(position_rad)
@@ -48,26 +47,24 @@ class ServoJ(Reflexes):
         self._has_target = False
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
-        since_s = self._silence.silent_s + self._period_s
-        is_taken = target is not None and self._is_reachable(target[0], since_s)
-        stops = self._silence.note(has_target=is_taken)
-        if target is not None and is_taken:
+        since_s = self._period_s * (self._silence.lost + 1)
+        arrived = target is not None and self._is_reachable(target[0], since_s)
+        brakes = self._silence.is_over(arrived=arrived)
+        if target is not None and arrived:
             speed = (target[0] - self._target[0]) / since_s if self._has_target else 0.0
-            self._target[0], self._target[1] = target[0], speed
-            self._has_target = True
+            self._target[0], self._target[1], self._has_target = target[0], speed, True
         else:
-            self._go_on(stops=stops)
+            self._go_on(brakes=brakes)
         return self._response.step(self._target)
 
     def _is_reachable(self, position: Vector, since_s: float) -> bool:
         needed = np.abs(position - self._target[0]).max() / since_s
         return not self._has_target or bool(needed <= _FASTEST_RAD_S)
 
-    def _go_on(self, *, stops: bool) -> None:
+    def _go_on(self, *, brakes: bool) -> None:
         """Extrapolate the target; brake after the time-out."""
-        if stops:
-            most = self._braking * self._period_s
-            self._target[1] -= np.clip(self._target[1], -most, most)
+        if brakes:
+            self._target[1] -= np.clip(self._target[1], -self._most, self._most)
         self._target[0] += self._period_s * self._target[1]
 
 
@@ -84,6 +81,7 @@ class ServoJSettings(ResponseSettings):
         stop_rad_s2: deceleration of that stop.
     """
 
+    goes_on: ClassVar[bool] = True
     lookahead_time_s: Annotated[Number, Field(ge=0.03, le=0.2)] = 0.1
     gain: Annotated[Number, Field(ge=100, le=2000)] = 300.0
     timeout_ms: TimeoutMs = 20.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import math
+from abc import abstractmethod
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -18,29 +19,36 @@ TimeoutMs = Annotated[Positive, Field(le=200)]
 Automatic = NonNegative | Literal["auto"]
 
 
-class InterfaceSettings(StrictModel, ABC):
+def low_pass_lag_s(filter_hz: float) -> float:
+    """Return how long a low pass of first order is behind a ramp; 0 for inf Hz."""
+    return 1.0 / (2.0 * math.pi * filter_hz)
+
+
+class InterfaceSettings(StrictModel):
     """Settings of a kind of interface.
 
     Attributes:
         rate_hz: usual cycles per second of the robot's controller.
         knows_arm: torques of the planned motion go ahead to the drives.
+        goes_on: the motion goes on in cycles without a target; otherwise the last one stays.
     """
 
     rate_hz: ClassVar[float] = 500.0
     knows_arm: ClassVar[bool] = True
+    goes_on: ClassVar[bool] = False
 
     @property
     def takes(self) -> Takes:
         """Content of the commands that the robot takes."""
         return "position"
 
-    @property
-    def restarts(self) -> bool:
-        """Whether the lag depends on how often targets arrive: each one begins where joints are."""
-        return False
+    def lag_s(self, period_s: float, targets_s: float) -> float | None:  # noqa: ARG002
+        """Return the lag of joints that move steadily behind what a cycle reads, if it is known.
 
-    def lag_s(self, period_s: float) -> float:  # noqa: ARG002
-        """Return the lag of joints that move steadily behind what a cycle of a length reads."""
+        Args:
+            period_s: of its cycles.
+            targets_s: time from one target to the next, at least a cycle.
+        """
         return 0.0
 
     @abstractmethod
@@ -73,10 +81,13 @@ class ResponseSettings(InterfaceSettings):
             lag if self.lag_ms == "auto" else self.lag_ms,
         )
 
-    def lag_s(self, period_s: float) -> float:
+    def lag_s(self, period_s: float, targets_s: float) -> float | None:  # noqa: ARG002
+        return self.response_lag_s(period_s)
+
+    def response_lag_s(self, period_s: float) -> float:
+        """Return the lag behind targets that come in each cycle."""
         dead_ms, lag_ms = self.response_ms
-        dead_s = period_s * round(1e-3 * dead_ms / period_s)
-        return dead_s + 1e-3 * lag_ms + (0.5 * period_s if lag_ms else 0.0)
+        return 1e-3 * (dead_ms + lag_ms) + (0.5 * period_s if lag_ms else 0.0)
 
     def response(self, period_s: float) -> Response:
         """Return the joints' response."""

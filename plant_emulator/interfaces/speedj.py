@@ -13,12 +13,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
-from plant_emulator.interfaces.interface import Integrator, Motion, Reflexes
-from plant_emulator.interfaces.missing_targets import Silence
+from plant_emulator.interfaces.interface import LostCount, Motion, Stoppable
 from plant_emulator.interfaces.settings import InterfaceSettings, Takes, TimeoutMs
+from plant_emulator.interfaces.velocity_integrator import VelocityIntegrator
 
 
-class SpeedJ(Reflexes):
+class SpeedJ(Stoppable):
     """Velocities with a limit of acceleration.
 
     Args:
@@ -32,22 +32,21 @@ class SpeedJ(Reflexes):
     def __init__(
         self, period_s: float, acceleration_rad_s2: float, timeout_s: float, stop_rad_s2: float
     ) -> None:
-        self._period_s, self._most = period_s, acceleration_rad_s2
-        self._braking, self._silence = stop_rad_s2, Silence(period_s, timeout_s)
+        self._joints = VelocityIntegrator(period_s)
+        self._silence = LostCount.until(timeout_s, period_s)
+        self._most, self._stop = acceleration_rad_s2 * period_s, stop_rad_s2 * period_s
 
     def start(self, position_rad: Vector) -> None:
-        self._joints = Integrator(position_rad)
-        self._wanted: Vector = np.zeros(position_rad.size)
+        self._joints.start(position_rad)
         self._silence.start()
+        self._wanted = np.zeros(position_rad.size)
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion:  # noqa: ARG002
         if target is not None:
-            self._wanted = target[1].copy()
-        most = self._most * self._period_s
-        if self._silence.note(has_target=target is not None):
-            self._wanted, most = 0.0 * self._wanted, self._braking * self._period_s
-        change = np.clip(self._wanted - self._joints.velocity_rad_s, -most, most)
-        return self._joints.step(change, self._period_s)
+            self._wanted[:] = target[1]
+        stops = self._silence.is_over(arrived=target is not None)
+        wanted, most = (0.0 * self._wanted, self._stop) if stops else (self._wanted, self._most)
+        return self._joints.change(np.clip(wanted - self._joints.velocity, -most, most))
 
 
 class SpeedJSettings(InterfaceSettings):
@@ -69,7 +68,7 @@ class SpeedJSettings(InterfaceSettings):
     def takes(self) -> Takes:
         return "velocity"
 
-    def lag_s(self, period_s: float) -> float:
+    def lag_s(self, period_s: float, targets_s: float) -> float:  # noqa: ARG002
         return 0.5 * period_s
 
     def build(self, period_s: float) -> SpeedJ:

@@ -29,7 +29,7 @@ class Bench:
 
     def __init__(
         self, law="pid", reference=SWING, rate_limit=np.inf, own_law=None, compensation=None,
-        *, sends_targets=False,
+        *, sends_targets=False, longest_step_s=np.inf,
     ):  # fmt: skip
         configuration = ControllerConfiguration(law=law)
         gains = configuration.build_gains(ROBOT, INERTIA)
@@ -38,7 +38,15 @@ class Bench:
         limits = JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))
         self.law = own_law or configuration.build_law(gains, ROBOT)
         task = ControlTask(
-            ROBOT, reference, self.funnel, self.law, law, limits, compensation, sends_targets
+            ROBOT,
+            reference,
+            self.funnel,
+            self.law,
+            law,
+            limits,
+            compensation,
+            sends_targets,
+            longest_step_s,
         )
         self.compensation = compensation
         self.command_layout = topics.layout(topics.JOINT_COMMANDS, NAMES, has_targets=sends_targets)
@@ -123,11 +131,12 @@ class Spectator(KeepsItsDiagnostics):
 
     def __init__(self):
         super().__init__()
-        self.shown, self.times_s, self.fails = [], [], False
+        self.shown, self.times_s, self.steps_s, self.fails = [], [], [], False
 
     def torque(self, tracking):
         self.shown.append(tracking)
         self.times_s.append(tracking.time_s)
+        self.steps_s.append(tracking.step_s)
         return np.full(3, np.nan) if self.fails else super().torque(tracking)
 
     def reset(self):

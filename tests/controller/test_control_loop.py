@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loop_bench import MS, NAMES, OFFSET, ROBOT, SWING, Bench, state, status
+from loop_bench import MS, NAMES, OFFSET, ROBOT, SWING, Bench, Spectator, state, status
 
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
@@ -30,6 +30,13 @@ def test_first_state_integrates_nothing():
     expected = -(gains.proportional * OFFSET + gains.derivative * (0.0 - rows[1]))
     limits = ROBOT.effort_limits_nm
     np.testing.assert_allclose(torque, np.clip(expected, -limits, limits), rtol=1e-12)
+
+
+def test_step_after_an_absence_of_states_is_none_where_a_task_says_how_long_that_is():
+    bench = Bench(own_law=(law := Spectator()), longest_step_s=0.016)
+    for stamp_ms in (0, 1, 17, 34, 35):
+        bench.send(stamp_ms * MS)
+    np.testing.assert_allclose(law.steps_s, [0.0, 0.001, 0.016, 0.0, 0.001])
 
 
 @settings(max_examples=25)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from controller.chunks.answer import Holding
 from controller.control_law import Diagnostics, Tracking
 from controller.slow_law import AnswerTiming, SlowLaw
 from deploy.judge.metrics import summarise
@@ -35,12 +36,14 @@ class Counting:
 
 
 def answers(
-    law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0, first_ms=None, **more
+    law, ticks, between="hold", every=1, inference_ms=0.0, jitter_ms=0.0, first_ms=None,
+    keeps_velocity=False,
 ):  # fmt: skip
     """Torques and targets at each tick."""
     timing = AnswerTiming(
-        every, 1e-3 * inference_ms, 1e-3 * jitter_ms, between, PERIOD_S, seed=1,
-        first_s=1e-3 * (inference_ms if first_ms is None else first_ms), **more,
+        every, 1e-3 * inference_ms, 1e-3 * jitter_ms, Holding(between, keeps_velocity), PERIOD_S,
+        seed=1,
+        first_s=1e-3 * (inference_ms if first_ms is None else first_ms),
     )  # fmt: skip
     slow, tracking = SlowLaw(law, timing), Tracking(1)
     torques, targets = [], []
@@ -105,7 +108,7 @@ def test_answers_of_a_wrong_shape_or_without_a_number_are_refused(torques, targe
 
 def test_inference_times_repeat_after_a_reset():
     law = Counting()
-    timing = AnswerTiming(2, 0.003, 0.002, "hold", PERIOD_S, seed=1, first_s=0.003)
+    timing = AnswerTiming(2, 0.003, 0.002, Holding(), PERIOD_S, seed=1, first_s=0.003)
     slow, tracking, runs = SlowLaw(law, timing), Tracking(1), []
     for _ in range(2):
         torques = []

@@ -208,7 +208,7 @@ class Actuator:
         if largest_v > 0.0 and constant > 0.0 and gear:
             stall, free = constant / resistance * largest_v * gear, largest_v / (constant * gear)
             most = min(most, stall)
-            drive.rated_speed, drive.no_load_speed = free * (1.0 - most / stall), free
+            drive.stall, drive.no_load_speed = drive.stall + stall, free
             drive.velocity = min(drive.velocity, free)
         drive.effort += most
         drive.lag = max(drive.lag, float(self._dynprm[0]))

@@ -30,7 +30,7 @@ class JointActuators:
         stribeck_velocity: speed over which that decays, rad/s.
         delay: dead time, s.
         lag: time constant, s.
-        rated_speed: up to this speed the largest torque is available, rad/s.
+        stall: largest torque at standstill of motors whose torque falls with speed.
         no_load_speed: at this speed there is no torque; 0 for no such speed.
         cogging: amplitude of the cogging torque.
         cogging_periods: periods of that torque per turn of the joint.
@@ -49,10 +49,15 @@ class JointActuators:
     stribeck_velocity: float = 0.0
     delay: float = 0.0
     lag: float = 0.0
-    rated_speed: float = 0.0
+    stall: float = 0.0
     no_load_speed: float = 0.0
     cogging: float = 0.0
     cogging_periods: float = 0.0
+
+    @property
+    def rated_speed(self) -> float:
+        """Up to this speed the largest torque is available, rad/s; 0 without a no-load speed."""
+        return self.no_load_speed * max(0.0, 1.0 - self.effort / self.stall) if self.stall else 0.0
 
     def limit_range(self, ends: Vector) -> None:
         """Keep the part of the range that lies between both ends."""

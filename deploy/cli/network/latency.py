@@ -6,7 +6,6 @@ import itertools
 import json
 import re
 from collections.abc import Iterator, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -20,20 +19,15 @@ from bus_schema.user_files import read_text
 from deploy.cli.network.trace import Unit
 from deploy.measure.latency import Latency, find_latency
 from deploy.measure.latency_export import ENDINGS, Export, exported
-from deploy.measure.mcap_series import element_place, read_field, rows_of
-from deploy.measure.time_units import UNITS_MS, check_interval, unit_of
-
-
-class Interface(StrEnum):
-    """Interfaces of robots that respond with a dead time and a lag."""
-
-    SERVOJ = "servoj"
-    RSI = "rsi"
-
+from deploy.measure.mcap_series import element_place, read_fields, rows_of
+from deploy.measure.time_units import UNITS_MS, check_interval, units_of
 
 _Rows = tuple[Vector, Vector, Vector]
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TIMES = ("time_s", "t", "time", "timestamp")
+_SAME = 0.05
+"""Distance of the gain from 1, within which commands are targets of what the responses measure."""
+_NO_POSITION = re.compile(r"effort|torque|current|vel|speed|acc|force|pwm", re.IGNORECASE)
 _CLEARLY_LESS, _EXACT = 0.9, 1e-9
 """Of what one interpolation leaves unexplained: less than this with the other, and it is named."""
 
@@ -52,8 +46,11 @@ def latency(
         str | None, typer.Option(help=r"Column of times.  \[default: time_s, t, time or timestamp]")
     ] = None,
     unit: Annotated[
-        Unit, typer.Option(help="Unit of the times, if the name of their column does not say it.")
-    ] = Unit.S,
+        Unit | None,
+        typer.Option(
+            help=r"Unit of the times, if the name of their column does not say it.  \[default: s]"
+        ),
+    ] = None,
     linear: Annotated[
         bool,
         typer.Option(
@@ -63,14 +60,6 @@ def latency(
     longest_ms: Annotated[
         float, typer.Option("--longest", metavar="MS", help="Largest dead time and lag to search.")
     ] = 500.0,
-    interface: Annotated[
-        Interface | None,
-        typer.Option(
-            help="Commands are positions for a robot with this interface: its response may be of"
-            " second order, and --export scenario writes plant.interface.",
-            show_default=False,
-        ),
-    ] = None,
     export: Annotated[
         Export | None, typer.Option(help="Write the latency for this program.", show_default=False)
     ] = None,
@@ -78,25 +67,23 @@ def latency(
         Path | None, typer.Option(help=r"File of --export.  \[default: <file>_latency.*]")
     ] = None,
 ) -> None:
-    """Estimate dead time and lag from a recorded command and response.
+    """Estimate dead time and first-order lag from a recorded command and response.
 
     Both come with 95 % intervals, as does their sum. If a file has several episodes, the longest is
     used.
     """
+    if out is not None and export is None:
+        raise InputError(f"latency: --out {out}: must be left out without --export")
     read = _read(file, command, response, time, unit)
     longest_s, (rows, others) = longest_ms / 1e3, read.rows[:: -1 if linear else 1]
-    orders = (1,) if interface is None else (2, 1)
-    if interface is not None and export not in (None, Export.SCENARIO):
-        raise InputError(f"--export {export}: must be scenario with --interface {interface}")
     try:
-        fits = [_fitted(*rows, longest_s, is_held=not linear, order=order) for order in orders]
-        found, seen_s, episodes = max(fits, key=lambda each: each[0].explained)
+        found, seen_s, episodes = _fitted(*rows, longest_s, is_held=not linear)
         check_interval(seen_s)
     except ValueError as error:
         why = "; ".join([str(error), *read.notes])
         raise InputError(f"{file}: {command}, {response}: {why}") from error
     try:
-        other, *_ = _fitted(*others, longest_s, is_held=linear, order=found.order)
+        other, *_ = _fitted(*others, longest_s, is_held=linear)
     except ValueError:
         other = None
     of = f" (the longest of {episodes} episodes)" if episodes > 1 else ""
@@ -108,7 +95,10 @@ def latency(
     if found.misfit:
         print("".join(f"{each}\n" for each in read.doubts), end="")
     if export is not None:
-        _export(found, export, file, out, interface)
+        is_robot = export == Export.SCENARIO and _are_positions(found, command, response)
+        if is_robot:
+            found = _of_robot(found, rows, longest_s, is_held=not linear)
+        _export(found, export, file, out, is_robot=is_robot)
 
 
 class _Read(NamedTuple):
@@ -125,14 +115,14 @@ class _Read(NamedTuple):
     doubts: Sequence[str] = ()
 
 
-def _read(file: Path, command: str, response: str, time: str | None, unit: Unit) -> _Read:
+def _read(file: Path, command: str, response: str, time: str | None, unit: Unit | None) -> _Read:
     """Read a table, or a recording of ROS messages."""
     if not (file.is_dir() or file.suffix in (".mcap", ".db3")):
         times_s, commands, responses = _columns(file, time, unit, command, response)
         return _Read(((times_s, commands, responses),) * 2)
-    if time is not None or unit != Unit.S:
+    if time is not None or unit is not None:
         raise InputError(f"{file}: --time and --unit are for tables: MCAP files have log times")
-    fields = [read_field(file, name) for name in (command, response)]
+    fields = read_fields(file, command, response)
     held, on_lines = (rows_of(*fields, is_held=is_held) for is_held in (True, False))
     notes, doubts = ([*fields[0].notes, *fields[1].notes], [*fields[0].doubts, *fields[1].doubts])
     commanded, moved = (each.element for each in fields)
@@ -141,15 +131,34 @@ def _read(file: Path, command: str, response: str, time: str | None, unit: Unit)
     return _Read((held, on_lines), notes, doubts)
 
 
+def _are_positions(found: Latency, *names: str) -> bool:
+    """Whether a log has targets and the positions that follow them, by its gain and its names."""
+    return abs(found.gain[0] - 1.0) < _SAME and not any(_NO_POSITION.search(each) for each in names)
+
+
+def _of_robot(found: Latency, rows: _Rows, longest_s: float, *, is_held: bool) -> Latency:
+    """Return the latency of a robot: of second order where that fits better."""
+    try:
+        second, *_ = _fitted(*rows, longest_s, is_held=is_held, order=2)
+    except ValueError:
+        return found
+    if second.explained <= found.explained:
+        return found
+    times_ms = (1e3 * each for each in (*second.dead_time_s, *second.lag_s))
+    words = "dead time {:.3f} ± {:.3f} ms, lag {:.3f} ± {:.3f} ms".format(*times_ms)
+    print(f"of second order, as a robot that follows positions: {words}")
+    return second
+
+
 def _export(
-    found: Latency, export: Export, file: Path, out: Path | None, interface: Interface | None
+    found: Latency, export: Export, file: Path, out: Path | None, *, is_robot: bool
 ) -> None:
     """Write what was found for another program, and print the file's name."""
     if found.misfit:
         raise InputError(f"{file}: --export {export}: the model does not fit")
     path = out or Path(f"{file.stem}_latency{ENDINGS[export]}")
     try:
-        path.write_text(exported(found, export, file.name, interface), encoding="utf-8")
+        path.write_text(exported(found, export, file.name, is_robot=is_robot), encoding="utf-8")
     except OSError as error:
         raise InputError(f"--out {path}: cannot be written: {error.strerror}") from error
     print(f"{export}: {path}")
@@ -164,8 +173,6 @@ def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
     ):  # fmt: skip
         interval = "" if found.misfit else f" ± {scale * half:.3f}"
         print(f"{name}: {scale * value:.3f}{interval}{suffix}")
-    if found.order > 1:
-        print("response: of second order, critically damped; its lag is that of slow motions")
     print(f"explained: {100 * found.explained:.3f} % of the response's variance")
     if found.misfit:
         print(f"the model does not fit, so there are no intervals: {found.misfit}")
@@ -177,7 +184,7 @@ def _print(found: Latency, other: Latency | None, other_choice: str) -> None:
 
 def _fitted(
     times_s: Vector, commands: Vector, responses: Vector, longest_s: float, *, is_held: bool,
-    order: int,
+    order: int = 1,
 ) -> tuple[Latency, Vector, int]:  # fmt: skip
     """Return the latency in the longest episode, its times of responses, and how many there are.
 
@@ -192,7 +199,7 @@ def _fitted(
     return found, times_s[rows][np.isfinite(responses[rows])], len(starts) - 1
 
 
-def _columns(file: Path, time: str | None, unit: Unit, *names: str) -> Iterator[Vector]:
+def _columns(file: Path, time: str | None, unit: Unit | None, *names: str) -> Iterator[Vector]:
     """Yield the columns of times in s and of these names, of finite numbers alone.
 
     An element of a column of lists may be given by its name in the data set.
@@ -201,12 +208,12 @@ def _columns(file: Path, time: str | None, unit: Unit, *names: str) -> Iterator[
         known = column_names(file)
         time = time or next((each for each in _TIMES if each in known), _TIMES[0])
         wanted = [time, *(_numbered(file, each, known) for each in names)]
+        to_s = UNITS_MS[units_of([time], unit, f"{file}: --unit")[time]] / 1e3
         columns = read_columns(file, list(dict.fromkeys(wanted)), None)
         for name in wanted:
             allowed = "must be one finite number in each row"
             columns.refuse_where(~np.isfinite(columns.values[name]), name, allowed)
-            scale = UNITS_MS[unit_of(time, unit)] / 1e3 if name == time else 1.0
-            yield columns.values[name] * scale
+            yield columns.values[name] * (to_s if name == time else 1.0)
     except ValueError as error:
         raise InputError(str(error)) from error
 

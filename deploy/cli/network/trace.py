@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -14,7 +15,7 @@ from bus_schema.errors import InputError
 from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure import trace_import
 from deploy.measure.clocks import at_least, drift_ppm, without_drift
-from deploy.measure.time_units import check_interval, unit_of
+from deploy.measure.time_units import check_interval, units_of
 from deploy.measure.trace_output import scenario_lines, write_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
@@ -38,6 +39,15 @@ class Unit(StrEnum):
     NS = "ns"
 
 
+_FOREIGN = (Kind.CANDUMP, Kind.CSV, Kind.MCAP)
+_READ_BY = {
+    "--from": _FOREIGN, "--to": _FOREIGN, "--delay": (Kind.CSV,), "--unit": (Kind.CSV,),
+    "--delay-unit": (Kind.CSV,), "--interface": (Kind.CANDUMP,), "--interval": (Kind.PING,),
+    "--one-clock": (Kind.CSV, Kind.MCAP),
+}  # fmt: skip
+"""The kinds that read an option."""
+
+
 @app.callback()
 def trace() -> None:
     """Import network delays that other programs measured, as traces."""
@@ -59,8 +69,12 @@ def import_trace(
         str | None, typer.Option(help="CSV column of delays, instead of --to.")
     ] = None,
     unit: Annotated[
-        Unit, typer.Option(help="Unit of CSV columns whose names, unlike sent_ns, do not say it.")
-    ] = Unit.S,
+        Unit | None,
+        typer.Option(
+            help="Unit of CSV columns whose names, unlike sent_ns, do not say it."
+            r"  \[default: s]"
+        ),
+    ] = None,
     delay_unit: Annotated[
         Unit | None, typer.Option(help="Unit of --delay, if it is another.", show_default=False)
     ] = None,
@@ -68,9 +82,13 @@ def import_trace(
         str | None, typer.Option(help="The only bus to read of candump, as can0.")
     ] = None,
     interval_s: Annotated[
-        float,
-        typer.Option("--interval", metavar="S", help="Time between requests, for ping without -D."),
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            "--interval",
+            metavar="S",
+            help=r"Time between requests, for ping without -D.  \[default: 1]",
+        ),
+    ] = None,
     least_ms: Annotated[
         float | None,
         typer.Option(
@@ -92,11 +110,20 @@ def import_trace(
     Of ping and of tshark's tcp.analysis.ack_rtt, each direction replays half of each round trip.
     If a log of candump has several buses with both frames, each becomes a trace.
     """
+    _refuse_options_without_effect(
+        kind,
+        {"--from": sent, "--to": received, "--delay": delay, "--unit": unit,
+         "--delay-unit": delay_unit, "--interface": interface, "--interval": interval_s,
+         "--one-clock": one_clock or None},
+    )  # fmt: skip
+    has_two_clocks = (kind is Kind.MCAP and not received) or (kind is Kind.CSV and not delay)
+    if one_clock and not has_two_clocks:
+        other = "--to" if kind is Kind.MCAP else "--delay"
+        raise InputError(f"trace import {kind}: --one-clock must be left out with {other}")
     measurements = _read(kind, file, _Names(sent, received, delay), interval_s, interface,
                          (unit, delay_unit))  # fmt: skip
     path = out or Path(f"{file.stem}_trace.csv")
     is_round_trip = kind is Kind.PING or delay == trace_import.ACK_ROUND_TRIP
-    has_two_clocks = (kind is Kind.MCAP and not received) or (kind is Kind.CSV and not delay)
     for bus, measured in measurements.items():
         own = path if len(measurements) == 1 else path.with_stem(f"{path.stem}_{_word(bus)}")
         try:
@@ -120,17 +147,19 @@ class _Names(NamedTuple):
     delay: str | None
 
 
+def _refuse_options_without_effect(kind: Kind, given: Mapping[str, object]) -> None:
+    for option, value in given.items():
+        if value is not None and kind not in _READ_BY[option]:
+            owners = " and ".join(_READ_BY[option])
+            raise InputError(f"trace import {kind}: {option} is for {owners}")
+
+
 def _read(
-    kind: Kind, file: Path, names: _Names, interval_s: float, interface: str | None,
-    units: tuple[Unit, Unit | None],
+    kind: Kind, file: Path, names: _Names, interval_s: float | None, interface: str | None,
+    units: tuple[Unit | None, Unit | None],
 ) -> dict[str, MeasuredDelays]:  # fmt: skip
     """Return the measurements of a file by their bus, whose name is empty except for candump."""
     sent, received, delay = names
-    for given, option, owner in (
-        (interface, "--interface", Kind.CANDUMP), (units[1], "--delay-unit", Kind.CSV),
-    ):  # fmt: skip
-        if given is not None and kind is not owner:
-            raise InputError(f"trace import {kind}: {option} is for {owner}")
     if kind is Kind.PING:
         return {"": trace_import.from_ping(file, interval_s)}
     if sent is not None and sent == received:
@@ -147,15 +176,18 @@ def _read(
 
 
 def _read_csv(
-    file: Path, sent: str, received: str | None, delay: str | None, units: tuple[Unit, Unit | None]
-) -> MeasuredDelays:
+    file: Path, sent: str, received: str | None, delay: str | None,
+    units: tuple[Unit | None, Unit | None],
+) -> MeasuredDelays:  # fmt: skip
     """Read two columns, each in the unit that its name or an option says; print these units."""
     end = received or delay
     if end is None or (received and delay):
         raise InputError("trace import csv: give one of --to and --delay")
-    own = {name: unit_of(name, units[0]) for name in (sent, end)}
-    if delay and units[1]:
-        own[delay] = units[1]
+    if units[1] and not delay:
+        raise InputError("trace import csv: --delay-unit must be left out without --delay")
+    own = units_of([sent] if units[1] else [sent, end], units[0], "trace import csv: --unit")
+    if units[1]:
+        own[end] = units[1]
     print("units: " + ", ".join(f"{name} in {unit}" for name, unit in own.items()))
     return trace_import.from_csv(file, sent, received, delay, own)
 

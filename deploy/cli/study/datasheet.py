@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from bus_schema.recording.atomic_files import write_json
 from deploy.cli.common import ResultGate, conclude, leave, parse_laws, say_oddities
 from deploy.cli.options import GateOptions, ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
@@ -18,7 +19,7 @@ from deploy.reports.results import write_study
 from deploy.reports.studies.data_sheet_results import sheet_folder, write_data_sheet, written_window
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
-from deploy.run.run_folder import ResultFolder
+from deploy.run.run_folder import ResultFolder, provenance
 from deploy.study.data_sheet import DataSheet, any_pattern_ms
 from deploy.study.study import StudyOfRuns
 
@@ -65,6 +66,7 @@ def datasheet(options: DatasheetOptions) -> None:
     window = written_window(windows, rows, out)
     _leave_if_stopped(stop, console)
     with ResultFolder(out).lock() as folder:
+        write_json(folder.manifest, provenance())
         results = conclude(console, folder, lambda: write_data_sheet(folder, sheet, parts, window))
     kept = gate.is_passed(results.summary, console)
     leave(interrupted=False, whole=True, kept=kept)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -127,8 +128,9 @@ class _Loss:
     def reason(self) -> LossReason:
         """Return the first reason that fits, the most certain ones first."""
         found = (
-            self._ran_out() or self._lag() or self._divergence() or self._oscillation()
-            or self._late() or self._at_limits() or self._because(Reason.SLOW)
+            self._ran_out() or self._of_chunks() or self._lag() or self._divergence()
+            or self._oscillation() or self._late() or self._at_limits()
+            or self._because(Reason.SLOW)
         )  # fmt: skip
         return found._replace(without_delay=self.is_without_delay)
 
@@ -150,6 +152,21 @@ class _Loss:
         within = np.searchsorted(begins, rising_s, "right") - 1
         is_starved = (within >= 0) & (rising_s <= ends[within])
         return self._because(Reason.RAN_OUT) if is_starved.mean() >= _MOSTLY else None
+
+    def _of_chunks(self) -> LossReason | None:
+        """Whether a new chunk moved the target by much, or an answer came much later than usual."""
+        found = self.run.last_values(Role.CONTROLLER, EventKind.ENDED).get("chunks", {})
+        lost_s = self.times_s[self.tick]
+        before = [each for each in found.get("first_switches", ()) if each[0] <= lost_s]
+        if not before:
+            return None
+        lately = [each for each in before if each[0] >= lost_s - _LATELY_S]
+        half_rad = 0.5 * abs(self.errors_rad[self.tick])
+        if any(jump >= half_rad and int(joint) == self.joint for _, _, jump, joint in lately):
+            return self._because(Reason.JUMPED)
+        usual_s = 1e-3 * found.get("age_ms", {}).get("median", math.inf)
+        is_old = lost_s - before[-1][1] > max(_MUCH_OLDER * usual_s, usual_s + 1e-9 * _LATE_NS)
+        return self._because(Reason.OLD_ANSWER) if is_old else None
 
     def _oscillation(self) -> LossReason | None:
         around = slice(self.first, self.end)

@@ -49,6 +49,14 @@ class Reason(StrEnum):
         "the law's chunk had no row left, and the next one was not there yet: answers take too"
         " long for their length",
     )  # fmt: skip
+    JUMPED = (
+        "jump", "after a jump of its target between two chunks",
+        "shortly before, a new chunk moved the joint's target by half of its bound or more",
+    )  # fmt: skip
+    OLD_ANSWER = (
+        "old answer", "while an answer acted that was much older than usual",
+        "shortly before, the observation behind the law's answer was much older than usual",
+    )  # fmt: skip
     SATURATED = (
         "saturated", "with torques at their limits",
         "torques were at their limits for most of the time before",

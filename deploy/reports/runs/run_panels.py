@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any, TypeAlias, TypeVar
 
 from deploy.judge.run_data import RunData
-from deploy.reports.figures import joints, learned, link, several_runs, space, timeline
+from deploy.reports.figures import chunks, joints, learned, link, several_runs, space, timeline
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.page import Content, Panel
 from deploy.reports.runs import run_numbers
@@ -36,6 +36,7 @@ _ONE_RUN: dict[str, Draw] = {
     "timeline": _of_run(timeline.timeline),
     "delay-over-time": link.delay_over_time,
     "error-in-funnel": joints.error_in_funnel,
+    "chunks": _of_run(chunks.chunks_over_time),
     "error-first-second": joints.error_first_second,
     "error-envelopes": joints.error_envelopes,
     "transformed-error": _of_run(joints.transformed_error),

@@ -14,6 +14,8 @@ from deploy.reports.figures import joints, link, space, style
 from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.studies import study_tables as tables
 from deploy.reports.studies import study_texts as texts
+from deploy.reports.studies.margin_sentences import model_text, robustness_sentences
+from deploy.reports.studies.theory_sentences import theory_sentences
 from deploy.reports.tables import ABSENT, Column, Table, table_of
 from deploy.reports.verdict_texts import ReportHead
 from deploy.run.execute import JudgedRun
@@ -79,14 +81,14 @@ def headline(summary: Summary) -> list[str]:
     doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
     sentences += [f"Not tested: {each}" for each in doubts]
     if plants is not None:
-        sentences += texts.robustness_sentences(plants)[:1]
+        sentences += robustness_sentences(plants)[:1]
     if summary["runs_failed"]:
         causes = (part.get("commonest_error") for part in parts.values())
         sentences.append(
             f"{summary['runs_failed']} of {summary['runs']} runs failed, most often:"
             f" {next(filter(None, causes), 'unknown')}."
         )
-    return [*sentences, *texts.theory_sentences({**margin, "cases": [cases[False]]})]
+    return [*sentences, *theory_sentences({**margin, "cases": [cases[False]]})]
 
 
 def _quoted_sentence(summary: Summary, margin: Summary) -> str:
@@ -113,7 +115,7 @@ def _best_case_sentence(margin: Summary, on: Summary) -> str:
     d_ms = on.get("guaranteed_d_ms")
     playout = "" if d_ms is None else f", with a play-out of {d_ms:.9g} ms"
     return (
-        f"Best case{texts.model_text([on])}: with compensation any delay up to {any_ms:g}"
+        f"Best case{model_text([on])}: with compensation any delay up to {any_ms:g}"
         f" ms{or_more} (messages in order, none lost{playout}), constant"
         f" {texts.margin_text(on, margin)}."
     )

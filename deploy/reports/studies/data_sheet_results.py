@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bus_schema.recording.atomic_files import write_json, write_whole
+from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.run_rows import Row
 from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.again import Again
@@ -16,7 +16,7 @@ from deploy.reports.results import Results, write_results, write_run
 from deploy.reports.studies.data_sheet_page import DrawnSheet, data_sheet_page, headline
 from deploy.run.execute import JudgedRun, execute
 from deploy.run.new_folder import new_folder, resolved_out
-from deploy.run.run_folder import ResultFolder, RunFolder, load_run, provenance, read_summary
+from deploy.run.run_folder import ResultFolder, RunFolder, load_run, read_summary
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
@@ -109,5 +109,4 @@ def write_data_sheet(
         "parts": dict(parts),
     }
     summary["headline"] = headline(summary)
-    write_json(folder.manifest, provenance())
     return write_results(folder, Results(summary, data_sheet_page(DrawnSheet(summary, window))))

@@ -9,6 +9,12 @@ from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantit
 from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.studies import study_tables as tables
 from deploy.reports.studies import study_texts as texts
+from deploy.reports.studies.margin_sentences import (
+    brief_margin_sentences,
+    margin_headline,
+    margin_sentences,
+    robustness_sentences,
+)
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict_texts import ReportHead
 from deploy.study.study import starts_text
@@ -30,9 +36,9 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         summary["name"],
         verdict=ReportHead(
             "mixed",
-            texts.margin_headline(summary),
-            texts.margin_sentences(summary),
-            printed=texts.brief_margin_sentences(summary),
+            margin_headline(summary),
+            margin_sentences(summary),
+            printed=brief_margin_sentences(summary),
         ),
         facts=[
             Fact("Resolution", texts.value_text(summary["resolution"], summary)),
@@ -71,7 +77,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins over uncertain plants."""
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
-    best, *others = texts.robustness_sentences(summary)
+    best, *others = robustness_sentences(summary)
     explained = [
         f"“Up to” a {summary['title']}: at it and at every smaller one that was tried, at least"
         f" {share} of the plants kept their bounds."

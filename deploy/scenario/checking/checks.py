@@ -14,13 +14,13 @@ from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import JointNameError, RobotDescriptionError
+from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
 from controller.laws.custom import are_left_out
 from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from controller.reference import Reference, sample_positions
 from deploy.scenario.checking.explanation import Origin
-from deploy.scenario.checking.robot_interface_checks import check_interface
 from deploy.scenario.definition import RobotConfiguration, ScenarioConfiguration
 from deploy.scenario.link_kinds.kind import LINK_KINDS
 from deploy.scenario.referenced_files import (
@@ -30,10 +30,12 @@ from deploy.scenario.referenced_files import (
     find_urdf,
     folders_of,
 )
+from deploy.scenario.robot_interface import check_interface
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import naming, plain
 from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.drives.commissioning import drive_of
 from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import check_faults
 from plant_emulator.physics.engines import ENGINES
@@ -65,9 +67,11 @@ def check(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
 
 def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     link_kind = LINK_KINDS[scenario.link.kind]()
-    PROTOCOLS.check(scenario.link.can.protocol)
+    _check_protocol(scenario.link.can)
     if (engine := scenario.plant.physics.engine) is not None:
         _ = ENGINES[engine]
+    if scenario.plant.interface.has_controller:
+        _ = scenario.plant.interface.settings
     given = scenario.robot
     folders = folders_of("robot.urdf", origin)
     robot = load_robot(find_urdf(given.urdf, *folders), **reading(given, folders[0]))
@@ -104,6 +108,17 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
         overrides=tuple(origin.overrides),
         given_by=origin.given_by,
     )
+
+
+def _check_protocol(can: CanConfiguration) -> None:
+    """Check protocol and drives of a package, and settings, whether or not the link is CAN.
+
+    Others are imported, which is slow, only where the link is CAN.
+    """
+    PROTOCOLS.check(can.protocol)
+    if can.settings is not None or PROTOCOLS.extension(can.protocol) is not None:
+        PROTOCOLS[can.protocol]().settings(can)
+        drive_of(can.protocol)
 
 
 def reading(given: RobotConfiguration, folder: Path) -> dict[str, Any]:

@@ -84,19 +84,28 @@ class Origin:
         return None
 
 
-def explain(error: ValidationError, model: type[BaseModel], origin: Origin) -> str:
-    """Explain invalid values: origin, key, value, and what is allowed; a line each."""
+def explain(
+    error: ValidationError, model: type[BaseModel], origin: Origin, within: Sequence[str] = ()
+) -> str:
+    """Explain invalid values: origin, key, value, and what is allowed; a line each.
+
+    Args:
+        error: what pydantic says.
+        model: the class that it validated.
+        origin: origin of the values.
+        within: keys of the section whose values they are.
+    """
     problems = error.errors(include_url=False)
-    lines = [_sentence(problem, model, origin) for problem in problems[:_MOST_PROBLEMS]]
+    lines = [_sentence(each, model, origin, within) for each in problems[:_MOST_PROBLEMS]]
     more = len(problems) - len(lines)
     return "\n".join([*lines, f"{origin.file}: and {more} more problems"] if more else lines)
 
 
-def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
+def _sentence(problem: Any, model: type[BaseModel], origin: Origin, within: Sequence[str]) -> str:
     place = problem["loc"]
-    key = shortened(".".join(str(part) for part in place))
+    key = shortened(".".join(str(part) for part in (*within, *place)))
     path, sections = _descend(model, place[:-1])
-    source = origin.of(".".join([*path, str(place[-1])]) if place else "")
+    source = origin.of(".".join([*within, *path, *map(str, place[-1:])]))
     if problem["type"] == "extra_forbidden":
         hint = _did_you_mean(str(place[-1]), sections, model)
         return f"{source}: {key}: unknown key{hint}"
@@ -172,7 +181,7 @@ def _keys(section: type) -> dict[str, Any]:
 def _sections(annotation: Any) -> Iterator[type]:
     """Return the sections in an annotation."""
     if isinstance(annotation, Sections):
-        yield from annotation.find()
+        yield from annotation.find(None)
     elif isinstance(annotation, type) and (
         issubclass(annotation, BaseModel) or hasattr(annotation, "_fields")
     ):

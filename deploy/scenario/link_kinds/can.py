@@ -30,7 +30,7 @@ from bus_schema.zenoh.link import open_telemetry
 from deploy.scenario.link_kinds.kind import LinkKind, LinkRun
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.can_plant_link import CanPlantLink
-from plant_emulator.drives.commissioning import build_bank, commission
+from plant_emulator.drives.commissioning import build_bank, commission, drive_of
 from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from plant_emulator.drives.fault_plan import parse_fault
 
@@ -52,8 +52,8 @@ class CanKind(LinkKind[DrivenArm]):
     may_pin_loops = False
     brings_plant_status = False
     controller_leads = True
+    reaches_robots = False
     simulates_process_faults = False
-    has_drives = True
     no_link_faults = "without link.kind: can, for which link.can.faults has the faults of the bus"
 
     def check(self, run: LinkRun) -> None:
@@ -133,7 +133,7 @@ def check_drives(
     Raises:
         ConfigurationError: the drives do not fit their protocol or the robot.
     """
-    protocol = PROTOCOLS[can.protocol]()
+    protocol, _ = PROTOCOLS[can.protocol](), drive_of(can.protocol)
     protocol.check(can, takes_targets=takes_targets)
     protocol.settings(can)
     _check_fd(can, protocol)

@@ -74,8 +74,8 @@ class LinkKind(ABC, Generic[Arm]):
         brings_plant_status: whether the controller gets the plant's status with each state.
         controller_leads: whether the controller may end a run in order, as the master of drives
             does.
+        reaches_robots: whether it goes to robots with a controller of their own, besides drives.
         simulates_process_faults: whether a controller can be silenced in a simulation.
-        has_drives: whether the commands go to motor drives on a bus instead of to the robot.
         no_link_faults: what is allowed instead of scheduled faults of messages, if the plant cannot
             change this link's messages; None if it can.
     """
@@ -87,8 +87,8 @@ class LinkKind(ABC, Generic[Arm]):
     may_pin_loops = True
     brings_plant_status = True
     controller_leads = False
+    reaches_robots = True
     simulates_process_faults = True
-    has_drives = False
     no_link_faults: str | None = None
 
     def check(self, run: LinkRun) -> None:

@@ -101,6 +101,10 @@ class Benchmark(StudyOfRuns):
         return "ms"
 
     @property
+    def own_test(self) -> dict[str, Any]:
+        return {**super().own_test, "delays_ms": self.definition.delays_ms}
+
+    @property
     def variants(self) -> list[Setup]:
         return self._variants
 

@@ -25,6 +25,7 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import PROVENANCE, Row, left_nothing, read_rows, write_rows
+from deploy.judge.tested_with import TESTED_WITH
 from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION_COLUMNS
 from deploy.run.new_folder import new_folder, resolved_out
@@ -40,6 +41,7 @@ from deploy.study.execution.provenance import (
     Provenance,
     current,
     differences,
+    law_files,
     provenance_of_law,
 )
 from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
@@ -177,11 +179,9 @@ class StudyFolder(run_folder.ResultFolder):
         Args:
             now: returns the present values; any host may have those of the rows.
         """
-        rows = [row for rows in self._earlier.values() for row in rows if not left_nothing(row)]
-        keys = {str(row.get(PROVENANCE)) for row in rows}
-        if not keys <= self._provenances.keys():
+        made_by = self._earlier_made_by
+        if {} in made_by:
             return [_NO_PROVENANCE]
-        made_by = [self._provenances[key] for key in sorted(keys)]
         made_by = [each for each in made_by if UNSEEN not in each]
         laws = {k: v for law in self._study.laws for k, v in self._of_law(law).items()}
         hosts = now({part for each in made_by for part in each})
@@ -191,6 +191,23 @@ class StudyFolder(run_folder.ResultFolder):
         ]
         found.sort(key=len)
         return list(dict.fromkeys(found[0])) if found else []
+
+    @property
+    def law_changes(self) -> list[str]:
+        """Source files of custom laws that have changed since the existing rows were made.
+
+        A sentence each; no law is imported.
+        """
+        files = map(law_files, self._earlier_made_by)
+        found = (change for each in files for change in differences(each, current(each)))
+        return list(dict.fromkeys(found))
+
+    @property
+    def _earlier_made_by(self) -> list[Provenance]:
+        """Each provenance of existing rows; empty for an unknown one."""
+        rows = [row for rows in self._earlier.values() for row in rows if not left_nothing(row)]
+        keys = {str(row.get(PROVENANCE)) for row in rows}
+        return [self._provenances.get(key, {}) for key in sorted(keys)]
 
     def placed(self, run: PlannedRun) -> PlannedRun:
         """Return the run with the full path of its recording."""
@@ -347,7 +364,8 @@ def _identity(study: StudyOfRuns) -> dict[str, Any]:
 
 
 def _manifest(study: StudyOfRuns) -> dict[str, Any]:
-    return {**study.provenance(), "study": _identity(study)}
+    tested = {TESTED_WITH: study.tested_with}
+    return {**study.provenance(), **tested, "study": _identity(study)}
 
 
 def _has_definition(path: Path, wanted: dict[str, Any]) -> bool:

@@ -14,6 +14,7 @@ import sys
 from dataclasses import dataclass, field
 from importlib.machinery import PathFinder
 from pathlib import Path
+from string import Formatter
 
 from bus_schema.user_files import read_bytes
 from controller.laws.read_files import is_of_the_user
@@ -36,15 +37,17 @@ _READING_MORE = frozenset({
     "_os", "_sys", "builtins", "ctypes", "importlib", "os", "posix", "socket", "subprocess", "sys",
     "CLoader", "Loader", "UnsafeLoader", "allow_pickle", "dictConfig", "fileConfig", "unsafe_load",
     "unsafe_load_all",
-    "__dict__", "__getattribute__", "__globals__", "attrgetter", "globals", "locals",
-    "methodcaller", "vars",
+    "__dict__", "__getattr__", "__getattribute__", "__globals__", "attrgetter", "f_builtins",
+    "f_globals", "f_locals", "get_field", "globals", "locals", "methodcaller", "vars", "vformat",
 })  # fmt: skip
 """Names with which code reads more than the contents of files, or runs other code.
 
 In this order: reading, modules that other modules have imported, data that runs code, and names
 that are made of text.
 """
-_ADDRESS = re.compile(r"\w+://")
+_FORMATTING = {"format", "format_map"}
+"""Methods that read the attributes named in a text, as in ``"{0.environ}"``."""
+_ADDRESS, _WORD = re.compile(r"\w+://"), re.compile(r"\w+")
 
 
 @dataclass
@@ -120,23 +123,42 @@ def _add(code: LawCode, name: str, file: Path) -> list[str]:
         code.unseen.add(f"{file.name}, which is not Python source")
         return []
     package, imported = name if file.stem == "__init__" else name.rpartition(".")[0], list[str]()
+    known = set[ast.AST]()  # walked before their own turn
     for node in ast.walk(tree):
         match node:
+            case _ if node in known:
+                pass
             case ast.Constant(value=str(text)):
                 texts.append(text)
                 is_elsewhere = text[:1] == "/" and not is_of_the_user(text)
                 code.unseen |= {text} if is_elsewhere or _ADDRESS.match(text) else set()
-            case ast.Call(func=ast.Name(id="getattr"), args=[_, named, *_]):
-                is_read = isinstance(named, ast.Constant) and named.value not in _READING_MORE
-                code.unseen |= set() if is_read else {"getattr"}
+                code.unseen |= _words_of_fields(text) & _READING_MORE
+            case ast.Call(
+                func=ast.Name(id="getattr") as function,
+                args=[_, ast.Constant(value=named), *_],
+            ) if named not in _READING_MORE | _FORMATTING:
+                known.add(function)
+            case ast.Attribute(value=ast.Constant(), attr=used) if used in _FORMATTING:
+                pass  # its text is a constant
             case ast.Name(id=used) | ast.Attribute(attr=used) | ast.keyword(arg=str(used)):
-                code.unseen |= {used} & _READING_MORE
+                code.unseen |= {used} & (_READING_MORE | _FORMATTING | {"getattr"})
+            case ast.MatchClass(kwd_attrs=used_ones):
+                code.unseen |= {*used_ones} & _READING_MORE
             case ast.Import(names=names):
                 imported += [alias.name for alias in names]
             case ast.ImportFrom(names=names):
                 code.unseen |= {alias.name for alias in names} & _READING_MORE
                 imported += _imported_from(node, package)
     return imported
+
+
+def _words_of_fields(text: str) -> set[str]:
+    """Return the words in the fields of a text to format, such as attributes that it reads."""
+    try:
+        fields = [f"{field} {more}" for _, field, more, _ in Formatter().parse(text)]
+    except ValueError:
+        return set()
+    return set(_WORD.findall(" ".join(fields)))
 
 
 def _imported_from(node: ast.ImportFrom, package: str) -> list[str]:

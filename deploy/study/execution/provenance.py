@@ -56,7 +56,7 @@ def provenance_of(setup: Setup, confirm: bool, read: Mapping[str, str]) -> Prove
     """
     setups = [setup, *(other_physics(setup).values() if confirm else ())]
     engines = [ENGINES[engine_name(each.scenario.plant)].distribution for each in setups]
-    added = extensions_in(plain(setup.scenario))
+    added = [each for one in setups for each in extensions_in(plain(one.scenario))]
     packages = [*engines, *(each.distribution for each in added)]
     files = {str(setup.robot.path.resolve()), *_named_files(setup), *_files_of(added)}
     parts = current([_OURS, _LIBM, *_COMPUTING, *packages, *files])
@@ -89,6 +89,12 @@ def provenance_of_law(name: str) -> Provenance:
     if code.unseen:
         parts[UNSEEN] = f"{name} uses {', '.join(sorted(code.unseen))}"
     return parts
+
+
+def law_files(made_by: Provenance) -> Provenance:
+    """Return the parts of a provenance that are source files of a custom law."""
+    modules = (value for part, value in made_by.items() if part.startswith(_MODULE))
+    return {file: made_by[file] for file in modules if file in made_by}
 
 
 def current(parts: Iterable[str]) -> Provenance:

@@ -87,7 +87,7 @@ def trials_of(case: Case, search: MarginSearch, at: int, most: int) -> RemedyTri
     from_lost = [each for each in found.variants if each.overrides[: len(lost)] == lost]
     others = [each for each in found.variants if each not in from_lost]
     return RemedyTrials(
-        search.steps, variants=from_lost[:most], values=found.values,
+        search.steps, variants=from_lost[:most], values=found.values if from_lost[:most] else [],
         others=others[: max(0, most - len(from_lost))],
     )  # fmt: skip
 

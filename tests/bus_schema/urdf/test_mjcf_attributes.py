@@ -103,6 +103,31 @@ def read(tmp_path, kind, attributes):
     return [numbers.tolist(), robot.warnings]
 
 
+SPINNING = """<mujoco><compiler angle="radian"/><worldbody><body>
+<joint name="j" range="-3 3"{joint}/>
+<geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" mass="2"/></body></worldbody>
+<actuator><dcmotor joint="j" motorconst=".5" resistance="2" ctrlrange="-24 24" {motor}/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("joint", "motor"),
+    [("", ""), ("", 'saturation="1"'), (' actuatorfrcrange="-1 1"', ""),
+     (' actuatorfrcrange="-1 1"', 'saturation="2"')],
+)  # fmt: skip
+def test_largest_torque_of_a_motor_falls_with_speed_as_in_mujoco(tmp_path, joint, motor):
+    (tmp_path / "arm.xml").write_text(text := SPINNING.format(joint=joint, motor=motor))
+    robot = load_robot(tmp_path / "arm.xml")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for speed in (0.0, 20.0, 39.0, 41.0, 44.0, 47.0):
+        data.ctrl[:], data.qvel[:] = 24.0, speed
+        mujoco.mj_forward(model, data)
+        rated, free = robot.drives.rated_speed_rad_s[0], robot.drives.no_load_speed_rad_s[0]
+        read_nm = np.interp(speed, [rated, free], [robot.effort_limits_nm[0], 0.0])
+        assert read_nm == pytest.approx(data.qfrc_actuator[0], rel=1e-9)
+
+
 @pytest.mark.parametrize(("kind", "name"), list(tried()))
 def test_attribute_changes_what_is_read_or_is_named(tmp_path, kind, name):
     known = attributes_in_schema()[kind]

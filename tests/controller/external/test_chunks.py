@@ -50,16 +50,16 @@ class Chunk:
         return self.targets
 
 
-def simulated(*overrides, takes=DRIVES):
-    return simulate(load_setup("paper_arm", [takes, "duration_s=0.5", *overrides])).data()
+def simulated(*overrides):
+    return simulate(load_setup("paper_arm", [DRIVES, "duration_s=0.5", *overrides])).data()
 
 
-def external(command, rows, *overrides, takes=DRIVES):
+def external(command, rows, *overrides):
     words = ", ".join(f"'{word}'" for word in command)
     return simulated(
         "controller.law=external", f"controller.external.command=[{words}]",
         f"controller.external.rows={rows}", f"controller.external.start_timeout_s={HANG_S}",
-        f"controller.external.timeout_s={HANG_S}", *overrides, takes=takes,
+        f"controller.external.timeout_s={HANG_S}", *overrides,
     )  # fmt: skip
 
 
@@ -124,17 +124,3 @@ def test_answer_without_all_numbers_is_a_fault(tmp_path, rows, later, complaint)
     more = ["controller.every=2", f"controller.external.timeout_s={patience_s}"]
     run = external(command, rows, *more, f"controller.external.targets={rows == 1}")
     assert complaint in " ".join(run.faults())
-
-
-def test_targets_of_a_program_reach_a_robot_with_a_controller_of_its_own(tmp_path):
-    """Joints go to the positions, which are asked for without torque."""
-    wanted = [0.4, -1.25, 1.25]  # near the start
-    command = program(tmp_path, f"[0.0] * 3 + {wanted} + [0.0] * 3")
-    robot = "plant.interface.kind=servoj"
-    smooth = ("plant.friction={}", "plant.disturbance.terms=[]")  # which the robot does not know
-    run = external(
-        command, 1, "controller.external.targets=true", "duration_s=2", *smooth, takes=robot
-    )
-    assert run.tables["joint_commands"]["position"][-1].tolist() == wanted
-    found = run.tables["joint_states"]["position"][-1]
-    np.testing.assert_allclose(found, wanted, atol=2e-3)

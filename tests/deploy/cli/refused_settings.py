@@ -14,8 +14,7 @@ ACTUATOR, EXTERNAL = "plant.actuator", "controller.law=external & controller.ext
 PROCESS = "controller.process=[./my_controller]"
 FEEDBACK = "controller.drive_feedback.enabled=true"
 COMPENSATED = "controller.delay_compensation.enabled=true"
-INTERFACE = "plant.interface"
-KIND = f"{INTERFACE}.kind"
+KIND = "plant.interface.kind"
 BRIDGE = "controller.delay_compensation.bridge_ms"
 ONE_EACH = "each of the 3 joints"
 LONG_LINK = "must be without a change before the ramp ends at 3.0 s"
@@ -126,7 +125,21 @@ TOGETHER = [
         (f"{EXTERNAL}=[./not_there]", "there is no program ./not_there"),
         (f"{EXTERNAL}=[./half.urdf]", "half.urdf is not executable"),
         (f"{EXTERNAL}=[cat] & controller.external.targets=true",
-         "controller.external.targets = True: must be false with plant.interface.kind = torque"),
+         "controller.external.targets = True: must be false, unless"),
+        (f"{EXTERNAL}=[cat] & controller.external.targets=true & {KIND}=franka_torque",
+         "controller.external.targets = True: must be false, unless"),
+        (f"{PROCESS} & controller.preview_ms=5", "preview_ms = 5.0: must be auto with process: "),
+        ("controller.law=pid & controller.preview_ms=5", "preview_ms = 5.0: must be auto with pid"),
+        *[(f"plant.interface.{setting}", f"plant.interface.{words} where {KIND} = torque")
+          for setting, words in (("rate_hz=500", "rate_hz = 500.0: must be left out"),
+                                 ("clock_ppm=5", "clock_ppm = 5.0: must be 0"),
+                                 ("phase_ms=1", "phase_ms = 1.0: must be 0"),
+                                 ("bandwidth_rad_s=99", "bandwidth_rad_s = 99.0: must be 150"))],
+        ("plant.interface.own={gain: 1}", "plant.interface.own = {'gain': 1}: must be left out"),
+        (f"{KIND}=franka_torque & controller.law=pid & plant.drive_feedback.enabled=true",
+         "plant.drive_feedback.enabled = True: must be another value"),
+        (f"{KIND}=joint_trajectory & controller.law=streaming & plant.interface.rate_hz=2000",
+         "controller.preview_ms = 'auto': must be a time in ms where"),
         (f"{PROCESS} & controller.delay_compensation.enabled=true", "must be left out or off"),
         (f"{PROCESS} & controller.torque_rate_limit_nm_s=5", "controller.torque_rate_limit_nm_s"),
         (f"{PROCESS} & controller.inference_jitter_ms=5", "controller.inference_jitter_ms = 5"),
@@ -150,22 +163,7 @@ TOGETHER = [
             ("franka_torque", "streaming", "", "gives no torque"),
             ("servoj", "streaming", f" & {COMPENSATED}", "delay_compensation.enabled = True: must"),
             ("servoj", "streaming", f" & {FEEDBACK}", "drive_feedback.enabled = True: must be"),
-            ("torque", "pid", " & controller.clock_ppm=20", "clock_ppm = 20.0: must be left out"),
-            ("torque", "pid", f" & {INTERFACE}.rate_hz=500", "interface.rate_hz = 500.0: must be"),
-            ("torque", "pid", f" & {INTERFACE}.phase_ms=1", "interface.phase_ms = 1.0: must be"),
-            ("torque", "pid", f" & {INTERFACE}.clock_ppm=1", "interface.clock_ppm = 1.0: must be"),
-            ("torque", "pid", f" & {INTERFACE}.bandwidth_rad_s=9", "bandwidth_rad_s = 9.0: must"),
-            ("franka_torque", "pid", f" & {INTERFACE}.bandwidth_rad_s=9", "it closes no loop"),
-            ("torque", "pid", f" & {INTERFACE}.own={{a: 1}}",
-             "plant.interface.own = {'a': 1}: must be left out with plant.interface.kind = torque"),
-            ("servoj", "streaming", " & plant.drive_feedback.stiffness_nm_rad=9",
-             "drive_feedback.stiffness_nm_rad = [9.0]: must be left out with plant.interface.kind"),
-            ("servoj", "streaming", " & plant.drive_feedback.enabled=true",
-             "drive_feedback.enabled = True: must be left out"),
-            ("torque", "pid", " & controller.preview_ms=9",
-             "controller.preview_ms = 9.0: must be left out with controller.law = pid"),
-            ("joint_trajectory", "streaming", " & rate_hz=100",
-             "preview_ms = 'auto': must be a number with plant.interface.kind = joint"))],
+            ("torque", "pid", " & controller.clock_ppm=20", "clock_ppm = 20.0: must be 0 where"))],
         (f"{PROCESS} & link.kind=in_process", "link.kind = 'in_process': must be zenoh"))],
     *[("paper_arm_can", setting, text) for setting, text in (
         (f"{KIND}=servoj & controller.law=streaming", "link.kind = 'can': must be another value"),

@@ -149,3 +149,20 @@ def test_readmes_are_short():
     assert len(readme.split()) <= 1200
     for page in ROOMS:
         assert len(page.read_text().splitlines()) <= 60, page
+
+
+def test_contributing_names_the_table_of_each_kind_of_extension():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    groups = (DOCS / "how-to/packages.md").read_text()
+    found = {
+        name: kind
+        for room in ("bus_schema", "controller", "plant_emulator", "deploy")
+        for file in (ROOT / room).rglob("*.py")
+        for name, kind in re.findall(
+            r'^(\w+): Registry\[.*\] = Registry\(\s*"(\w+)"', file.read_text(), re.MULTILINE
+        )
+    }
+    assert {"LAWS", "INTERFACES", "LINK_KINDS"} <= set(found)
+    for name, kind in found.items():
+        assert f"`{name}`" in text, name
+        assert f"`funnel_hil.{kind}`" in groups, kind

@@ -12,6 +12,10 @@ import pytest
 from bus_schema.messages import topics
 from bus_schema.registry import REGISTRIES
 from bus_schema.runtime.extensions import installed
+from controller.chunks.answer import Answer, Holding
+from controller.chunks.configuration import ChunksConfiguration
+from controller.laws import LAWS
+from deploy.run.confirmation import other_physics
 from deploy.run.run_folder import manifest_of
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
@@ -19,6 +23,8 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.provenance import provenance_of
 from plant_emulator.drives.commissioning import DRIVES
+from plant_emulator.physics.engines import ENGINES, engine_name
+from tests.arms import INSTALLED
 from tests.controller.compensation.prediction_bench import Bench, compensation_of
 
 SHORT = "duration_s=0.2"
@@ -28,8 +34,8 @@ SCALED = "faults=[{kind: encoder_scaled, joint: elbow, factor: 1.01, at_s: 0.1}]
 FLYWHEELS = "plant.physics.engine=flywheels"
 
 
-def run(*overrides, duration="duration_s=0.2"):
-    return simulate(load_setup("paper_arm", [duration, *overrides])).data()
+def run(*overrides):
+    return simulate(load_setup("paper_arm", [SHORT, *overrides])).data()
 
 
 @pytest.mark.usefixtures("example_package")
@@ -96,6 +102,21 @@ def test_robot_of_an_interface_moves_at_its_one_speed():
 
 
 @pytest.mark.usefixtures("example_package")
+def test_merge_of_a_package_takes_its_share():
+    chunks = ChunksConfiguration.model_validate({"merge": "halves", "own": {"share": 0.25}})
+    old, new = (
+        Answer(0.0, 0.0, 0.1, np.zeros((1, 1)), np.full((4, 2, 1), value), Holding())
+        for value in (1.0, 2.0)
+    )
+    merged = chunks.build(1e-3, 0.0, np.ones(1)).merged(old, new, 0.0)
+    np.testing.assert_array_equal(merged.targets[:, 0, 0], 1.25)
+    law = ("controller.law=streaming", "plant.interface.kind=servoj")
+    assert run(*law, "controller.chunks={merge: halves}").faults() == []
+    with pytest.raises(ScenarioError, match=r"own\.shar: unknown key; did you mean share"):
+        load_setup("paper_arm", [*law, "controller.chunks={merge: halves, own: {shar: 1}}"])
+
+
+@pytest.mark.usefixtures("example_package")
 def test_manifest_and_provenance_name_the_packages_that_a_run_uses():
     setup = load_setup("paper_arm", [SHORT, FLYWHEELS, SCALED])
     assert manifest_of([setup])["extensions"] == [
@@ -110,6 +131,21 @@ def test_manifest_and_provenance_name_the_packages_that_a_run_uses():
     without = load_setup("paper_arm", [SHORT])
     assert "extensions" not in manifest_of([without])
     assert "funnel-hil-example" not in provenance_of(without, confirm=False, read={})
+
+
+@pytest.mark.usefixtures("example_package")
+def test_confirmation_uses_engines_of_packages_only_if_the_scenario_does():
+    without = load_setup("paper_arm", [SHORT])
+    assert [name for name in other_physics(without) if "Flywheels" in name] == []
+    assert "funnel-hil-example" not in provenance_of(without, confirm=True, read={})
+    setup = load_setup("paper_arm", [SHORT, FLYWHEELS])
+    others = other_physics(setup)
+    assert {engine_name(each.scenario.plant) for each in others.values()} == {
+        name for name in ENGINES.shipped if name in INSTALLED
+    }
+    made_by = provenance_of(setup, confirm=True, read={})
+    assert made_by["funnel-hil-example"] == "1.2"
+    assert "mujoco" in made_by
 
 
 def test_study_refuses_to_continue_after_an_edit_of_a_package(add_package, funnel_hil, tmp_path):
@@ -169,6 +205,18 @@ BROKEN = {
     ),
     "fault": ("faults", "faults=[{kind: new, at_s: 0}]", "no_such_module:F", "No module named"),
     "engine": ("engines", "plant.physics.engine=new", "no_such_module:E", "No module"),
+    "interface": ("interfaces", "plant.interface.kind=new", "no_such_module:I", "No module named"),
+    "interface of another type": (
+        "interfaces", "plant.interface.kind=new", "json:dumps", "settings.InterfaceSettings",
+    ),
+    "protocol": ("drive_protocols", "link.can.protocol=new", "no_such_module:P", "No module"),
+    "protocol of another type": (
+        "drive_protocols", "link.can.protocol=new", "json:dumps", "can.protocol.DriveProtocol",
+    ),
+    "protocol without drives": (
+        "drive_protocols", "link.can.protocol=new", "funnel_hil_example.protocol:ToyProtocol",
+        "has no drives: its package must add new to funnel_hil.drives too",
+    ),
     "link": ("link_kinds", "link.kind=new", "no_such_module:L", "No module named"),
 }  # fmt: skip
 
@@ -178,12 +226,50 @@ def test_broken_extension_is_refused_by_package_and_group_and_disturbs_nothing_e
     case, add_package, funnel_hil, nothing_starts
 ):
     group, override, place, reason = BROKEN[case]
-    add_package(project(group=group, new=place))
+    add_package(project(group=group, new=place), EXAMPLE)
     output = funnel_hil.output("simulate", "paper_arm", "--set", override, code=2)
     assert f"new (funnel_hil.{group}) of funnel-hil-broken 0.3" in output
     assert reason in output
     assert "Traceback" not in output
     load_setup("paper_arm", ["controller.gains.pid.proportional=1"])  # another law's gains
+
+
+@pytest.mark.parametrize("scenario", ["paper_arm", "paper_arm_can"])
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [("no_such_module:D", "No module named"), ("json:dumps", "plant_emulator.drives.drive.Drive")],
+)
+def test_protocol_with_broken_drives_is_refused_before_a_run(scenario, place, reason, add_package):
+    both = project(group="drive_protocols", new="funnel_hil_example.protocol:ToyProtocol")
+    both["entry-points"]["funnel_hil.drives"] = {"new": place}
+    add_package(both, EXAMPLE)
+    with pytest.raises(ScenarioError, match=r"new \(funnel_hil\.drives\) of .*-broken") as refused:
+        load_setup(scenario, ["link.can.protocol=new"])
+    assert reason in str(refused.value)
+
+
+OWN = "plant.interface={kind: jog, own: %s}"
+CAN = "link.can={protocol: toy, settings: %s}"
+GAINS = "controller={law: impedance, gains: {impedance: %s}}"
+FAULT = "faults=[%s]"
+WRONG_SETTINGS = [
+    (OWN, "{sped_rad_s: 1}", "plant.interface.own.sped_rad_s: unknown key; did you mean speed_rad"),
+    (OWN, "{speed_rad_s: a}", "plant.interface.own.speed_rad_s = 'a': must be a valid number"),
+    (CAN, "{sample_identifer: 3}", "identifer: unknown key; did you mean sample_identifier?"),
+    (CAN, "{sample_identifier: a}", "settings.sample_identifier = 'a': must be a valid integer"),
+    (GAINS, "{stiff: 3}", "gains.impedance.stiff: unknown key; did you mean stiffness?"),
+    (FAULT, "{kind: encoder_scaled, joint: elbow, factr: 2, at_s: 0.1}",
+     "factr: unknown key; did you mean factor?"),
+]  # fmt: skip
+
+
+@pytest.mark.usefixtures("example_package")
+@pytest.mark.parametrize(("place", "values", "words"), WRONG_SETTINGS)
+def test_wrong_settings_of_extensions_are_refused_alike_with_what_is_allowed(place, values, words):
+    with pytest.raises(ScenarioError) as refused:
+        load_setup("paper_arm", [place % values])
+    assert f"--set {place % values}: " in str(refused.value)
+    assert words in str(refused.value)
 
 
 SOURCES = {
@@ -257,3 +343,13 @@ def test_same_package_twice_on_the_search_path_counts_once(add_package, tmp_path
     monkeypatch.syspath_prepend(str(tmp_path / "elsewhere"))
     add_package(project(one="json:dumps"))
     assert len(installed()["laws"]["one"]) == 1
+
+
+def test_published_reference_is_the_same_beside_an_installed_package(add_package):
+    pytest.importorskip("sphinx")
+    from deploy.docs import generated_reference
+
+    before = generated_reference.scenario()
+    add_package(tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"], EXAMPLE)
+    assert "impedance" in LAWS
+    assert generated_reference.scenario() == before

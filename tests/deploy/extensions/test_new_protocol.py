@@ -26,13 +26,19 @@ def test_loop_closes_over_it() -> None:
     np.testing.assert_allclose(run.true_errors_rad, in_process.true_errors_rad, atol=1e-5)
 
 
+@pytest.mark.parametrize("kind", ["in_process", "zenoh"])
+def test_settings_are_checked_on_other_links_too(kind: str) -> None:
+    with pytest.raises(ScenarioError, match=r"link\.can\.settings\.sample: unknown key"):
+        load_setup("paper_arm_can", [*OVER_TOY, f"link.kind={kind}", "link.can.settings.sample=32"])
+
+
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("link.can.settings={sample: 32}", r"settings\.sample = 32: invalid: Extra inputs"),
+        ("link.can.settings={sample: 32}", r"settings\.sample: unknown key"),
         (
             "link.can.settings.sample_identifier=0",
-            r"sample_identifier = 0: invalid: .* than or equal",
+            r"sample_identifier = 0: must be greater than or equal to 1",
         ),
         ("link.can.node_ids=[1, 2, 10]", r"node_ids = \[1, 2, 10\]: must be at most 9 with Toy"),
         ("rate_hz=2000", r"takes sample \+ 3 × \(state 8 bytes \+ torque 4 bytes\) = up to"),
@@ -56,7 +62,9 @@ def test_protocol_and_drive_read_the_settings_of_their_own() -> None:
     assert "010" not in frames
 
 
-def test_shipped_protocols_refuse_such_settings() -> None:
+@pytest.mark.parametrize("kind", ["can", "in_process", "zenoh"])
+def test_shipped_protocols_refuse_such_settings(kind: str) -> None:
     over_mit = ["link.can.interface=virtual", "link.can.protocol=mit", "link.can.settings={a: 1}"]
+    over_mit.append(f"link.kind={kind}")
     with pytest.raises(ScenarioError, match=r"link\.can\.settings = .* left out with MIT"):
         load_setup("paper_arm_can", over_mit)

@@ -141,7 +141,10 @@ def test_ur10e_is_predicted_on_another_day_and_its_payload_is_found(tmp_path):
     assert rotors == pytest.approx([5.1, 5.7, 1.1, 0.40, 0.40, 0.42], rel=0.7)
     by_weight = [joint["nm_per_a"]["value"] for joint in summary["joints"]]
     assert all(9.0 < each < 12.5 for each in by_weight)
-    apart = np.array(summary["payload"]["nm_per_a_by_payload"]) / by_weight - 1.0
+    assert by_weight[4:] == [by_weight[3]] * 2  # their own weight does not show theirs
+    by_payload = np.array(summary["payload"]["nm_per_a_by_payload"])
+    assert by_payload[4:] == pytest.approx(by_payload[3], rel=0.02)  # a known mass does
+    apart = by_payload / by_weight - 1.0
     assert (np.abs(apart) < 0.25).all()
     assert any("by the payload" in note for note in summary["notes"])
 

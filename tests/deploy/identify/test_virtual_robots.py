@@ -50,7 +50,7 @@ def virtual(tmp_path_factory):
         ("ur5e", [1.0], 0.01, 1),
     ],
 )
-def test_intervals_hold_the_truth_in_most_draws(arm, correlations_s, noise, draws, tmp_path):
+def test_intervals_hold_the_truth_and_are_not_too_wide(arm, correlations_s, noise, draws, tmp_path):
     """Noise of torques is white or correlated; scripts.experiments.identify_coverage has more."""
     robot, model, *_ = excitation(arm, SHORT_S)
     values = []
@@ -61,11 +61,13 @@ def test_intervals_hold_the_truth_in_most_draws(arm, correlations_s, noise, draw
             write_log(tmp_path / "log.csv", arm, truth, random, SHORT_S, noise, correlation_s)
             found = identify([tmp_path / "log.csv"], [], None, robot, Wishes())
             values += [each for each in intervals(found, truth) if each[1].half > 0.0]
-    inside = np.array([abs(value.value - true) <= value.half for _, value, true in values])
+    off = np.array([abs(value.value - true) / value.half for _, value, true in values])
+    inside = off <= 1.0
     seen = np.array([value.seen for _, value, _ in values])
     assert seen.sum() > 15 * draws
     assert inside[seen].mean() > 0.88
     assert inside.mean() > 0.88  # masses of links among them, seen or not
+    assert np.median(off[seen]) > 0.2  # 0.34 if errors are normal; intervals twice as wide: 0.17
 
 
 def test_all_formats_give_the_same_arm(virtual, tmp_path):

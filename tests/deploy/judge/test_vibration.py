@@ -9,7 +9,7 @@ from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.vibration import vibrations
 from deploy.judge.metrics import summarise
 from deploy.judge.run_rows import reason_of, row, tolerated
-from deploy.reports.studies.study_texts import margin_sentences
+from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate

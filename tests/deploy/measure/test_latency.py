@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-import yaml
 from mcap.writer import Writer
 from pyarrow import parquet
 
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from deploy.measure.latency import find_latency
-from deploy.measure.mcap_series import read_field, rows_of
-from plant_emulator.interfaces.configuration import InterfaceConfiguration
+from deploy.measure.mcap_series import read_fields, rows_of
 
 MOST_ROWS = 4_000
 
@@ -106,6 +104,16 @@ def test_command_reads_lists_and_takes_the_longest_episode(tmp_path: Path, funne
     assert "never changes" in output
 
 
+def test_options_without_effect_are_refused(tmp_path: Path, funnel_hil) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("t_ms,a,b\n" + "".join(f"{n},{n % 7},{n % 5}\n" for n in range(50)))
+    words = ("latency", file, "--command", "a", "--response", "b")
+    output = funnel_hil.output(*words, "--out", tmp_path / "found.yaml", code=2)
+    assert "must be left out without --export" in output
+    output = funnel_hil.output(*words, "--time", "t_ms", "--unit", "us", code=2)
+    assert "--unit us: must be left out, as by their names t_ms is in ms" in output
+
+
 def write_mcap(file: Path, topics: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
     """A recording of joint states, each topic with its own times in s and efforts."""
     with file.open("wb") as stream:
@@ -135,7 +143,7 @@ def test_topics_with_their_own_rates_are_read_from_mcap(tmp_path: Path, funnel_h
     sent = times_s[::8], command[::8]  # it changes every eight rows
     write_mcap(file, {"/wanted": sent, "/found": (times_s[3::13], response[3::13])})
     names = "/wanted.effort[1]", "/found.effort[1]"
-    rows = rows_of(*(read_field(file, name) for name in names), is_held=True)
+    rows = rows_of(*read_fields(file, *names), is_held=True)
     found = find_latency(*rows, 0.3, is_held=True)
     assert 1e3 * found.dead_time_s[0] == pytest.approx(20.0, abs=0.5)
     assert 1e3 * found.lag_s[0] == pytest.approx(30.0, rel=0.1)
@@ -158,8 +166,7 @@ def test_delay_of_own_recording_is_found(tmp_path: Path, funnel_hil) -> None:
     words = [word for each in settings for word in ("--set", each)]
     funnel_hil.output("simulate", "paper_arm", *words, "--out", tmp_path / "run")
     names = "/joint_commands.effort[0]", "/joint_states.effort[0]"
-    fields = (read_field(tmp_path / "run" / "run.mcap", name) for name in names)
-    rows = rows_of(*fields, is_held=True)
+    rows = rows_of(*read_fields(tmp_path / "run" / "run.mcap", *names), is_held=True)
     found = find_latency(*rows, 0.1, is_held=True)
     assert 8.0 <= 1e3 * found.dead_time_s[0] <= 9.0  # states of 1 kHz leave one tick open
     assert found.gain[0] == pytest.approx(1.0)
@@ -313,44 +320,3 @@ def test_elements_have_names_of_a_lerobot_data_set(tmp_path: Path, funnel_hil, n
     assert "dead time: 2" in output or "dead time: 19.9" in output
     output = funnel_hil.output(*words, "observation.state[wrist.pos]", code=2)
     assert "no element 'wrist.pos'; there are shoulder.pos, elbow.pos" in output
-
-
-def positions_of_a_robot(dead_s, lag_s, rate_hz=500.0, seconds=16.0):
-    """Times, held targets and positions of q̈ + 2 ω q̇ + ω² q = ω² q*, ω = 2 / lag, in 40 µs."""
-    period_s, steps = 1.0 / rate_hz, 50
-    times_s = np.arange(0.0, seconds, period_s)
-    targets = 0.3 * np.sin(2.0 * times_s) + 0.1 * np.sin(9.0 * times_s**1.2)
-    held, bandwidth, h = np.repeat(targets, steps), 2.0 / lag_s, period_s / steps
-    dead, position, velocity, found = round(dead_s / h), targets[0], 0.0, []
-    for k in range(held.size):
-        if k % steps == 0:
-            found.append(position)
-        away = held[max(k - dead, 0)] - position
-        velocity += h * (bandwidth**2 * away - 2.0 * bandwidth * velocity)
-        position += h * velocity
-    return times_s, targets, np.array(found)
-
-
-def test_targets_and_positions_of_a_robot_become_its_interface(tmp_path, funnel_hil, monkeypatch):
-    """4 and 30 ms. The emulated robot lags as the logged one; targets stay for a cycle."""
-    monkeypatch.chdir(tmp_path)
-    rows = np.column_stack(positions_of_a_robot(4e-3, 30e-3))
-    header = "time_s,target,actual"
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=header, comments="")
-    words = "latency log.csv --command target --response actual --interface servoj"
-    output = funnel_hil.output(*words.split(), "--export", "scenario")
-    assert "of second order, critically damped" in output
-    written = yaml.safe_load((tmp_path / "log_latency.yaml").read_text())["plant"]["interface"]
-    assert written["kind"] == "servoj"
-    assert written["servoj"]["dead_time_ms"] == pytest.approx(4.0, abs=0.2)
-    assert written["servoj"]["lag_ms"] == pytest.approx(30.0, abs=0.3)
-    robot = InterfaceConfiguration.model_validate(written)
-    assert 1e3 * robot.lag_s == pytest.approx(4.0 + 30.0 + 1.0, abs=0.5)
-
-
-def test_an_interface_is_written_for_scenarios_alone(tmp_path, funnel_hil):
-    (tmp_path / "log.csv").write_text("time_s,a,b\n" + "0,0,0\n" * 3)
-    words = f"latency {tmp_path}/log.csv --command a --response b --interface servoj"
-    code, message = funnel_hil(*words.split(), "--export", "mujoco")
-    assert code == 2
-    assert "--export mujoco: must be scenario with --interface servoj" in message

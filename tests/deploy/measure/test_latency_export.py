@@ -84,6 +84,43 @@ def test_scenario_has_the_dead_time_and_the_lag(tmp_path: Path, funnel_hil) -> N
     assert float(values["lag"].split()[0]) == pytest.approx(30.1, rel=0.05)
 
 
+def test_scenario_has_the_response_of_a_robot_that_takes_positions(
+    tmp_path: Path, funnel_hil
+) -> None:
+    """A log of 4 + 30 ms, from steps in an exact cascade of two lags of 15 ms."""
+    random, rows, cycle_s, share = np.random.default_rng(3), 2000, 2e-3, -np.expm1(-1.0 / 150.0)
+    wanted = np.repeat(0.008 * random.standard_normal(rows // 20), 20)
+    held = np.repeat(np.concatenate([np.full(2, wanted[0]), wanted]), 20)  # in steps of 0.1 ms
+    first = second = wanted[0]
+    found = []
+    for step in range(rows * 20):
+        if step % 20 == 0:
+            found.append(second)
+        # Of the first lag's line e^(−t/T), the second takes t/T e^(−t/T).
+        away = first - held[step]
+        second += share * (held[step] - second) + away * (1.0 - share) / 150.0
+        first += share * (held[step] - first)
+    log = tmp_path / "log.csv"
+    lines = (
+        f"{cycle_s * k:.3f},{u:.9f},{q:.9f}"
+        for k, (u, q) in enumerate(zip(wanted, found, strict=True))
+    )
+    log.write_text("\n".join(["time_s,target,position", *lines]))
+    out = tmp_path / "robot.yaml"
+    words = ("latency", log, "--command", "target", "--response", "position", "--longest", "100")
+    assert "of second order" in funnel_hil.output(*words, "--export", "scenario", "--out", out)
+    file = tmp_path / "arm.yaml"
+    file.write_text(f"extends: paper_arm\ncontroller: {{law: streaming}}\n{out.read_text()}")
+    interface = load_setup(str(file)).scenario.plant.interface
+    assert interface.kind == "servoj"
+    assert interface.servoj.dead_time_ms == pytest.approx(4.0, abs=0.2)
+    assert interface.servoj.lag_ms == pytest.approx(30.0, abs=0.3)
+    robot = interface.servoj.build(cycle_s)
+    robot.start(wanted[:1])
+    moved = [robot.step(np.array([[each], [0.0]]), np.zeros((2, 1)))[0][0] for each in wanted]
+    assert np.abs(np.array(moved) - found).max() < 1e-3
+
+
 @pytest.mark.parametrize(
     ("step_s", "with_lag", "steps"),
     [(0.005, False, (3, 5)), (0.001, False, (19, 21)), (0.0001, False, (199, 207)),
@@ -148,7 +185,7 @@ def test_command_writes_what_it_finds(tmp_path: Path, funnel_hil) -> None:
     out = tmp_path / "found.yaml"
     output = funnel_hil.output(*words, "--export", "scenario", "--out", out)
     assert f"scenario: {out}" in output
-    assert "delay_ms: 29." in out.read_text()
+    assert "plant:\n  interface: {kind: servoj, servoj: {dead_time_ms: 29." in out.read_text()
     output = funnel_hil.output(*words, "--export", "gazebo", code=2)
     assert "'isaaclab', 'mjlab'" in output
     write_robot(tmp_path / "bag.mcap", intruder=True)

@@ -23,7 +23,6 @@ from plant_emulator.channel.trace_file import read_trace
 
 MS = 1_000_000
 HANG_S = 30.0
-MEDIAN_MS = 0.5
 HERE = ("127.0.0.1", 0)
 KINDS = {"udp": socket.SOCK_DGRAM, "tcp": socket.SOCK_STREAM}
 
@@ -93,7 +92,7 @@ def test_delay_over_zenoh_is_recovered() -> None:
         assert delays.lost == 0
         assert len(delays.sent_s) == 300
         assert np.nanmin(delays.delays_ms) >= injected_ms
-        assert np.nanmedian(delays.delays_ms) == pytest.approx(injected_ms, abs=MEDIAN_MS)
+    assert np.nanmin(measured.there.delays_ms) < np.nanmin(measured.back.delays_ms)
     assert measured.reordered == (0, 0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,19 @@ from bus_schema.messages.types import JOINT_STATE, TYPESTORE, schema_text
 from bus_schema.recording import checked_records
 from bus_schema.runtime.limited_process import limited_memory
 from deploy.measure import recordings
-from deploy.measure.recordings import Recording
+from deploy.measure.mcap_series import read_fields
+from deploy.measure.recordings import opened
 
 LARGE, MOST = 5_000, 1_000
 MEGABYTE = 1_000_000
+knows_its_memory = pytest.mark.skipif(
+    not Path("/proc/self/statm").is_file(), reason="without /proc there is no limit"
+)
+
+
+def read(path, topic, *limits):
+    with opened(path, *limits) as recording:
+        return list(recording.messages(topic))
 
 
 def joint_state(text: str = "") -> bytes:
@@ -41,11 +51,11 @@ def write_mcap(file: Path, blob: bytes, compression=CompressionType.ZSTD) -> Pat
     return file
 
 
-def write_bag(folder: Path, blob: bytes, mode: str | None = None) -> Path:
+def write_bag(folder: Path, blob: bytes, mode: str | None = None, **options) -> Path:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode
     from rosbags.rosbag2 import Writer as BagWriter
 
-    bag = BagWriter(folder, version=9)
+    bag = BagWriter(folder, version=9, **options)
     if mode is not None:
         bag.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
     with bag as writer:
@@ -67,19 +77,19 @@ def recording(request, tmp_path) -> Path:
 
 
 def test_messages_are_read_beside_larger_ones_of_other_topics(recording):
-    found = Recording(recording, MOST)
-    messages = list(found.messages("/states"))
+    with opened(recording, MOST) as found:
+        messages = list(found.messages("/states"))
     assert [message.logged_ns for message in messages] == [0, 1, 2]
     assert [message.content.position.tolist() for message in messages] == [[0.5]] * 3
     assert found.topics == {"/states", "/blob"}
-    assert len(list(Recording(recording, 2 * LARGE).messages(JOINT_STATE))) == 4
-    assert list(Recording(recording).messages("/nowhere")) == []
+    assert len(read(recording, JOINT_STATE, 2 * LARGE)) == 4
+    assert read(recording, "/nowhere") == []
 
 
 @pytest.mark.parametrize("wanted", ["/blob", JOINT_STATE])
 def test_too_large_message_is_refused_with_its_size_and_what_is_allowed(recording, wanted):
     with pytest.raises(InputError) as refused:
-        list(Recording(recording, MOST).messages(wanted))
+        read(recording, wanted, MOST)
     size = len(joint_state("x" * LARGE)) / 1e6
     assert str(refused.value) == (
         f"{recording}: has a message of {size:.6g} MB on /blob, and messages of at most 0.001 MB"
@@ -90,7 +100,7 @@ def test_too_large_message_is_refused_with_its_size_and_what_is_allowed(recordin
 def test_too_many_messages_are_refused(recording, monkeypatch):
     monkeypatch.setattr(recordings, "MOST_MESSAGES", 2)
     with pytest.raises(InputError, match="more than 2 messages on /states, and at most these"):
-        list(Recording(recording).messages("/states"))
+        read(recording, "/states")
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -100,19 +110,21 @@ def test_chunk_is_refused_before_it_is_unpacked(compression, tmp_path, monkeypat
     file = write_mcap(tmp_path / "log.mcap", bytes(MEGABYTE), compression)
     with pytest.raises(InputError, match=r"log\.mcap: cannot be read as MCAP: the (chunk|record) at"
                        r" byte \d+ has 1\.\d+ MB, and at most 0\.1 MB are read"):  # fmt: skip
-        list(Recording(file).messages("/states"))
+        read(file, "/states")
 
 
+@knows_its_memory
 def test_reader_that_takes_too_much_memory_is_ended_in_words(tmp_path):
     """A packed message may have any size."""
     folder = write_bag(tmp_path / "log", bytes(300 * MEGABYTE), "MESSAGE")
     limit = resource.getrlimit(resource.RLIMIT_AS)
     assert sum(file.stat().st_size for file in folder.iterdir()) < MEGABYTE
     with pytest.raises(InputError, match=r"log: takes more than the 100 MB that are allowed of"):
-        list(Recording(folder, most_memory_bytes=100 * MEGABYTE).messages("/blob"))
+        read(folder, "/blob", 500 * MEGABYTE, 100 * MEGABYTE)
     assert resource.getrlimit(resource.RLIMIT_AS) == limit
 
 
+@knows_its_memory
 def test_memory_is_limited_within_a_context_alone():
     with limited_memory(50 * MEGABYTE):
         assert len(bytearray(MEGABYTE)) == MEGABYTE
@@ -125,4 +137,31 @@ def test_memory_is_limited_within_a_context_alone():
 def test_file_that_is_no_recording_is_refused_with_a_reason(name, tmp_path):
     (tmp_path / name).write_text("hello")
     with pytest.raises(InputError, match=rf"{name}: cannot be read as .*: \w+"):
-        list(Recording(tmp_path / name).messages("/states"))
+        read(tmp_path / name, "/states")
+
+
+def test_one_pass_reads_both_numbers(recording, monkeypatch):
+    passes = []
+    monkeypatch.setattr(recordings, "limited_memory", lambda _: passes.append(1) or nullcontext())
+    one, other = read_fields(recording, "/states.position[0]", "/states.position[a]")
+    assert one.values.tolist() == other.values.tolist() == [0.5] * 3
+    assert len(passes) == 1
+
+
+@knows_its_memory
+def test_what_is_made_of_messages_counts_to_the_memory(recording):
+    refused = pytest.raises(InputError, match="takes more than the 50 MB that are allowed of mem")
+    with refused, opened(recording, MOST, 50 * MEGABYTE) as found:
+        [bytearray(100 * MEGABYTE) for _ in found.messages("/states")]
+
+
+def test_chunks_of_a_bag_with_mcap_are_checked_before_rosbags_unpacks_them(tmp_path, monkeypatch):
+    from rosbags.rosbag2 import StoragePlugin
+
+    monkeypatch.setattr(checked_records, "_LARGEST_RECORD_BYTES", 100_000)
+    folder = write_bag(tmp_path / "log", bytes(MEGABYTE), storage_plugin=StoragePlugin.MCAP)
+    with pytest.raises(InputError, match=r"log: cannot be read as a recording: the chunk at byte"
+                       r" \d+ has 1\.\d+ MB, and at most 0\.1 MB are read"):  # fmt: skip
+        read(folder, "/states")
+    monkeypatch.undo()
+    assert len(read(folder, "/states")) == 3

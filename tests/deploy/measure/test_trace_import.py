@@ -120,9 +120,8 @@ def test_buses_with_the_same_identifiers_are_kept_apart(tmp_path: Path, funnel_h
 @pytest.mark.parametrize(
     ("header", "row", "words"),
     [
-        ("time_s,delay_us", "{s},700", ("--from", "time_s", "--delay", "delay_us", "--unit", "us")),
         ("time_s,delay_us", "{s},700", ("--from", "time_s", "--delay", "delay_us")),
-        ("t [s],rtt (µs)", "{s},700", ("--from", "t [s]", "--delay", "rtt (µs)", "--unit", "ms")),
+        ("t [s],rtt (µs)", "{s},700", ("--from", "t [s]", "--delay", "rtt (µs)")),
         ("t,d", "{s},700", ("--from", "t", "--delay", "d", "--delay-unit", "us")),
         ("t,d_ms", "{s},700", ("--from", "t", "--delay", "d_ms", "--delay-unit", "us")),
         ("t,got_ns", "{ms},{got_ns}", ("--from", "t", "--to", "got_ns", "--unit", "ms")),
@@ -223,6 +222,41 @@ def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funn
             "--interface can1: has no frame 201: these frames are on can0",
         ),
         (PING, ("ping", "--interface", "can0"), "--interface is for candump"),
+        (PING, ("ping", "--one-clock"), "trace import ping: --one-clock is for csv and mcap"),
+        (PING, ("ping", "--from", "201"), "--from is for candump and csv and mcap"),
+        (PING, ("ping", "--unit", "ms"), "trace import ping: --unit is for csv"),
+        (
+            PING.replace("64 bytes", "[1700000000.5] 64 bytes"),
+            ("ping", "--interval", "0.2"),
+            "file: --interval must be left out: it has times, by ping -D",
+        ),
+        (
+            CAN_LOG,
+            ("candump", "--from", "201", "--to", "181", "--one-clock"),
+            "trace import candump: --one-clock is for csv and mcap",
+        ),
+        (CAN_LOG, ("candump", "--from", "201", "--delay", "d"), "candump: --delay is for csv"),
+        (CSV, ("csv", "--from", "sent", "--interval", "2"), "csv: --interval is for ping"),
+        (
+            CSV,
+            ("csv", "--from", "sent", "--delay", "seq", "--one-clock"),
+            "trace import csv: --one-clock must be left out with --delay",
+        ),
+        (
+            "",
+            ("mcap", "--from", "/a", "--to", "/b", "--one-clock"),
+            "trace import mcap: --one-clock must be left out with --to",
+        ),
+        (
+            CSV,
+            ("csv", "--from", "sent", "--to", "got", "--delay-unit", "ms"),
+            "trace import csv: --delay-unit must be left out without --delay",
+        ),
+        (
+            "time_s,delay_us\n",
+            ("csv", "--from", "time_s", "--delay", "delay_us", "--unit", "us"),
+            "--unit us: must be left out, as by their names time_s is in s, delay_us is in us",
+        ),
         (CAN_LOG, ("candump", "--from", "201", "--delay-unit", "us"), "--delay-unit is for csv"),
         (
             "".join(["t,delay\n", *(f"{n / 1e3},700\n" for n in range(50))]),

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from multiprocessing import get_context
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +29,7 @@ from deploy.reports.kinds import gauged
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.margin import Margin
 from tests.warm_process import ROOT
 
 SHORT = ["--set", "duration_s=0.2", "--set", "metrics.from_s=0.1"]
@@ -188,9 +190,10 @@ EASIER = {
     "reference.speed=0.5": "reference.speed = 1.0 before, 0.5 now",
     "plant.friction.viscous_nm_s=0": "plant.friction.viscous_nm_s = [10.0, 8.0, 5.0] before",
     "controller.model_scale=1.0": "controller.model_scale = 0.9 before, 1.0 now",
+    "metrics.from_s=0.15": "metrics.from_s = 2.0 before, 0.15 now",  # errors of a tip are from then
 }
 SUBJECT = ["controller.law=pid", "controller.delay_compensation.enabled=true",
-           "controller.torque_rate_limit_nm_s=1000", "metrics.from_s=0"]  # fmt: skip
+           "controller.torque_rate_limit_nm_s=1000"]  # fmt: skip
 
 
 def values_of_test(*overrides):
@@ -246,6 +249,29 @@ def test_command_refuses_a_baseline_of_another_test_or_lists_the_differences(fun
     assert "--allow-changes: needs --baseline" in funnel_hil.output(
         *words, "--allow-changes", code=2
     )
+
+
+def test_report_takes_the_test_of_a_run_from_its_manifest(funnel_hil, tmp_path):
+    """Which has it since the run; the recording has the arm in other words than its file."""
+    out = tmp_path / "out"
+    funnel_hil("simulate", "paper_arm", *SHORT, "--no-report", "--out", out)
+    manifest, summary = (out / f"{name}.json" for name in ("manifest", "summary"))
+    kept = json.loads(manifest.read_text())
+    assert kept["tested_with"]["paper_arm"]["robot.urdf"]
+    assert json.loads(summary.read_text())["tested_with"] == kept["tested_with"]
+    kept["tested_with"]["study"]["seeds"] = [7]
+    manifest.write_text(json.dumps(kept))
+    funnel_hil("report", out)
+    assert json.loads(summary.read_text())["tested_with"] == kept["tested_with"]
+
+
+def test_margin_that_leaves_unknowns_out_is_another_test():
+    tests = [
+        Margin({"laws": ["smc"], **more}, Path("margin")).tested_with
+        for more in ({"model_errors": [0.8]}, {})
+    ]
+    (found,) = require_same_test(*tests, allows_changes=True)
+    assert found == "unknowns = ['model masses × 0.8'] before, null now"
 
 
 MARGIN = json.loads((EXAMPLE / "baseline.json").read_text())

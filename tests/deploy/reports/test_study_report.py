@@ -134,6 +134,13 @@ def test_the_headline_of_margins_has_those_of_the_table(margin):
     assert {row[column].text for row in page.tables[0].cells} == {"4 ms", "≥ 8 ms", "none"}
 
 
+def test_report_shows_the_theory_of_an_older_version(margin, page_of):
+    margin["cases"][0]["theory"] = {"constant_ms": 6.5, "any_pattern_ms": 2.5, "joint": "elbow"}
+    sentence = "in theory stable up to a constant 6.5 ms, and below 2.5 ms for every pattern"
+    assert sentence in page_of(margin)
+    assert sentence in " ".join(shown(margin).split())
+
+
 def test_texts_of_a_sweep_are_shown_and_never_executed(sweep, page_of):
     page = page_of(sweep)
     assert "<script>alert" not in page

@@ -11,6 +11,7 @@ import pytest
 from controller.laws import TORQUE_LAWS
 from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.judge.run_rows import read_rows
+from deploy.judge.tested_with import require_same_test
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.benchmark.cells import (
@@ -105,6 +106,12 @@ def test_number_of_runs_is_known_at_the_end(finished):
     # windows; plants, of which one is lost at 8. Predicted: every delay, no patterns.
     patterns = 3 * (len(HANDFUL) - 1) + 2
     assert len(rows) == (3 + patterns + 3 + 3 * 3 + 2) + (3 + 3 + 3 * 3 + 2) + 2
+
+
+def test_delays_belong_to_the_test_of_a_gate():
+    tests = [defined(delays_ms=each).tested_with for each in (DELAYS_MS, [1.0, 16.0])]
+    (found,) = require_same_test(*tests, allows_changes=True)
+    assert found == "delays_ms = [1.0, 8.0, 32.0] before, [1.0, 16.0] now"
 
 
 def test_windows_and_seeds_share_no_seed_of_a_run():

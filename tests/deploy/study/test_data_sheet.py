@@ -163,9 +163,10 @@ def test_a_gate_takes_it_with_compensation_and_plants(made):
 
 def test_its_report_is_made_again_from_its_parts(made):
     out, _, _ = made
-    before = summary_of(out)
+    before, manifest = summary_of(out), (out / "manifest.json").read_text()
     (out / "report.html").unlink()
     output_of("report", out)
+    assert (out / "manifest.json").read_text() == manifest  # of what was run, not of this report
     assert summary_of(out)["parts"] == before["parts"]
     assert "The arm in the worst window" in (out / "report.html").read_text()
 

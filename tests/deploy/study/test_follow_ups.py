@@ -13,8 +13,8 @@ from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.judge.metrics import summarise
 from deploy.reports.kinds import gauged
 from deploy.reports.results import judge_rows
+from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.studies.study_tables import disturbance_tables, help_tables, margin_table
-from deploy.reports.studies.study_texts import margin_sentences
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -65,6 +65,33 @@ def test_remedies_that_help_the_lost_start_are_tried_from_every_start(tmp_path):
     shown = [(name.text, kept.text, left.text) for name, kept, _, left, *_ in table.cells]
     assert shown[:2] == [("compensation", "yes", "31"), ("drive loop", "yes", "42")]
     assert [row[:2] for row in shown[2:]] == [("twice the rate", "no"), ("half the gains", "no")]
+
+
+def test_no_margin_is_quoted_before_its_follow_ups_are_over(tmp_path):
+    """With a model of 0.8 × the masses all is lost from 4 ms on; the command ends within that."""
+
+    def lost(run):
+        has_error = str(run.columns["change"]).startswith("model masses")
+        return made_up(run, **(LOST if run.columns["value"] > (3 if has_error else 9) else {}))
+
+    numbers, count, whole = set(), 0, False
+    while not whole:
+        count += 1
+        study = helped(quantity="jitter", what_helps=False, model_errors=[0.8])  # no theory
+        whole, folder = conduct(study, tmp_path / f"{count}", Here(lost, at_most=count))
+        case = case_of(study, folder)
+        numbers.add((case["quoted"], case["quoted_because"]))
+    assert numbers == {(None, None), (3.0, "model error")}
+
+
+@pytest.mark.parametrize("seeds", [1, 3, 10])
+def test_remedies_are_at_most_a_third_of_all_runs(tmp_path, seeds):
+    study = helped(quantity="jitter", seeds=seeds)  # which draws random numbers
+    whole, folder = conduct(study, tmp_path / "out", Here(below_six, seed=4))
+    runs = Counter(row["change"] for row in folder.rows)
+    assert whole
+    assert study.summary(folder.rows)["completed"]
+    assert runs.total() - runs[None] <= runs.total() / 3
 
 
 def test_where_nothing_helps_the_result_says_so(tmp_path):

@@ -9,8 +9,9 @@ import pytest
 
 from controller.laws import COMPARED_LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
+from deploy.reports.results import write_study
+from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.studies.study_tables import margins_by_law
-from deploy.reports.studies.study_texts import margin_sentences
 from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.execution.folder import create_folder
@@ -121,6 +122,21 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     assert "| `smc` | 7 ms |" in (path / "table.md").read_text()
     page = (path / "report.html").read_text(encoding="utf-8")
     assert all(f'id="{name}-paper_arm"' in page for name in ("margins", "outside", "rms"))
+
+
+def test_report_keeps_the_summary_of_a_search_that_tried_fewer_values(funnel_hil, tmp_path, capfd):
+    """As an older version did, which left a gap as wide as it came."""
+    margin = margin_of(laws=["smc"])
+    for search in margin.searches:
+        search.parts = 1
+    path = create_folder(margin, tmp_path / "out")
+    _, folder = conduct(margin, path, Here(limits))
+    write_study(margin, folder)
+    before = json.loads((path / "summary.json").read_text())
+    assert (before["completed"], before["cases"][0]["quoted"]) == (True, 7.0)
+    output = funnel_hil.output("report", path) + capfd.readouterr().err
+    assert "made by another search: this is the summary of before" in output
+    assert json.loads((path / "summary.json").read_text()) == before
 
 
 def test_table_is_readable_without_a_terminal_width(funnel_hil, tmp_path):

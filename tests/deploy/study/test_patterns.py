@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from deploy.judge.metrics import summarise
 from deploy.reports.results import judge_rows
+from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.studies.study_tables import margin_table, margins_by_law
-from deploy.reports.studies.study_texts import margin_sentences
 from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.playout import EXPECTED, playout_range_ns

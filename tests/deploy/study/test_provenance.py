@@ -104,6 +104,23 @@ def test_study_refuses_its_folder_after_any_change_of_its_law(folder):
     assert "gate: failed; " in output
 
 
+@pytest.mark.parametrize("reads", ["", "import os\nos.environ.get('GAIN')\n"])
+def test_report_keeps_the_summary_of_a_law_that_was_edited(folder, reads):
+    """No theory of the new law stands beside rows of the old one, also of one that reads more."""
+    law, summary = folder / "edited_law.py", folder / "out" / "summary.json"
+    law.write_text(reads + LAW)
+    command(*margin())
+    before = summary.read_text()
+    assert "constant_ms" in before
+    assert "summary of before" not in command("report", "out")
+    assert summary.read_text() == before
+    law.write_text(reads + LAW.replace("= stiffness()", "= 4 * stiffness()"))
+    output = command("report", "out")
+    assert f"{law}: " in output
+    assert "this is the summary of before" in output
+    assert summary.read_text() == before
+
+
 def test_comparison_reuses_a_custom_law_until_it_changes(folder):
     words = ("compare", "--laws", "edited_law:Law,smc", *SHORT, "--out", "out")
     command(*words)

@@ -61,6 +61,26 @@ UNSEEN = {
         "import operator, pathlib",
         "float(operator.attrgetter('o' + 's.envi' + 'ron')(pathlib)['GAIN'])",
     ),
+    "names by another name of getattr": (
+        "import pathlib\nlook = getattr",
+        "float(look(look(pathlib, 'o' + 's'), 'env' + 'iron')['GAIN'])",
+    ),
+    "names in a text with fields": (
+        "import random",
+        "float('{0._os.environ[GAIN]}'.format(random))",
+    ),
+    "names in a text made of texts": (
+        "import random",
+        "float(('{0._o' + 's.envi' + 'ron[GAIN]}').format(random))",
+    ),
+    "names in a pattern": (
+        "import random\n"
+        "def gain():\n"
+        "    match random:\n"
+        "        case object(_os=object(environ=found)):\n"
+        "            return found['GAIN']",
+        "float(gain())",
+    ),
     "tables of names": (
         "import random",
         "float(vars(vars(random)['_o' + 's'])['env' + 'iron']['GAIN'])",
@@ -76,6 +96,7 @@ UNSEEN = {
     "device": ("", "float(open('/proc/self/fd/' + open('handle.txt').read()).read())"),
 }
 SEEN = {
+    "text with fields": ("", "float('{{0.real:g}}'.format(-400 if _is_there() else 400))"),
     "missing file": ("", "-400 if _is_there() else 400"),
     "link": ("", "float(open('link.txt').read())"),
     "another module of the name": ("import routed_gain", "routed_gain.GAIN"),

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.judge.gate import build_gate
 from deploy.reports.kinds import gauged
-from deploy.reports.studies.study_texts import margin_sentences, robustness_sentences
+from deploy.reports.studies.margin_sentences import margin_sentences, robustness_sentences
 from deploy.study.robustness import margin_study
 from tests.deploy.study.studies import Here, conduct, made_up
 

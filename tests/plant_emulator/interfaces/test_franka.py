@@ -124,14 +124,3 @@ def test_the_filter_has_libfrankas_gain_and_is_fed_back():
     robot.step(np.zeros((1, 1)), rows(0))
     found = [robot.step(np.ones((1, 1)), rows(0))[0] for _ in range(3)]
     np.testing.assert_allclose(found, 1.0 - (1.0 - 0.3859) ** np.arange(1, 4), atol=1e-4)
-
-
-def test_a_stopped_robot_keeps_its_first_reflex():
-    """20 lost torques, then a step of 50 N m; and the other way round."""
-    lost, step = [None] * 20, [np.array([[50.0]])]
-    for targets, kind in ((lost + step, LOST), (step + lost, "controller_torque_discontinuity")):
-        robot = started(FrankaTorqueSettings())
-        robot.step(np.zeros((1, 1)), rows(0))
-        for target in targets:
-            robot.step(target, rows(0))
-        assert robot.reflex.kind == kind

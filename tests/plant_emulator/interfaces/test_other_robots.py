@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from plant_emulator.interfaces.egm import EgmSettings
+from plant_emulator.interfaces.franka_torque import FrankaTorqueSettings
 from plant_emulator.interfaces.joint_trajectory import JointTrajectorySettings
 from plant_emulator.interfaces.rsi import RsiSettings
 from plant_emulator.interfaces.servo import ServoSettings
+from plant_emulator.interfaces.settings import InterfaceSettings
 from tests.plant_emulator.interfaces.driven import PERIOD_S as H
 from tests.plant_emulator.interfaces.driven import driven, rows, started
 
@@ -43,19 +45,6 @@ def test_new_messages_pull_a_lagging_robot_back_by_its_lag(lag_ms, from_desired)
     expected = 0.0 * speed[last] if from_desired else speed[last] * (1e-3 * lag_ms + 0.5 * H)
     np.testing.assert_allclose(teeth, expected, rtol=0.05, atol=1e-6)
     assert (speed[last] > 0.9 * SPEED).all()
-
-
-@pytest.mark.parametrize(("interpolation", "share"), [("linear", 0.1), ("cubic", 0.028)])
-@pytest.mark.parametrize("lag_ms", [5.0, 20.0])
-def test_lag_of_a_trajectory_that_starts_anew_in_each_cycle(interpolation, share, lag_ms):
-    """Driven at a constant speed until it is steady; `driven` measures a cycle too late."""
-    settings = JointTrajectorySettings(interpolation=interpolation, lag_ms=lag_ms)
-    cycles = 10_000
-    targets = (rows(SPEED * H * k, SPEED) for k in range(cycles))
-    position = driven(started(settings), targets)[-1, 0]
-    behind_s = H * (cycles - 1) - position / SPEED
-    late_s = H / share - H
-    assert behind_s == pytest.approx(settings.lag_s(H) + late_s, rel=3e-3)
 
 
 def test_egm_with_gain_0_is_pure_velocity():
@@ -100,3 +89,30 @@ def test_servo_has_a_dead_band_and_a_resolution():
     found = driven(robot, [rows(0.009), rows(0.0151), rows(0.0222), rows(0.03)])
     # Rounded to 8, 16, 24 and 32 mrad; a change of at most 10 mrad does not count.
     np.testing.assert_allclose(found[:, 0], [0.0, 0.016, 0.016, 0.032], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("settings", "first", "later"),
+    [
+        (FrankaTorqueSettings(), [np.zeros((1, 1)), np.full((1, 1), 9.0)], [None] * 25),
+        (RsiSettings(most_late=2), [None, None], [None] * 5),
+        (EgmSettings(), [None] * 200, [None] * 5),
+    ],
+)
+def test_the_first_reflex_is_the_one_that_stays(settings, first, later):
+    robot = started(settings)
+    for target in first:
+        robot.step(target, rows(0))
+    reflex = robot.reflex
+    assert reflex is not None
+    for target in later:
+        robot.step(target, rows(0))
+    assert robot.reflex == reflex
+
+
+def test_settings_of_a_robot_without_a_controller_are_refused():
+    class Nothing(InterfaceSettings):
+        """A kind that lacks `build`."""
+
+    with pytest.raises(TypeError, match=r"abstract method '?build"):
+        Nothing()

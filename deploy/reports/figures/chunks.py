@@ -1,0 +1,55 @@
+"""Chunks of a slow law over time: which answer was in force, how old, and where targets jumped."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from deploy.judge.run_data import RunData
+from deploy.reports.figures import style
+
+_HEIGHT_PX, _MOST, _LANES = 320, 300, 4
+
+
+def chunks_over_time(run: RunData) -> go.Figure | None:
+    """Draw each answer from its question to its end, and the jumps between them; None without any.
+
+    The first 300 answers are shown.
+    """
+    told = run.last_values(Role.CONTROLLER, EventKind.ENDED).get("chunks", {})
+    switches = np.array(told.get("first_switches", ())[: _MOST + 1])
+    if not len(switches) or told.get("largest") is None:
+        return None
+    at_s, asked_s, jumps_rad = switches[:, :3].T
+    ends_s = np.append(at_s[1:], max(at_s[-1], run.times_s(topics.PLANT_TRUTH)[-1]))
+    figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.08)
+    for lane in range(min(_LANES, len(at_s))):
+        here, colour = slice(lane, None, _LANES), style.palette(lane)
+        for begins, ends, width in ((asked_s, at_s, 1.5), (at_s, ends_s, 9)):
+            figure.add_scatter(
+                x=_apart(begins[here], ends[here]), y=_level(lane, begins[here]), mode="lines",
+                line={"color": colour, "width": width}, showlegend=False, row=1, col=1,
+            )  # fmt: skip
+    names = run.setup.robot.joint_names
+    joints = [names[int(each)] if each < len(names) else "" for each in switches[:, 3]]
+    figure.add_bar(
+        x=at_s, y=style.MRAD * jumps_rad, text=joints, textposition="none", showlegend=False,
+        marker={"color": style.ALARM}, hovertemplate="%{text}: %{y:.3g} mrad", row=2, col=1,
+    )  # fmt: skip
+    style.apply(figure, _HEIGHT_PX)
+    figure.update_yaxes(title="answer", showticklabels=False, row=1, col=1)
+    figure.update_yaxes(title="jump (mrad)", row=2, col=1)
+    return figure.update_xaxes(title="time (s)", row=2, col=1)
+
+
+def _apart(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return lines from begins to ends, with a gap after each."""
+    return np.stack([begins, ends, np.full(len(begins), np.nan)], axis=1).ravel()
+
+
+def _level(lane: int, begins: np.ndarray) -> np.ndarray:
+    return np.full(3 * len(begins), float(lane))

@@ -1,0 +1,103 @@
+"""Runs with policies that answer in chunks of 16 actions, 40 ms apart."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from bus_schema.recording.mcap_log import read_log
+from controller.chunks.configuration import CHUNK_MERGES
+from deploy.judge.metrics import summarise
+from deploy.run.execute import InProcesses, execute, lockstep_setup
+from deploy.run.replay import replay
+from deploy.run.simulate import simulate
+from tests.one_joint import policy_setup
+
+CHUNKS = "controller.chunks={{horizon: 16, period_ms: 40, {}}}"
+
+
+def policy(folder, chunks, inference_ms, *more):
+    return policy_setup(
+        folder, CHUNKS.format(chunks), "controller.between_answers=linear",
+        f"controller.inference_ms={inference_ms}", "duration_s=10", *more,
+        rows=16, spacing_s=0.04, knows_velocity=True, funnel_rad=0.03,
+    )  # fmt: skip
+
+
+def summary(*args):
+    return summarise(simulate(policy(*args)).data())
+
+
+@pytest.mark.parametrize(
+    ("inference_ms", "starved", "verdict"),
+    [(320, False, "kept"), (335, True, "kept"), (340, True, "lost")],
+)
+def test_perfect_chunks_last_twice_their_inference_time(tmp_path, inference_ms, starved, verdict):
+    """640 ms of actions: one question at a time is open, so an answer acts until two times later.
+
+    Asked every 40 ms, a question waits up to 25 ms more at 335 ms: 55 ms at rest are 27.5 mrad.
+    """
+    gains = "controller.gains.custom={rows: 640, spacing_s: 0.001, knows_velocity: true}"
+    found = summary(
+        tmp_path, "merge: replace, ask_when: 1.0", inference_ms, "controller.every=40",
+        "controller.between_answers=hold", "controller.chunks.period_ms=1",
+        "controller.chunks.horizon=640", gains,
+    )  # fmt: skip
+    assert (found["verdict"], found["chunks"]["starved_ticks"] > 0) == (verdict, starved)
+    if verdict == "lost":
+        assert found["loss"]["reason"] == "chunk ran out"
+
+
+def test_count_alignment_jumps_by_speed_times_delay(tmp_path):
+    """Where the first late chunk takes over; later ones are as late as those before them."""
+    by_time = summary(tmp_path, "merge: replace, ask_every: 8", 100)["chunks"]
+    by_count = summary(tmp_path, "merge: replace, ask_every: 8, align: count", 100)["chunks"]
+    assert by_time["jump_rad"] < 1e-3  # a linear target between two actions
+    late_s, at_s = 0.1, by_count["jump_s"]
+    expected_rad = 0.5 * abs(math.cos(at_s) - math.cos(at_s - late_s))
+    assert by_count["jump_rad"] == pytest.approx(expected_rad, rel=0.02)
+    assert by_time["age_ms"]["largest"] == pytest.approx(100 + 8 * 40, abs=1)
+    assert by_count["jump_joint"] == "j0"
+
+
+def test_a_jump_is_the_reason_of_a_loss(tmp_path):
+    """At rest in the reference's middle, 250 ms at 0.5 rad/s are 125 mrad of a 100 mrad funnel."""
+    policy = "merge: replace, ask_every: 9, align: count"
+    found = summary(tmp_path, policy, 300)
+    assert found["verdict"] == "lost"
+    assert found["loss"]["reason"] == "jump"
+
+
+@pytest.mark.parametrize("merge", CHUNK_MERGES.shipped)
+def test_lockstep_simulation_and_replay_have_equal_digests(merge, tmp_path):
+    if merge == "spline":
+        pytest.importorskip("ruckig")
+    asked = "" if merge == "synchronous" else ", ask_every: 3"
+    setup = policy(
+        tmp_path, f"merge: {merge}{asked}", 30, "controller.chunks.horizon=8",
+        "controller.chunks.period_ms=10", "controller.inference_jitter_ms=5", "duration_s=0.3",
+        "link.kind=zenoh",
+        "controller.gains.custom={rows: 8, spacing_s: 0.01, knows_velocity: true}",
+        "controller.chunks.frozen_prefix={}" if merge == "frozen_prefix" else "seed=3",
+        "controller.chunks.ask_every=4" if asked else "seed=3",
+    )  # fmt: skip
+    simulation = simulate(setup)
+    simulation.write_log(tmp_path / "run.mcap")
+    in_processes = execute(lockstep_setup(setup), InProcesses()).summary
+    assert in_processes["digest"] == simulation.data().digest
+    assert replay(setup, read_log(tmp_path / "run.mcap")).is_identical
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("controller.chunks={merge: frozen_prefix, horizon: 16, period_ms: 40, ask_every: 8}",
+         "d is 10, s is 8 and H is 16"),
+        ("controller.chunks={merge: replac}", "did you mean replace?"),
+        ("controller.chunks={horizon: 0}", "controller.chunks.horizon = 0"),
+    ],
+)  # fmt: skip
+def test_bad_chunks_are_refused(funnel_hil, override, words):
+    more = ("--set", "controller.inference_ms=400", "--set", override)
+    assert words in funnel_hil.output("simulate", "paper_arm", *more, code=2)
