@@ -11,7 +11,6 @@ from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
-from plant_emulator.channel.delay_range import median_round_trip_ns
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
 
@@ -69,8 +68,8 @@ def interface_in_force(setup: Setup) -> InterfaceConfiguration:
 def preview_s(setup: Setup) -> float:
     """Return how far ahead of a state the reference is read.
 
-    ``auto`` is the median of the emulated round trip, or the play-out time if that is longer, the
-    lag of the robot's own controller, and the age of a slow law's answers. It is 0 for drives, which go on
+    ``auto`` is the emulated round trip, or the play-out time if that is longer, the lag of the
+    robot's own controller, and the age of a slow law's answers. It is 0 for drives, which go on
     along their targets from the stamp of the state.
 
     Raises:
@@ -82,8 +81,7 @@ def preview_s(setup: Setup) -> float:
     if not interface.has_controller:
         return 0.0
     link, period_s = setup.link, 1e-9 * setup.grid.period_ns
-    sides = (side.model_copy(update={"schedule": ()}) for side in (link.uplink, link.downlink))
-    round_trip_s = 1e-9 * max(median_round_trip_ns(*sides), link.playout_ns)
+    round_trip_s = 1e-9 * max(link.emulated_round_trip_ns, link.playout_ns)
     goes_on = controller.between_answers == "linear" and interface.takes == "position"
     age_s = 0.0 if goes_on else controller.answer_age_s(period_s)
     return round_trip_s + age_s + robot_lag_s(setup)

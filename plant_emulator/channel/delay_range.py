@@ -106,15 +106,6 @@ def _span_s(stage: ChannelConfiguration | Step | Ramp) -> tuple[float, float]:
     return (0.0, 0.0) if isinstance(stage, ChannelConfiguration) else (stage.at_s, stage.end_s)
 
 
-def median_round_trip_ns(uplink: ChannelConfiguration, downlink: ChannelConfiguration) -> int:
-    """Return the round trip that half of the messages do not exceed, ns.
-
-    Raises:
-        ValueError: a file of delays cannot be used.
-    """
-    return round_trip_ns(configured_delays_ns(uplink), configured_delays_ns(downlink), 0.5)
-
-
 def round_trip_ns(up_ns: NDArray[np.int64], down_ns: NDArray[np.int64], share: float) -> int:
     """Return the round trip that this share of messages does not exceed, ns.
 

@@ -12,10 +12,8 @@ from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import InProcesses, JudgedRun, execute, lockstep_setup
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
-from deploy.scenario.referenced_files import TRACES
 from deploy.scenario.robot_interface import interface_in_force, preview_s, robot_lag_s
 from deploy.scenario.scenario import load_setup
-from plant_emulator.channel.trace_file import read_trace
 from plant_emulator.robot_controller import RobotController
 from tests.deploy.study.theory.linear_arms import Arm, constant
 
@@ -258,15 +256,6 @@ def test_lockstep_simulation_and_replay_have_equal_digests(kind, tmp_path):
     assert in_processes["digest"] == simulation.data().digest
     assert in_processes["motion"] == simulation.data().motion
     assert replay(setup, read_log(tmp_path / "run.mcap")).is_identical
-
-
-def test_preview_covers_the_median_delay_of_a_trace(file):
-    """Half of the messages of the shipped trace take no longer."""
-    trace = read_trace(TRACES / "vpn.parquet")
-    words = (STREAMING, KIND.format("servoj"), "link.uplink.trace.file=vpn")
-    setup = load_setup(str(file), [*words, "plant.command_timeout_ms=1000"])
-    expected = 1e-9 * np.median(trace.delays_ns[trace.delays_ns >= 0])
-    assert preview_s(setup) - robot_lag_s(setup) == pytest.approx(expected, rel=0.01)
 
 
 def test_lag_is_a_time_per_joint_and_none_at_rest(file, tmp_path):
