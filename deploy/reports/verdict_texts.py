@@ -15,8 +15,9 @@ from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
-from deploy.reports.runs.run_numbers import margin_place, other_margins, tip_error
+from deploy.reports.runs.run_numbers import margin_place, other_margins, tip_error, worst_lag_ms
 from deploy.reports.tables import margin_text, number
+from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
     from deploy.run.execute import JudgedRun
@@ -94,6 +95,7 @@ def verdict_on_run(
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
         *_sentences_on_the_tip(summary, run.setup.scenario.metrics.from_s),
+        *_sentences_on_the_robot(run, summary),
         *(
             f"The error of {each['joint']} grows by e^({each['rate_per_s']:.3g} t) at"
             f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
@@ -150,6 +152,23 @@ def _sentences_on_chunks(chunks: Mapping[str, Any] | None) -> list[str]:
         f" force was {number(ages['median'])} ms old (median), {number(ages['largest'])} ms at"
         f" most.{left if chunks['starved_ticks'] else ''}"
     ]
+
+
+def _sentences_on_the_robot(run: RunData, summary: Mapping[str, Any]) -> list[str]:
+    """Return how far a robot that takes targets is behind, and why it stopped by itself."""
+    sentences = []
+    for each in summary.get("reflexes", ()):
+        of_joint = "" if each["joint"] is None else f" of {each['joint']}"
+        reflex = f"{each['kind']}{of_joint}"
+        sentences.append(f"The robot stopped at {each['time_s']:.3f} s by its reflex {reflex}.")
+    lag, lags = worst_lag_ms(summary), summary.get("lag_ms") or []
+    if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
+        joint = run.setup.robot.joint_names[lags.index(lag)]
+        way = "behind" if lag >= 0.0 else "ahead of"
+        sentences.append(
+            f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})."
+        )
+    return sentences
 
 
 def _sentences_on_ranges(summary: Mapping[str, Any]) -> list[str]:

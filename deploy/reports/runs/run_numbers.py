@@ -101,6 +101,12 @@ def tip_error(summary: Mapping[str, Any], name: str) -> float | None:
     return value
 
 
+def worst_lag_ms(summary: Mapping[str, Any]) -> float | None:
+    """Time by which the joint farthest behind, or ahead, is so, ms; older summaries have none."""
+    known = [each for each in summary.get("lag_ms") or () if each is not None]
+    return max(known, key=abs, default=None)
+
+
 BOUND_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
     "Smallest margin, where": lambda s: margin_place(s["bounds"]).strip(" ()") or None,
@@ -108,11 +114,16 @@ BOUND_NUMBERS: dict[str, Callable[[Summary], Value]] = {
     "Steady margin": lambda s: margin_text(s["bounds"]["margin_steady"]),
     "Tip error, RMS (mm)": lambda s: tip_error(s, "rms"),
     "Tip error, largest (mm)": lambda s: tip_error(s, "largest"),
+    "Lag of a joint, largest (ms)": lambda s: worst_lag_ms(s),
     "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),
     "First outside (s)": lambda s: s["bounds"]["first_violation_s"],
 }
 RUN_COUNTS: dict[str, Callable[[Summary], Value]] = {
     "Faults": lambda s: len(s["faults"]),
+    "Reflexes of the robot": lambda s: (
+        ", ".join(f"{each['kind']} at {each['time_s']:.3f} s" for each in s.get("reflexes", ()))
+        or None
+    ),
     DEADLINES_MET: lambda s: percent(s["timing"]["success_rate"]),
     "Deadlines missed": lambda s: s["timing"]["deadline_misses"],
     "Longest run of misses (ticks)": lambda s: s["timing"]["deadline_miss_longest_run"],

@@ -8,7 +8,8 @@ import pytest
 
 from bus_schema.recording.mcap_log import read_log
 from deploy.judge.metrics import summarise
-from deploy.run.execute import InProcesses, execute, lockstep_setup
+from deploy.reports.verdict_texts import verdict_on_run
+from deploy.run.execute import InProcesses, JudgedRun, execute, lockstep_setup
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
 from deploy.scenario.robot_interface import interface_in_force, preview_s, robot_lag_s
@@ -200,7 +201,11 @@ def test_franka_survives_19_lost_packets_and_stops_at_20(file, law):
     kind = "franka_torque" if law == "pid" else "franka_position"
     common = (f"controller.law={law}", KIND.format(kind), "robot.initial_offset_rad=0")
     assert outcome(file, *common, LOSES.format(0.019)) == ([], [])
-    faults, reflexes = outcome(file, *common, LOSES.format(0.020))
+    data = run(file, *common, LOSES.format(0.020))
+    summary = summarise(data)
+    faults, reflexes = summary["faults"], summary["reflexes"]
+    reasons = " ".join(verdict_on_run(JudgedRun("run", data, summary)).reasons)
+    assert "s by its reflex communication_constraints_violation." in reasons
     assert [(each["kind"], each["joint"]) for each in reflexes] == [
         ("communication_constraints_violation", None)
     ]
@@ -265,7 +270,10 @@ def test_lockstep_simulation_and_replay_have_equal_digests(kind, tmp_path):
 
 def test_lag_is_a_time_per_joint_and_none_at_rest(file, tmp_path):
     common = (STREAMING, NO_PREVIEW, KIND.format("servoj"), *ROBOTS["servoj"], "duration_s=4")
-    moves = summarise(run(file, *common, *moving(tmp_path), "link.downlink.delay_ms=24"))
+    data = run(file, *common, *moving(tmp_path), "link.downlink.delay_ms=24")
+    moves = summarise(data)
+    reasons = verdict_on_run(JudgedRun("run", data, moves)).reasons
+    assert "Joints were behind their reference by 54 ms at most (j0)." in reasons
     # 30 ms in the robot, of which a cycle is the wait; 24 on the way.
     assert moves["lag_ms"] == [pytest.approx(54.0, abs=1.0)]
     assert moves["reflexes"] == []
