@@ -8,7 +8,7 @@ from pathlib import Path
 
 _PROGRAMS = (
     ("ping", rb"^PING \S+ \(|^(\[[\d.]+\] )?\d+ bytes from .* time[=<]",
-     "output of ping: use it as a trace, or funnel-hil trace import ping"),
+     "output of ping: funnel-hil trace import ping makes a trace of it"),
     ("candump", rb"^ *\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+(#|  )",
      "a log of candump: funnel-hil trace import candump makes a trace of it"),
     ("netem", rb"distribution table|\A(\s*#.*\n)*\s*(-?\d{1,5}[ \t]+){7,}",
