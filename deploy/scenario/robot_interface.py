@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
-from controller.laws.custom import EXTERNAL
+from controller.laws.custom import EXTERNAL, LeftOut
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
@@ -38,7 +38,7 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
         law.follow(setup.reference.copied(), preview_s(setup))
     else:
         _check_no_preview(setup)
-    moves_model = takes != TORQUE and not hasattr(law, "target")
+    moves_model = takes != TORQUE and not (hasattr(law, "target") or isinstance(law, LeftOut))
     period_s, fastest_rad_s = 1e-9 * setup.grid.period_ns, setup.robot.velocity_limits_rad_s
     takes = TORQUE if moves_model else takes
     paced = controller.paced(law, period_s, scenario.seed, takes, fastest_rad_s)
