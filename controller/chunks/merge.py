@@ -53,7 +53,7 @@ class ChunkMerge(ABC):
         """
 
     def guidance(self, old: Answer, asked_s: float) -> tuple[Matrix, Vector, int] | None:  # noqa: ARG002
-        """Return what a policy that continues a chunk is told; None if it is told nothing.
+        """Return the guidance for a policy that continues a chunk; None for none.
 
         Args:
             old: the answer in force.

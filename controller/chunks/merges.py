@@ -89,8 +89,8 @@ class TemporalEnsemble(ChunkMerge):
         self._chunks: list[Answer] = []
 
     def merged(self, old: Answer, new: Answer, now_s: float) -> Answer:
-        told = [*(self._chunks or [old]), new]
-        older = [each for each in told[:-1] if not each.is_over_at(now_s)]
+        known = self._chunks or [old]
+        older = [each for each in known if not each.is_over_at(now_s)]
         self._chunks = [*older[-_MOST_CHUNKS:], new]
         torques, targets = new.torques.copy(), new.targets.copy()
         for row in range(new.row_at(now_s), new.rows):

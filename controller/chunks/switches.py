@@ -18,7 +18,7 @@ class ChunkLog:
     """Log of the answers of a law.
 
     Args:
-        has_targets: whether the law's answers have targets of their own, which can jump.
+        has_targets: whether answers contain targets, which can jump.
     """
 
     def __init__(self, *, has_targets: bool) -> None:

@@ -157,15 +157,16 @@ class _Loss:
         """Whether a new chunk moved the target by much, or an answer came much later than usual."""
         found = self.run.last_values(Role.CONTROLLER, EventKind.ENDED).get("chunks", {})
         lost_s = self.times_s[self.tick]
-        before = [each for each in found.get("first_switches", ()) if each[0] <= lost_s]
-        if not before:
+        if not found:
             return None
+        before = [each for each in found.get("first_switches", ()) if each[0] <= lost_s]
         lately = [each for each in before if each[0] >= lost_s - _LATELY_S]
         half_rad = 0.5 * abs(self.errors_rad[self.tick])
         if any(jump >= half_rad and int(joint) == self.joint for _, _, jump, joint in lately):
             return self._because(Reason.JUMPED)
         usual_s = 1e-3 * found.get("age_ms", {}).get("median", math.inf)
-        is_old = lost_s - before[-1][1] > max(_MUCH_OLDER * usual_s, usual_s + 1e-9 * _LATE_NS)
+        asked_s = before[-1][1] if before else 0.0  # the first answer acts from the start on
+        is_old = lost_s - asked_s > max(_MUCH_OLDER * usual_s, usual_s + 1e-9 * _LATE_NS)
         return self._because(Reason.OLD_ANSWER) if is_old else None
 
     def _oscillation(self) -> LossReason | None:

@@ -172,6 +172,14 @@ def test_a_chunk_that_ran_out_has_nothing_left_to_send(tmp_path):
     assert loss_of(policy_setup(tmp_path, rows=300, every=200)) is None
 
 
+def test_an_answer_that_comes_much_later_than_usual_is_the_reason(tmp_path):
+    """The first inference in motion takes 0.6 s, others 20 ms: the reference leaves in 0.45 s."""
+    slow = ("controller.inference_ms=20", "controller.first_inference_ms=600")
+    found = loss_of(policy_setup(tmp_path, *slow))
+    assert found["reason"] == "old answer"
+    assert 0.4 < found["time_s"] < 0.6
+
+
 def test_rows_that_ran_out_and_are_held_on_purpose_are_no_reason(tmp_path):
     """One row is held until the next answer: the arm lags, as it is asked every 200 ms."""
     found = loss_of(policy_setup(tmp_path, rows=1, every=200))
