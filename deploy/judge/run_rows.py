@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
@@ -14,59 +15,71 @@ from deploy.judge.findings.reasons import Reason
 from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError
 
-_DIRECTIONS = ("uplink", "downlink")
-_COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
-_DELAYS = {f"delay_{name}_ms": "double" for name in ("mean", *PERCENTILES)}
-_COLUMNS = {
-    "scenario": "string",
-    "law": "string",
-    "seed": "int64",
-    "duration_s": "double",
-    "ticks": "int64",
-    "completed": "bool",
-    "ended_early_s": "double",
-    "error": "string",
-    "verdict": "string",
-    "seed_used": "bool",
-    "growing": "bool",
-    "vibrating": "bool",
-    "not_tested_below_hz": "double",
-    "bounds_kept": "bool",
-    "violation_fraction": "double",
-    "first_violation_s": "double",
-    "loss_reason": "string",
-    "loss_joint": "string",
-    "margin_min": "double",
-    "joint_names": "list<string>",
-    "rms_rad": "list<double>",
-    "max_abs_rad": "list<double>",
-    "tip_rms_mm": "double",
-    "tip_largest_mm": "double",
-    "settling_time_s": "list<double>",
-    "settling_bound_s": "list<double>",
-    "total_variation_nm_per_s": "list<double>",
-    "share_above_50_hz": "list<double>",
-    "rms_nm": "list<double>",
-    "peak_nm": "list<double>",
-    "saturated_fraction": "double",
-    "deadline_misses": "int64",
-    "success_rate": "double",
-    **{
-        f"{direction}_{name}": kind
-        for direction in _DIRECTIONS
-        for name, kind in {**_COUNTS, **_DELAYS}.items()
-    },
-    "digest": "string",
-    "motion": "string",
-}
-"""Names and types, units as in ``summary.json``; lists have one entry for each joint."""
+_OF_DIRECTION = (
+    *(("int64", name, name) for name in ("sent", "delivered", "lost")),
+    *(("double", f"delay_{name}_ms", f"delay_ms.{name}") for name in ("mean", *PERCENTILES)),
+)
+"""Type and name of columns of each direction, and their keys."""
 
-_OF_ANY_PART = {
-    *("scenario", "law", "seed", "duration_s", "ticks", "completed", "ended_early_s", "error"),
-    *("verdict", "seed_used", "bounds_kept", "first_violation_s", "loss_reason", "loss_joint"),
-    *("joint_names", "settling_bound_s", "digest"),
+
+class Column(NamedTuple):
+    """A column of a table of runs, in the units of ``summary.json``.
+
+    Attributes:
+        kind: its Parquet type; lists have one entry for each joint.
+        at: keys of its value in ``summary.json``, by dots; empty for its own name.
+        of_any_part: whether a run has it that ended at its loss; the others are for whole runs.
+    """
+
+    kind: str
+    at: str = ""
+    of_any_part: bool = False
+
+
+_of_any_part = partial(Column, of_any_part=True)
+_COLUMNS = {
+    "scenario": _of_any_part("string"),
+    "law": _of_any_part("string"),
+    "seed": _of_any_part("int64"),
+    "duration_s": _of_any_part("double"),
+    "ticks": _of_any_part("int64"),
+    "completed": _of_any_part("bool"),
+    "ended_early_s": _of_any_part("double"),
+    "error": _of_any_part("string"),
+    "verdict": _of_any_part("string"),
+    "seed_used": _of_any_part("bool"),
+    "growing": Column("bool"),
+    "vibrating": Column("bool"),
+    "not_tested_below_hz": Column("double"),
+    "bounds_kept": _of_any_part("bool", "bounds.kept"),
+    "violation_fraction": Column("double", "bounds.violation_fraction"),
+    "first_violation_s": _of_any_part("double", "bounds.first_violation_s"),
+    "loss_reason": _of_any_part("string", "loss.reason"),
+    "loss_joint": _of_any_part("string", "loss.joint"),
+    "margin_min": Column("double", "bounds.margin_min"),
+    "joint_names": _of_any_part("list<string>", "tracking.joint_names"),
+    "rms_rad": Column("list<double>", "tracking.rms_rad"),
+    "max_abs_rad": Column("list<double>", "tracking.max_abs_rad"),
+    "tip_rms_mm": Column("double", "tip_error_mm.rms"),
+    "tip_largest_mm": Column("double", "tip_error_mm.largest"),
+    "settling_time_s": Column("list<double>", "tracking.settling_time_s"),
+    "settling_bound_s": _of_any_part("list<double>", "tracking.settling_bound_s"),
+    **{
+        name: Column("list<double>", f"torque.{name}")
+        for name in ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm")
+    },
+    "saturated_fraction": Column("double", "torque.saturated_fraction"),
+    "deadline_misses": Column("int64", "timing.deadline_misses"),
+    "success_rate": Column("double", "timing.success_rate"),
+    **{
+        f"{way}_{name}": Column(kind, f"transport.{way}.{at}")
+        for way in ("uplink", "downlink")
+        for kind, name, at in _OF_DIRECTION
+    },
+    "digest": _of_any_part("string"),
+    "motion": Column("string"),
 }
-"""Columns that a run has that ended at its loss; the others are for whole runs."""
+"""Columns by their names."""
 
 _FLAWS = {"growing": Reason.GROWING, "vibrating": Reason.VIBRATION}
 """Columns that are true for runs that do not hold although they kept their bounds, and why."""
@@ -84,33 +97,26 @@ def row(summary: dict[str, Any], seed: int) -> Row:
         summary: the run's ``summary.json``.
         seed: the scenario's seed.
     """
-    values: Row = {}
-    for section in ("bounds", "tracking", "torque", "timing"):
-        values |= summary[section]
-    error = "; ".join(summary["faults"]) or None
-    # which older versions lack, and runs that a study has not ended
-    lacking = ("motion", "seed_used", "ended_early_s", "not_tested_below_hz")
-    values |= dict.fromkeys(lacking) | summary
-    values |= {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
-    loss = summary.get("loss") or {}
-    values |= {"loss_reason": loss.get("reason"), "loss_joint": loss.get("joint")}
-    tip = summary.get("tip_error_mm") or {}
-    values |= {f"tip_{name}_mm": tip.get(name) for name in ("rms", "largest")}
+    values = {name: _value(summary, column.at or name) for name, column in _COLUMNS.items()}
+    values |= {"seed": seed, "error": "; ".join(summary["faults"]) or None}
     values |= {name: bool(summary.get(name)) for name in _FLAWS}
-    for direction in _DIRECTIONS:
-        channel = summary["transport"][direction]
-        delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
-        statistics = {**{name: channel[name] for name in _COUNTS}, **delays}
-        values |= {f"{direction}_{name}": value for name, value in statistics.items()}
     bound = values["settling_bound_s"]
     if bound is not None and not isinstance(bound, list):
         values["settling_bound_s"] = [bound] * len(values["joint_names"])
-    return {name: values[name] for name in _COLUMNS}
+    return values
+
+
+def _value(summary: Mapping[str, Any], at: str) -> Any:
+    """Return a value in a summary; None where it, or a part around it, is missing."""
+    found: Any = summary
+    for key in at.split("."):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
 
 
 def early_row(row: Row) -> Row:
     """Return the row of a run that ended soon after its loss, without what only whole runs have."""
-    found = {name: value for name, value in row.items() if name in _OF_ANY_PART}
+    found = {name: row[name] for name, column in _COLUMNS.items() if column.of_any_part}
     return {**dict.fromkeys(row), **found, "ended_early_s": row["duration_s"]}
 
 
@@ -173,7 +179,8 @@ def write_rows(
         item = kind.removeprefix("list<").removesuffix(">")
         return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
 
-    columns = {**(more_columns or {}), **_COLUMNS, PROVENANCE: "string"}
+    own = {name: column.kind for name, column in _COLUMNS.items()}
+    columns = {**(more_columns or {}), **own, PROVENANCE: "string"}
     schema = pa.schema(
         [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
     )

@@ -29,7 +29,6 @@ from deploy.reports.gauges import (
 )
 from deploy.reports.studies.study_tables import margins_by_law, robustness_table
 from deploy.reports.tables import Table
-from deploy.reports.verdict_texts import VERDICTS
 from deploy.scenario.yaml_files import ScenarioError
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ Summary = Mapping[str, Any]
 _OLDER, _COMPLETE = "older version", "complete"
 _WORST = (
     _OLDER,
-    *(VERDICTS[each].listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
+    *(each.listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
 )
 _JSON = TypeAdapter(dict[str, Any])
 _ALLOWED = "must be summary.json of a finished run or study, or its folder"
@@ -52,7 +51,7 @@ _ALLOWED = "must be summary.json of a finished run or study, or its folder"
 def _verdict(summary: Summary) -> str:
     """Return the verdict in a summary; older versions did not write it there."""
     is_older = "ticks" in summary and "verdict" not in summary
-    return _OLDER if is_older else VERDICTS[verdict_of(summary)].listed
+    return _OLDER if is_older else verdict_of(summary).listed
 
 
 def _completeness(summary: Summary) -> str:

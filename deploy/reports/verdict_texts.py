@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
@@ -37,23 +37,6 @@ _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
 
 
-class Words(NamedTuple):
-    """A verdict in a report and in a list of results."""
-
-    level: Level
-    headline: str
-    listed: str
-
-
-VERDICTS: Mapping[Verdict, Words] = {
-    Verdict.KEPT: Words("good", "Bounds kept", "bounds kept"),
-    Verdict.LOST: Words("bad", "Bounds not kept", "bounds not kept"),
-    Verdict.UNKNOWN: Words("broken", "Not known whether bounds were kept", "unknown"),
-    Verdict.FAULTED: Words("broken", "Run ended by a fault", "faulted"),
-    Verdict.INTERRUPTED: Words("broken", "Run interrupted", "interrupted"),
-    Verdict.NOTHING: Words("broken", "Nothing was recorded", "incomplete"),
-}
-"""Words of all verdicts."""
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
 """Who holds up a loop that lacks a setting."""
 
@@ -113,7 +96,7 @@ def verdict_on_run(
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
     ]
-    level, headline, _ = VERDICTS[judged.verdict]
+    level, headline = judged.verdict.level, judged.verdict.headline
     if is_judged and judged.verdict is Verdict.NOTHING:
         headline = _NO_COMMAND.capitalize()
     if summary["recording"]["damage"]:
