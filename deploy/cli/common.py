@@ -27,7 +27,7 @@ from deploy.reports.gate_files import write_history, write_junit, write_markdown
 from deploy.reports.kinds import gauged, kind_named, numbers_in, read_baseline
 from deploy.reports.results import TABLE_FILE, Results, write_run
 from deploy.reports.terminal import print_page
-from deploy.run.confirmation import CONFIRMATION, confirmation_of
+from deploy.run.confirmation import confirmation_of
 from deploy.run.console import Console
 from deploy.run.execute import JudgedRun
 from deploy.run.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
@@ -253,7 +253,7 @@ def finish(
     def judge() -> Results:
         _require_data(console, folder, run)
         if confirms:
-            run.summary[CONFIRMATION] = confirmation_of(run, Watched())
+            run.result = run.result.replaced(confirmation=confirmation_of(run, Watched()))
         return write_run(folder, run, draws_report=not options.no_report)
 
     summary = conclude(console, folder, judge).summary

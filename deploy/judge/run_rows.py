@@ -4,82 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from bus_schema.arrays import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from bus_schema.user_files import open_parquet
 from deploy.judge.findings.reasons import Reason
+from deploy.judge.metrics import RunResult
+from deploy.judge.result.section import figures
 from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError
 
-_OF_DIRECTION = (
-    *(("int64", name, name) for name in ("sent", "delivered", "lost")),
-    *(("double", f"delay_{name}_ms", f"delay_ms.{name}") for name in ("mean", *PERCENTILES)),
-)
-"""Type and name of columns of each direction, and their keys."""
-
-
-class Column(NamedTuple):
-    """A column of a table of runs, in the units of ``summary.json``.
-
-    Attributes:
-        kind: its Parquet type; lists have one entry for each joint.
-        at: keys of its value in ``summary.json``, by dots; empty for its own name.
-        of_any_part: whether a run has it that ended at its loss; the others are for whole runs.
-    """
-
-    kind: str
-    at: str = ""
-    of_any_part: bool = False
-
-
-_of_any_part = partial(Column, of_any_part=True)
-_COLUMNS = {
-    "scenario": _of_any_part("string"),
-    "law": _of_any_part("string"),
-    "seed": _of_any_part("int64"),
-    "duration_s": _of_any_part("double"),
-    "ticks": _of_any_part("int64"),
-    "completed": _of_any_part("bool"),
-    "ended_early_s": _of_any_part("double"),
-    "error": _of_any_part("string"),
-    "verdict": _of_any_part("string"),
-    "seed_used": _of_any_part("bool"),
-    "growing": Column("bool"),
-    "vibrating": Column("bool"),
-    "not_tested_below_hz": Column("double"),
-    "bounds_kept": _of_any_part("bool", "bounds.kept"),
-    "violation_fraction": Column("double", "bounds.violation_fraction"),
-    "first_violation_s": _of_any_part("double", "bounds.first_violation_s"),
-    "loss_reason": _of_any_part("string", "loss.reason"),
-    "loss_joint": _of_any_part("string", "loss.joint"),
-    "margin_min": Column("double", "bounds.margin_min"),
-    "joint_names": _of_any_part("list<string>", "tracking.joint_names"),
-    "rms_rad": Column("list<double>", "tracking.rms_rad"),
-    "max_abs_rad": Column("list<double>", "tracking.max_abs_rad"),
-    "tip_rms_mm": Column("double", "tip_error_mm.rms"),
-    "tip_largest_mm": Column("double", "tip_error_mm.largest"),
-    "settling_time_s": Column("list<double>", "tracking.settling_time_s"),
-    "settling_bound_s": _of_any_part("list<double>", "tracking.settling_bound_s"),
-    **{
-        name: Column("list<double>", f"torque.{name}")
-        for name in ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm")
-    },
-    "saturated_fraction": Column("double", "torque.saturated_fraction"),
-    "deadline_misses": Column("int64", "timing.deadline_misses"),
-    "success_rate": Column("double", "timing.success_rate"),
-    **{
-        f"{way}_{name}": Column(kind, f"transport.{way}.{at}")
-        for way in ("uplink", "downlink")
-        for kind, name, at in _OF_DIRECTION
-    },
-    "digest": _of_any_part("string"),
-    "motion": Column("string"),
-}
-"""Columns by their names."""
+_FIGURES = {name: each for each in figures(RunResult) for name in each.columns}
+_PATHS = {name: each.columns[name] for name, each in _FIGURES.items()}
+COLUMNS = {
+    **{name: each.kind for name, each in _FIGURES.items()},
+    "seed": "int64", "ended_early_s": "double", "error": "string",
+}  # fmt: skip
+"""Parquet types of the columns of every table of runs, by name: most are figures of a result."""
 
 _FLAWS = {"growing": Reason.GROWING, "vibrating": Reason.VIBRATION}
 """Columns that are true for runs that do not hold although they kept their bounds, and why."""
@@ -90,33 +32,35 @@ _DIGEST = b"funnel_hil.sha256"
 """In the schema's metadata: checksum of names, rows and conditions."""
 
 
-def row(summary: dict[str, Any], seed: int) -> Row:
+def row(result: RunResult, seed: int) -> Row:
     """Return a run as a row; `error` holds its faults, null for none.
 
     Args:
-        summary: the run's ``summary.json``.
+        result: the result of the run.
         seed: the scenario's seed.
     """
-    values = {name: _value(summary, column.at or name) for name, column in _COLUMNS.items()}
-    values |= {"seed": seed, "error": "; ".join(summary["faults"]) or None}
-    values |= {name: bool(summary.get(name)) for name in _FLAWS}
-    bound = values["settling_bound_s"]
-    if bound is not None and not isinstance(bound, list):
-        values["settling_bound_s"] = [bound] * len(values["joint_names"])
-    return values
+    summary, joints = result.model_dump(), len(result.tracking.joint_names)
+    values = {name: _value(summary, at, COLUMNS[name], joints) for name, at in _PATHS.items()}
+    error = "; ".join(result.faults) or None
+    return {**values, "seed": seed, "ended_early_s": None, "error": error}
 
 
-def _value(summary: Mapping[str, Any], at: str) -> Any:
-    """Return a value in a summary; None where it, or a part around it, is missing."""
+def _value(summary: Mapping[str, Any], path: Sequence[str], kind: str, joints: int) -> Any:
+    """Return a value in a summary as its column has it; None where a part around it is missing."""
     found: Any = summary
-    for key in at.split("."):
+    for key in path:
         found = found.get(key) if isinstance(found, Mapping) else None
-    return found
+    if kind.startswith("list") and isinstance(found, float):  # the same for all joints
+        return [found] * joints
+    return bool(found) if isinstance(found, list) and kind == "bool" else found
 
 
 def early_row(row: Row) -> Row:
     """Return the row of a run that ended soon after its loss, without what only whole runs have."""
-    found = {name: row[name] for name, column in _COLUMNS.items() if column.of_any_part}
+    found = {
+        name: value for name, value in row.items()
+        if name not in _FIGURES or _FIGURES[name].is_of_any_part
+    }  # fmt: skip
     return {**dict.fromkeys(row), **found, "ended_early_s": row["duration_s"]}
 
 
@@ -155,7 +99,7 @@ def uses_seed(row: Row) -> bool:
 def failed_row(seed: int, error: str) -> Row:
     """Return the row of a run that left nothing to judge."""
     found = {"seed": seed, "completed": False, "error": error, "verdict": decide([error]).value}
-    return dict.fromkeys(_COLUMNS) | found
+    return dict.fromkeys(COLUMNS) | found
 
 
 def write_rows(
@@ -179,8 +123,7 @@ def write_rows(
         item = kind.removeprefix("list<").removesuffix(">")
         return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
 
-    own = {name: column.kind for name, column in _COLUMNS.items()}
-    columns = {**(more_columns or {}), **own, PROVENANCE: "string"}
+    columns = {**(more_columns or {}), **COLUMNS, PROVENANCE: "string"}
     schema = pa.schema(
         [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
     )

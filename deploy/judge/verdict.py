@@ -69,15 +69,6 @@ def decide(
     return Verdict.KEPT if is_ended else Verdict.INTERRUPTED
 
 
-def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
-    """Return the summary with a verdict, and with its consequences."""
-    is_judged = summary["bounds"].get("violation_fraction") is not None
-    ended = is_judged and verdict not in (Verdict.FAULTED, Verdict.INTERRUPTED)
-    bounds = {**summary["bounds"], "kept": verdict is Verdict.KEPT}
-    completed = bool(summary["completed"] and ended)
-    return {**summary, "verdict": verdict.value, "completed": completed, "bounds": bounds}
-
-
 def verdict_of(summary: Mapping[str, Any]) -> Verdict:
     """Return the verdict in a summary; `NOTHING` for a missing or unknown one."""
     verdict = summary.get("verdict")

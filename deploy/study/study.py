@@ -166,12 +166,12 @@ def _judged(setup: Setup, run: PlannedRun) -> Row:
 
     with _folder(setup, run) as folder:
         done = execute(setup, InProcess(begin) if run.ends_early and is_ours else None, folder)
-        values = row(done.summary, run.seed)
+        values = row(done.result, run.seed)
         if any(plant.ended_early for plant in plants):
             values = early_row(values)
         if run.confirm:
             values = confirmed_row(setup, done)
-            done.summary[CONFIRMATION] = confirmations([values])
+            done.result = done.result.replaced(confirmation=confirmations([values]))
         if folder is not None:
             done.keep(folder)
     return values

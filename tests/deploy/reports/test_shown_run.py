@@ -119,7 +119,7 @@ def test_a_terminal_shows_the_verdict_first_and_the_main_conditions_on_one_line(
 def test_folded_part_names_what_is_odd_in_it(run):
     judged = JudgedRun("", run)
     assert "⚠" not in run_page(judged).folded[0]
-    judged.summary["transport"]["uplink"]["rejected"] = {"stale": 2, "invalid": 1}
+    judged.result.transport.uplink.rejected.update(stale=2, invalid=1)
     assert run_page(judged).folded[0].endswith("⚠ 3 messages rejected")
 
 
