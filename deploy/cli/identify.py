@@ -11,8 +11,8 @@ import numpy as np
 import typer
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import InputError, RobotDescriptionError
-from bus_schema.robot_description import RobotDescription, load_robot
+from bus_schema.errors import InputError
+from bus_schema.robot_description import RobotDescription
 from deploy.cli.network.trace import Unit
 from deploy.cli.options import IncludeOption, JointsOption, MassOption, taking
 from deploy.identify.design import design, write_design
@@ -23,9 +23,7 @@ from deploy.reports.identify_report import error_table, joint_table, write_ident
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
 from deploy.run.new_folder import new_folder
-from deploy.scenario.referenced_files import find_urdf
-from deploy.scenario.xacro_arguments import split_arguments
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.referenced_files import named_robot
 
 _DESIGN_S = 30.0
 _POOR = 0.5
@@ -130,15 +128,7 @@ class IdentifyOptions:
         if self.robot is None:
             raise InputError("identify: --robot must name the arm's file, or a shipped robot")
         joints = None if self.joints is None else [e.strip() for e in self.joints.split(",")]
-        folders = [folder.resolve() for folder in self.include or ()]
-        try:
-            file, words = split_arguments(self.robot)
-            urdf = find_urdf(file, Path.cwd())
-            return load_robot(urdf, joints, arguments=words, include=folders, mass_kg=self.mass)
-        except RobotDescriptionError as error:
-            text = str(error)
-            named = text if text.startswith("/") else f"{self.robot}: {text}"
-            raise ScenarioError(named) from error
+        return named_robot(self.robot, joints, self.include or (), self.mass)
 
     def wishes(self, arm: RobotDescription) -> Wishes:
         """Return the options of the identification."""

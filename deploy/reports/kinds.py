@@ -6,13 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from bus_schema.configuration import ConfigurationError
+from bus_schema.registry import Registry
 from bus_schema.user_files import read_text
 from deploy.judge.gate import Gauged
 from deploy.judge.verdict import Verdict, verdict_of
@@ -127,11 +130,10 @@ class ResultKind:
 
 def _at(place: str) -> Any:
     """Import what is at ``module:name``; None if the place is empty."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name) if name else None
+    return resolve_name(place) if place else None
 
 
-_KINDS = {
+RESULT_KINDS: Registry[ResultKind] = Registry("studies", "kind", ResultKind, {
     kind.name: kind
     for kind in (
         ResultKind("run", GaugedRun, listed=_verdict, is_run=True),
@@ -155,7 +157,8 @@ _KINDS = {
         ResultKind("datasheet", GaugedDataSheet,
                    again_at="deploy.reports.studies.data_sheet_results:sheet_again"),
     )
-}  # fmt: skip
+})  # fmt: skip
+"""Kinds of results by name; installed packages add kinds of study."""
 
 
 def kind_of(summary: Summary) -> ResultKind:
@@ -164,8 +167,22 @@ def kind_of(summary: Summary) -> ResultKind:
 
 
 def kind_named(name: str) -> ResultKind:
-    """Return a kind by its name; unknown ones have no numbers and no page."""
-    return _KINDS.get(name) or ResultKind(name)
+    """Return a kind by its name; unknown ones, and unusable ones, have no numbers and no page."""
+    with suppress(ConfigurationError):
+        return RESULT_KINDS[name]
+    return ResultKind(name)
+
+
+def study_type(name: str) -> type[StudyOfRuns]:
+    """Return the class of the studies of a kind.
+
+    Raises:
+        ConfigurationError: there is no such kind, or it is no study.
+    """
+    found = RESULT_KINDS[name].study
+    if found is None:
+        raise ConfigurationError(RESULT_KINDS.key, name, "must be a kind of study")
+    return found
 
 
 def gauged(summary: Summary, unit: str | None = None) -> list[Gauged]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class _Drawn:
+class Drawn:
     """Base of results that have the figures of a report.
 
     Args:
@@ -56,7 +56,7 @@ class _Drawn:
         return figure.update_layout(template=template())
 
 
-class _Table(_Drawn):
+class _Table(Drawn):
     """Runs that are rows of a table, with the figures of a report.
 
     Attributes:
@@ -70,7 +70,7 @@ class _Table(_Drawn):
         return _frame(self.rows)
 
 
-class Run(_Drawn):
+class Run(Drawn):
     """One run.
 
     Names end in their unit: ``errors_rad``, ``times_s``, ``torques_nm``. Margins are fractions of
