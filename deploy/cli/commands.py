@@ -72,7 +72,7 @@ PANELS = {
         "bench": "bench.bench:bench",
     },
 }
-"""Where each command is below `deploy`, ``module:function`` or ``module:app`` for a group, by the
+"""Place of each command below `deploy`, ``module:function`` or ``module:app`` for a group, by the
 panel of the help."""
 EARLIER = {
     "ros-package": "cli.ros2:ros_package",

@@ -42,7 +42,7 @@ _NAMED_JOINTS = 2
 
 
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
-"""Who holds up a loop that lacks a setting."""
+"""Programs that delay a loop without a real-time setting, by setting."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from pydantic import Field
@@ -211,10 +212,11 @@ class StudyOfCases(StudyOfRuns):
         trials: the trial of each variant at each value, by point.
     """
 
-    growth = StudyOfRuns.growth | {
+    growth = MappingProxyType({
+        **StudyOfRuns.growth,
         **dict.fromkeys(("what_helps", "smaller_rotors"), may_change),
         **dict.fromkeys(("pattern", "disturbances"), may_be_added),
-    }
+    })  # fmt: skip
     definition_type: ClassVar[type[CasesDefinition]]
     definition: Any
     cases: list[Case]

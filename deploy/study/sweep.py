@@ -98,7 +98,7 @@ def _grid_growth(key: str, old: Any, new: Any) -> Iterator[str]:
         return
     for axis in dict.fromkeys((*old, *new)):
         before, now = old.get(axis), new.get(axis)
-        if not has_all(now, before):
+        if before is None or now is None or not has_all(now, before):
             yield lacks(f"{key}.{axis}", before, now)
         elif (kind := column_type(before)) != column_type(now):
             yield f"{key}.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
@@ -113,7 +113,7 @@ class Sweep(StudyOfRuns):
     """
 
     kind = "sweep"
-    growth = StudyOfRuns.growth | {"grid": _grid_growth}
+    growth = MappingProxyType({**StudyOfRuns.growth, "grid": _grid_growth})
     definition: SweepDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:

@@ -16,6 +16,7 @@ from deploy.judge.run_rows import Row
 from deploy.reports.kinds import study_type
 from deploy.reports.results import write_study
 from deploy.run.new_folder import new_folder
+from deploy.scenario.yaml_files import naming
 from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.benchmark.cells import BENCHMARK_DELAYS_MS, BENCHMARK_PREDICTORS
 from deploy.study.execution.folder import StudyFolder, here
@@ -217,7 +218,9 @@ def study(
     Raises:
         InputError: something about it is wrong.
     """
-    made, given = study_type(kind), Scenario(scenario, changes)
+    with naming(Path("study")):
+        made = study_type(kind)
+    given = Scenario(scenario, changes)
     values = {"name": kind, **definition}
     with given.laws():
         return _result_of(

@@ -12,6 +12,7 @@ from deploy.cli.options import Confirm, GateOptions, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import run_study
 from deploy.reports.kinds import study_type
+from deploy.scenario.yaml_files import naming
 from deploy.study.study import study_values
 
 
@@ -34,6 +35,8 @@ def command_of(kind: str) -> Callable[..., Any]:
         """
         more = {"confirm": True} if options.confirm else {}
         values, path = study_values(options.file, more, options.fixed())
-        run_study(study_type(kind)(values, path), options)
+        with naming(path):
+            study = study_type(kind)
+        run_study(study(values, path), options)
 
     return command

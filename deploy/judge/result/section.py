@@ -106,7 +106,7 @@ def figures(
     for name, field in section.model_fields.items():
         hint, path = field.annotation, (*outer, name)
         own = next((each for each in field.metadata if isinstance(each, Column)), None)
-        inner = next(filter(_is_section, (hint, *get_args(hint))), None)
+        inner = next((each for each in (hint, *get_args(hint)) if _is_section(each)), None)
         is_part = inner is not None and get_origin(hint) is not list
         if own is None or is_part or not pattern:
             yield Figure(path, section, is_part, None)
@@ -117,7 +117,7 @@ def figures(
             )
             column = replace(own, name=pattern.format(named), kind=kind)
             yield Figure(path, section, is_part, column)
-        if is_part:
+        if inner is not None and is_part:
             yield from figures(inner, path, "{}" if own is None else own.name)
         elif inner is not None:
             yield from figures(inner, (*outer, f"{name}[]"), "")

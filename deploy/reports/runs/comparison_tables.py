@@ -22,7 +22,7 @@ _CLOCKS = {
     "lockstep": "run in lockstep",
     "virtual": "simulated in virtual time",
 }
-"""What kept time, by the name it has in recordings: what a run was, not what its scenario says."""
+"""Words for the clock of a run, by its name in the recording."""
 
 
 def verdict_table(comparison: ComparedRuns) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bus_schema.configuration import ConfigurationError, shown
@@ -53,7 +54,7 @@ class Benchmark(StudyOfRuns):
     """
 
     kind = "benchmark"
-    growth = StudyOfRuns.growth | {"gains": _gains_growth}
+    growth = MappingProxyType({**StudyOfRuns.growth, "gains": _gains_growth})
     definition: BenchmarkDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ class Tuning(StudyOfRuns):
     """
 
     kind = "tune"
-    growth = StudyOfRuns.growth | {"budget": may_rise}
+    growth = MappingProxyType({**StudyOfRuns.growth, "budget": may_rise})
     definition: TuneDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:

@@ -15,6 +15,7 @@ SHORT = {"duration_s": 0.5}
 
 
 def test_tuning_finds_gains_that_are_no_worse_and_writes_a_scenario_with_them(tmp_path):
+    pytest.importorskip("cma", reason="cma is not installed")
     done = funnel_hil.tune(
         "paper_arm", SHORT, laws=["pid"], budget=3, duration_s=0.3, plants=1, out=tmp_path / "t"
     )
