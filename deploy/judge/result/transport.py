@@ -31,14 +31,15 @@ class Channel(Section):
             null in virtual time (p50, p99, p99_9, max)
     """
 
+    only_sometimes = frozenset({"delay_ms", "loss_burst"})  # older versions did not count them
     sent: Annotated[int | None, Column()]
     delivered: Annotated[int | None, Column()]
     lost: Annotated[int | None, Column()]
     duplicated: int | None
     reordered: int | None
     rejected: dict[str, int]
-    delay_ms: Annotated[Spread, Column("delay_{}_ms", entries=_DELAYS)]
-    loss_burst: Spread
+    delay_ms: Annotated[Spread | None, Column("delay_{}_ms", entries=_DELAYS)] = None
+    loss_burst: Spread | None = None
     measured_ms: Spread
 
 
@@ -70,11 +71,11 @@ def transport(run: RunData) -> Transport:
 
 def _channel(counts: dict[str, Any], delays_ms: Any) -> Channel:
     """Return a direction by the plant's counts; those of older versions lack some."""
-    unknown: dict[str, Any] = {
-        **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered")),
-        "rejected": {},
+    unknown = {
         "delay_ms": dict.fromkeys(_DELAYS),
         "loss_burst": dict.fromkeys(("mean", "longest")),
     }
-    known = {name: counts[name] for name in unknown if name in counts}  # curves: report alone
-    return Channel(**{**unknown, **known}, measured_ms=percentiles(delays_ms))
+    always = {**dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered")),
+              "rejected": {}, "measured_ms": percentiles(delays_ms)}  # fmt: skip
+    found = {**always, **(counts or unknown)}
+    return Channel(**{k: v for k, v in found.items() if k != "curves"})  # for the report alone

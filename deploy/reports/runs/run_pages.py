@@ -114,12 +114,12 @@ def _link_lines(summary: RunResult) -> list[str]:
     lines = []
     for way in ("downlink", "uplink"):
         channel: Channel = getattr(summary.transport, way)
-        measured, emulated = channel.measured_ms, channel.delay_ms
+        measured, emulated = channel.measured_ms, channel.delay_ms or {}
         delays_ms = emulated if measured["max"] is None else measured
-        if channel.sent and (channel.lost or delays_ms["max"]):
+        if channel.sent and (channel.lost or delays_ms.get("max")):
             link_text = link_sentence(
                 channel.sent, summary.duration_s, channel.lost or 0,
-                channel.loss_burst["longest"], delays_ms, channel.reordered,
+                (channel.loss_burst or {}).get("longest"), delays_ms, channel.reordered,
             )  # fmt: skip
             lines.append(f"{way}: {link_text}")
     playout = summary.transport.playout

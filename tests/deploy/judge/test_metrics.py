@@ -25,7 +25,8 @@ from bus_schema.messages.topics import (
     RUN_EVENTS,
 )
 from deploy.judge.findings.link_delays import measured_link
-from deploy.judge.metrics import RunResult, settling_times_s, summarise
+from deploy.judge.metrics import RunResult, summarise
+from deploy.judge.result.tracking import settling_times_s
 from deploy.judge.run_data import build_run_data, digest
 from deploy.judge.run_rows import row
 from deploy.reports.verdict_texts import verdict_on_run

@@ -12,7 +12,7 @@ from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.robot_description import load_robot
-from deploy.judge.metrics import RunResult, summarise
+from deploy.judge.metrics import RunResult, judge, summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.figures import style
 from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
@@ -66,7 +66,7 @@ def page_of(tmp_path_factory):
         for subject, page in pages:
             if subject is run and summary is None:
                 return page
-        write_page(path, run_page(JudgedRun("", run, RunResult(**summary))))
+        write_page(path, run_page(JudgedRun("", run, summary and RunResult(**summary))))
         page = path.read_text(encoding="utf-8")
         assert page.count(packed_library()) == 1
         page = page.replace(packed_library(), "")
@@ -220,7 +220,7 @@ def test_events_are_in_the_order_of_their_time_and_in_words():
 
 
 def test_times_that_are_always_0_take_no_row(run):
-    table = timing_table(summarise(run))
+    table = timing_table(judge(run))
     assert [row[0] for row in table.rows] == ["Command age", "Control step"]
     assert table.note.endswith("All samples are 0: round trip, state age, wake-up lateness.")
 
