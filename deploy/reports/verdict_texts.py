@@ -74,46 +74,46 @@ def verdict_on_run(
         judged: the run.
         manifest: ``manifest.json`` of its folder; empty where there is none.
     """
-    run, summary = judged.data, judged.result
-    bounds, known = summary.bounds, known_ticks(run)
+    run, result = judged.data, judged.result
+    bounds, known = result.bounds, known_ticks(run)
     is_judged = bounds.violation_fraction is not None
     reasons = [
-        f"The true error was {_bounds_text(run, summary, known)}."
+        f"The true error was {_bounds_text(run, result, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
-        *_sentences_on_the_tip(summary, run.setup.scenario.metrics.from_s),
-        *_sentences_on_the_robot(run, summary),
+        *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
+        *_sentences_on_the_robot(run, result),
         *(
             f"The error of {each.joint} grows by e^({each.rate_per_s:.3g} t) at"
             f" {each.frequency_hz:.3g} Hz over the last half of the run: this loop is unstable."
-            for each in summary.growing
+            for each in result.growing
         ),
         *(
             f"The torque of {each.joint} swings between its limits at"
             f" {each.frequency_hz:.3g} Hz ({100 * each.saturated_fraction:.2g} % of the ticks"
             f" saturated, RMS {100 * each.torque_rms_share:.2g} % of the limit, last half of the"
             " run): this loop vibrates."
-            for each in summary.vibrating
+            for each in result.vibrating
         ),
-        *_sentences_on_chunks(summary.chunks),
-        *_sentences_on_ranges(summary),
-        *_shortcomings(run, summary, known),
-        *_sentences_on_a_stall(summary.timing.longest_stall_ms, manifest),
+        *_sentences_on_chunks(result.chunks),
+        *_sentences_on_ranges(result),
+        *_shortcomings(run, result, known),
+        *_sentences_on_a_stall(result.timing.longest_stall_ms, manifest),
     ]
     level, headline = judged.verdict.level, judged.verdict.headline
     if is_judged and judged.verdict is Verdict.NOTHING:
         headline = _NO_COMMAND.capitalize()
-    if summary.recording.damage:
+    if result.recording.damage:
         headline = f"Recording damaged: {headline[0].lower()}{headline[1:]}"
     if level == "broken" and bounds.violation_fraction:
         headline += ", bounds not kept"
     elif level == "broken" and is_judged:
         headline += ", inside its bounds at all known ticks"
-    return ReportHead(level, headline, reasons, summary.faults)
+    return ReportHead(level, headline, reasons, result.faults)
 
 
-def _sentences_on_the_tip(summary: RunResult, from_s: float) -> list[str]:
-    rms_mm, largest_mm = summary.tip_error_mm.rms, summary.tip_error_mm.largest
+def _sentences_on_the_tip(result: RunResult, from_s: float) -> list[str]:
+    rms_mm, largest_mm = result.tip_error_mm.rms, result.tip_error_mm.largest
     if rms_mm is None or largest_mm is None:
         return []
     most = f"{number(largest_mm)} mm at most"
@@ -142,14 +142,14 @@ def _sentences_on_chunks(chunks: Chunks | None) -> list[str]:
     ]
 
 
-def _sentences_on_the_robot(run: RunData, summary: RunResult) -> list[str]:
+def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     """Return how far a robot that takes targets is behind, and why it stopped by itself."""
     sentences = []
-    for each in summary.reflexes:
+    for each in result.reflexes:
         of_joint = "" if each.joint is None else f" of {each.joint}"
         reflex = f"{each.kind}{of_joint}"
         sentences.append(f"The robot stopped at {each.time_s:.3f} s by its reflex {reflex}.")
-    lag, lags = worst_lag_ms(summary), summary.lag_ms
+    lag, lags = worst_lag_ms(result), result.lag_ms
     if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
         joint = run.setup.robot.joint_names[lags.index(lag)]
         way = "behind" if lag >= 0.0 else "ahead of"
@@ -159,9 +159,9 @@ def _sentences_on_the_robot(run: RunData, summary: RunResult) -> list[str]:
     return sentences
 
 
-def _sentences_on_ranges(summary: RunResult) -> list[str]:
+def _sentences_on_ranges(result: RunResult) -> list[str]:
     """Return a sentence about joints that pass their ranges by much."""
-    if not (found := summary.beyond_ranges):
+    if not (found := result.beyond_ranges):
         return []
     named = ", ".join(
         f"{each.joint} by {number(each.beyond_rad)} rad at {each.time_s:.2f} s"
@@ -177,23 +177,23 @@ def damaged(damage: Sequence[str]) -> str:
     return f"The recording is damaged: {'; '.join(damage)}."
 
 
-def _shortcomings(run: RunData, summary: RunResult, known: KnownTicks) -> list[str]:
+def _shortcomings(run: RunData, result: RunResult, known: KnownTicks) -> list[str]:
     """Everything but faults that makes this less than a whole run on an undisturbed machine."""
     found = []
-    if summary.recording.damage:
-        found.append(damaged(summary.recording.damage))
+    if result.recording.damage:
+        found.append(damaged(result.recording.damage))
     elif not run.complete:
         found.append(PARTIAL)
     if (found or known.missing) and (counted := plant_count(run).get("outside")):
         found.append(f"The plant itself counted {counted:,} ticks outside its bounds.")
     if known.missing:
-        found += [missing_ticks_sentence(known), *_sentences_on_gaps(summary)]
+        found += [missing_ticks_sentence(known), *_sentences_on_gaps(result)]
     if run.lacks_checksums:
         found.append(UNCHECKED)
     found.extend(f"{note}." for note in run.notes)
-    planned_s, timing = run.setup.scenario.duration_s, summary.timing
-    if not summary.completed and summary.duration_s < planned_s:
-        found.append(f"The data end at {summary.duration_s:.3f} s of {planned_s:g} s planned.")
+    planned_s, timing = run.setup.scenario.duration_s, result.timing
+    if not result.completed and result.duration_s < planned_s:
+        found.append(f"The data end at {result.duration_s:.3f} s of {planned_s:g} s planned.")
     if run.lost:
         missed = ", ".join(f"{topic} {count:,}" for topic, count in run.lost.items())
         found.append(f"{sum(run.lost.values()):,} messages are missing in the recording: {missed}.")
@@ -219,11 +219,11 @@ def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -
     return [f"{sentence}: this run says little about the law."]
 
 
-def _sentences_on_gaps(summary: RunResult) -> list[str]:
+def _sentences_on_gaps(result: RunResult) -> list[str]:
     """Explain the effect of missing ticks on numbers that rest on neighbouring ones."""
-    recording = summary.recording
+    recording = result.recording
     left_out_s = recording.torque_left_out_s
-    pairs = zip(summary.tracking.joint_names, recording.settling_is_latest, strict=True)
+    pairs = zip(result.tracking.joint_names, recording.settling_is_latest, strict=True)
     names = ", ".join(name for name, is_latest in pairs if is_latest)
     latest = f"Settled at the given time or earlier, because ticks are missing: {names}."
     torques = f"Variation and spectrum of the torques leave out {left_out_s:.3f} s around the gaps."
@@ -238,9 +238,9 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
     )
 
 
-def _bounds_text(run: RunData, summary: RunResult, known: KnownTicks) -> str:
+def _bounds_text(run: RunData, result: RunResult, known: KnownTicks) -> str:
     """Describe the error within its bounds, at the ticks that are known."""
-    bounds, damage = summary.bounds, summary.recording.damage
+    bounds, damage = result.bounds, result.recording.damage
     is_all = not known.missing and not damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
     where = f"the {known.known:,}{of_all} ticks at which it is known"
@@ -253,7 +253,7 @@ def _bounds_text(run: RunData, summary: RunResult, known: KnownTicks) -> str:
     return (
         f"outside its bounds at {number(bounds.violation_fraction, 100)} % of"
         f" {'the ticks' if is_all else where}, for the first time at"
-        f" {bounds.first_violation_s:.3f} s{_loss_text(summary.loss)}, and at most"
+        f" {bounds.first_violation_s:.3f} s{_loss_text(result.loss)}, and at most"
         f" {times} its bound{place}"
     )
 

@@ -70,16 +70,16 @@ def status_cell(run: JudgedRun) -> Cell:
 
 def recorded_table(compared: RecordedRuns) -> Table:
     """Return the table of recorded runs: settings and outcome of each."""
-    runs, summaries = compared.runs, [run.result for run in compared.runs]
+    runs, results = compared.runs, [run.result for run in compared.runs]
     rows: list[Row] = [
-        [key.capitalize(), *(getattr(summary, key) for summary in summaries)]
+        [key.capitalize(), *(getattr(result, key) for result in results)]
         for key in ("scenario", "law", "link")
     ]
     rows += [["Clock", *(_CLOCKS.get(run.data.clock, run.data.clock) for run in runs)]]
-    rows += [["Duration (s)", *(summary.duration_s for summary in summaries)]]
+    rows += [["Duration (s)", *(result.duration_s for result in results)]]
     rows += [["Bounds", *map(status_cell, runs)]]
-    rows += number_rows(run_numbers.BOUND_NUMBERS, summaries)
-    digest, *others = (summary.digest for summary in summaries)
+    rows += number_rows(run_numbers.BOUND_NUMBERS, results)
+    digest, *others = (result.digest for result in results)
     same = (Cell("same", "good") if each == digest else "differs" for each in others)
     rows.append(["Digest, compared with the first run", ABSENT, *same])
     partings = compared.partings[1:]

@@ -42,36 +42,36 @@ _TRANSPORT = {
 }
 
 
-def joint_table(summary: RunResult, from_s: float) -> Table:
+def joint_table(result: RunResult, from_s: float) -> Table:
     """Errors (from `from_s` on) and torques of a run, a row per joint."""
     shown = [
-        (quantity.column, quantity.of_joints(summary))
+        (quantity.column, quantity.of_joints(result))
         for quantity in run_numbers.OF_ONE_RUN
-        if quantity is not run_numbers.SETTLING_BOUND or quantity.given(summary)
+        if quantity is not run_numbers.SETTLING_BOUND or quantity.given(result)
     ]
-    names = summary.tracking.joint_names
+    names = result.tracking.joint_names
     return Table(
         f"Joints, errors from {from_s:g} s on",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],
         list(zip(names, *(values for _, values in shown), strict=True)),
         run_numbers.SETTLED,
-        None if summary.ticks else 0,
+        None if result.ticks else 0,
     )
 
 
-def timing_table(summary: RunResult) -> Table:
+def timing_table(result: RunResult) -> Table:
     """Percentiles of every timing quantity; the longest stall too, where it was a long one.
 
     Quantities that were always 0, as in virtual time, are named in the note.
     """
-    stall_ms = summary.timing.longest_stall_ms
+    stall_ms = result.timing.longest_stall_ms
     stalls: list[list[Value]] = (
         [["Longest stall", *[None] * (len(PERCENTILES) - 1), 1e3 * stall_ms]]
         if stall_ms is not None and stall_ms > STALL_MS
         else []
     )
     times = {
-        title: [getattr(summary.timing, key)[name] for name in PERCENTILE_NAMES]
+        title: [getattr(result.timing, key)[name] for name in PERCENTILE_NAMES]
         for key, title in run_numbers.TIMES.items()
     }
     always_0 = [title for title, values in times.items() if not any(v != 0 for v in values)]
@@ -84,18 +84,18 @@ def timing_table(summary: RunResult) -> Table:
         ],
         [[title, *values] for title, values in times.items() if title not in always_0] + stalls,
         WALL_TIME + always,
-        None if summary.ticks else 0,
+        None if result.ticks else 0,
     )
 
 
-def health_table(summary: RunResult) -> Table:
+def health_table(result: RunResult) -> Table:
     """Every number of a run as a whole."""
-    skipped = summary.recording.ticks_skipped
+    skipped = result.recording.ticks_skipped
     rows: list[Row] = []
     if skipped:
-        rows += [["Ticks", summary.ticks], ["Ticks skipped by a late plant", skipped]]
-    rows += number_rows(run_numbers.RUN_NUMBERS, [summary])
-    lost = summary.recorder.lost_by_topic or {}
+        rows += [["Ticks", result.ticks], ["Ticks skipped by a late plant", skipped]]
+    rows += number_rows(run_numbers.RUN_NUMBERS, [result])
+    lost = result.recorder.lost_by_topic or {}
     rows += [[f"Lost of {topic}", count] for topic, count in lost.items()]
     return Table("Health", [Column("Run", is_text=True), Column("")], rows, most_printed=0)
 
@@ -111,9 +111,9 @@ _PLAYOUT = {
 }
 
 
-def transport_table(summary: RunResult) -> Table:
+def transport_table(result: RunResult) -> Table:
     """Return the table of messages, a column per direction."""
-    channels = [summary.transport.uplink, summary.transport.downlink]
+    channels = [result.transport.uplink, result.transport.downlink]
     rows: list[list[Value]] = [
         [title, *(_value(channel.model_dump(), key) for channel in channels)]
         for key, title in _TRANSPORT.items()
@@ -123,7 +123,7 @@ def transport_table(summary: RunResult) -> Table:
         rows.append([f"Rejected: {reason.replace('_', ' ')}", *counts])
     if not any(channel.rejected for channel in channels):
         rows.append(["Rejected", *(0 if channel.sent else None for channel in channels)])
-    playout = summary.transport.playout or {}
+    playout = result.transport.playout or {}
     rows += [[title, None, _value(playout, key)] for key, title in _PLAYOUT.items() if playout]
     columns = (Column("Messages", is_text=True), Column("Uplink (states)"))
     note = _REJECTED if any(channel.rejected for channel in channels) else ""
@@ -151,7 +151,7 @@ def confirmation_tables(confirmations: Iterable[Any]) -> list[Table]:
     """Return the table of all confirmations of some results; none where there is no confirmation.
 
     Args:
-        confirmations: ``confirmation`` in each of their summaries; None for none.
+        confirmations: ``confirmation`` of each result; None for none.
     """
     found = [each for some in confirmations for each in some or ()]
     if not found:
@@ -181,10 +181,10 @@ def confirmation_tables(confirmations: Iterable[Any]) -> list[Table]:
 
 
 def number_rows(
-    numbers: Mapping[str, Callable[[RunResult], Value]], summaries: Sequence[RunResult]
+    numbers: Mapping[str, Callable[[RunResult], Value]], results: Sequence[RunResult]
 ) -> list[Row]:
     """A row for each number, such as `run_numbers.RUN_NUMBERS`, with a value for each run."""
-    return [[heading, *map(of, summaries)] for heading, of in numbers.items()]
+    return [[heading, *map(of, results)] for heading, of in numbers.items()]
 
 
 def _value(values: dict[str, Any], dotted_key: str) -> float | None:
