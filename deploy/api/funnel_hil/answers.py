@@ -6,15 +6,11 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import laws_given
-from deploy.identify.identification import Identified, Wishes
-from deploy.identify.identification import identify as identify_arm
-from deploy.identify.results import SCENARIO, check_is_free, summary_of, write_results
 from deploy.judge.run_rows import Row
-from deploy.reports.identify_report import PANELS, write_identify_report
 from deploy.reports.results import write_study
 from deploy.reports.studies.data_sheet_results import sheet_folder, sheet_parts, write_data_sheet
 from deploy.run.new_folder import new_folder
@@ -26,6 +22,9 @@ from funnel_hil.results import Drawn, Study
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike, named_law
 from funnel_hil.studies import OnProgress, session_of, written_scenarios
 
+if TYPE_CHECKING:
+    from deploy.identify.identification import Identified
+
 
 class Identification(Drawn):
     """An arm that was identified from logs.
@@ -35,10 +34,13 @@ class Identification(Drawn):
         scenario: file of the scenario of the identified arm; None where nothing was written.
     """
 
-    def __init__(self, found: Identified, summary: dict[str, Any], folder: Path | None) -> None:
+    def __init__(
+        self, found: Identified, summary: dict[str, Any], scenario: Path | None = None
+    ) -> None:
+        from deploy.reports.identify_report import PANELS  # heavy
+
         super().__init__(PANELS, found)
-        self.summary, self._robot = summary, found.robot
-        self.scenario = None if folder is None else folder / SCENARIO
+        self.summary, self.scenario, self._robot = summary, scenario, found.robot
 
     def __repr__(self) -> str:
         return f"<Identification of {self._robot.path.stem}>"
@@ -76,18 +78,23 @@ def identify(
     Raises:
         InputError: a log or the arm cannot be used.
     """
+    from deploy.identify.identification import Wishes  # heavy
+    from deploy.identify.identification import identify as identify_arm
+    from deploy.identify.results import SCENARIO, check_is_free, summary_of, write_results
+    from deploy.reports.identify_report import write_identify_report
+
     if unknown := more.keys() - Wishes.__dataclass_fields__.keys():
         allowed = ", ".join(Wishes.__dataclass_fields__)
         raise InputError(f"identify: {', '.join(sorted(unknown))}: must be one of {allowed}")
     arm, heavier = named_robot(str(robot), joints), None if payload is None else Path(payload)
     found = identify_arm([*map(Path, logs)], [*map(Path, test)], heavier, arm, Wishes(**more))
     if out is None:
-        return Identification(found, summary_of(found, arm.path.stem), None)
+        return Identification(found, summary_of(found, arm.path.stem))
     folder = new_folder("identify", Path(out), overwrite=overwrite)
     check_is_free(folder)
     summary = write_results(found, folder)
     write_identify_report(found, summary, folder / "report.html")
-    return Identification(found, summary, folder)
+    return Identification(found, summary, folder / SCENARIO)
 
 
 def datasheet(
