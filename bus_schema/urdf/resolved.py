@@ -39,9 +39,7 @@ _PYBULLET_DATA = "package://pybullet_data/"
 """Meshes of shipped arms, available if that Python package is installed."""
 
 
-def resolve_joints(
-    root: ET.Element, driven: AbstractSet[str], followers: AbstractSet[str]
-) -> None:
+def resolve_joints(root: ET.Element, driven: AbstractSet[str], followers: AbstractSet[str]) -> None:
     """Make every joint revolute, prismatic or fixed, with unit axes and all four limits."""
     for joint in root.findall("joint"):
         name = joint.get("name")
