@@ -145,8 +145,10 @@ def _bridge_rows(setup: Setup) -> int:
     """
     bridge_ms = setup.scenario.controller.delay_compensation.bridge_ms
     rows = math.ceil(1e6 * bridge_ms / setup.grid.period_ns)
+    if rows == 0:
+        return 0
     key = "controller.delay_compensation.bridge_ms"
-    if rows and not setup.link.plays_automatically:
+    if not setup.link.plays_automatically:
         allowed = (
             f"must be 0 unless delay_compensation.enabled is true, with link.playout_ms {AUTO}"
         )
