@@ -248,14 +248,16 @@ def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns:
     if not state.is_announced:
         _follow_delay(commands, sequence, delay_ns, now_ns)
     else:
+        late_ns = 0
         if sequence != state.in_force and delay_ns > commands.announced_ns[sequence % CAPACITY]:
+            late_ns = delay_ns
             arrival_ns = max(arrival_ns, delay_ns)  # it came late
         arrival_ns = min(arrival_ns, now_ns - commands.stamps_ns[state.first % CAPACITY])
         if sequence == HELD and state.wanted_ns == state.actuator_ns and state.first != HELD:
             # Nothing acts yet, so the first command has been on its way for at least this long.
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
             state.exact_ns = max(state.exact_ns, float(waited_ns))
-        _announce(commands, arrival_ns, now_ns, now_ns - last_ns)
+        _announce(commands, arrival_ns, late_ns, now_ns, now_ns - last_ns)
     state.in_force = sequence
 
 
@@ -279,7 +281,7 @@ def _follow_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
 
 
 @compiled
-def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) -> None:
+def _announce(commands: Commands, arrival_ns: int, late_ns: int, now_ns: int, step_ns: int) -> None:
     """Choose the horizon to announce, after a state reported how long commands take to arrive.
 
     It grows at once when a command came late, but only for an episode of late commands above its
@@ -303,7 +305,9 @@ def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) ->
             state.late_since_ns = -1
         elif state.late_since_ns < 0:
             state.late_since_ns = now_ns
-    needed_ns = arrival_ns + state.reserve_ns
+    needed_ns = late_ns + state.reserve_ns
+    if late_ns <= state.horizon_ns:
+        needed_ns = min(arrival_ns + state.reserve_ns, state.horizon_ns + state.row_ns)
     if state.late_since_ns < 0 or now_ns - state.late_since_ns < _EPISODE_NS:
         needed_ns = min(needed_ns, state.most_ns)
     excess_ns = max(0.0, state.longest_ns - state.mean_delay_ns)
