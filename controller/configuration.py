@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection
 from functools import cache
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import (
@@ -89,6 +89,14 @@ Word = Annotated[str, BeforeValidator(_to_word), Field(min_length=1)]
 """A word of a command line."""
 
 
+def _check_bridge(value: object) -> object:
+    # A union of types would report each of its parts, by names that no scenario has.
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "auto" and not (is_number and 0.0 <= cast(float, value) <= LONGEST_BRIDGE_MS):
+        raise ValueError(f"a number of ms from 0 to {LONGEST_BRIDGE_MS:g}, or auto")
+    return value
+
+
 class DelayCompensationConfiguration(StrictModel):
     """Prediction of the state in which a command will act, for any law.
 
@@ -115,7 +123,7 @@ class DelayCompensationConfiguration(StrictModel):
     learn_friction: bool = True
     identify_model: bool = True
     expected_round_trip_ms: Annotated[NonNegative, Field(le=LONGEST_HORIZON_MS)] | None = None
-    bridge_ms: Annotated[NonNegative, Field(le=LONGEST_BRIDGE_MS)] | Literal["auto"] = "auto"
+    bridge_ms: Annotated[float | Literal["auto"], BeforeValidator(_check_bridge)] = "auto"
 
     @field_validator("predictor")
     @classmethod

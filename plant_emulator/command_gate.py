@@ -86,9 +86,10 @@ class Rows(NamedTuple):
 
     def _between(self, table: NDArray[np.float64], tick: int) -> NDArray[np.float64]:
         row, rest = divmod(tick, self.ticks)
-        if rest == 0:
-            return table[row]
-        return table[row] + rest / self.ticks * (table[row + 1] - table[row])
+        value: NDArray[np.float64] = table[row]
+        if rest:
+            value = value + rest / self.ticks * (table[row + 1] - value)
+        return value
 
 
 class Command(NamedTuple):

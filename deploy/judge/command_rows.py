@@ -40,7 +40,7 @@ class _Rows(NamedTuple):
         """Return the message of a tick after the first row; values are linear between rows."""
         row, rest = divmod(tick, self.ticks)
         if row >= len(self.messages) - 1:
-            return self.messages[-1].tobytes()
+            return bytes(self.messages[-1].tobytes())
         before, after = self.messages[row : row + 2]
         message = self.messages[row : row + 1].copy()
         for name in {"position", "velocity", "effort"} & set(message.dtype.names or ()):
@@ -66,7 +66,7 @@ def _valid(
 
 
 def _by_tick(commands: Iterator[tuple[int, _Rows]], period_ns: int, end_ns: int) -> Iterator[bytes]:
-    none = _Rows(np.empty(0), 1)
+    none = _Rows(np.empty(0, np.void), 1)
     for (stamp_ns, rows), (following_ns, _) in pairwise([*commands, (end_ns, none)]):
         for index, at_ns in enumerate(range(stamp_ns, following_ns, period_ns)):
             yield with_stamp(rows.at(index), at_ns)

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.link.channel_configuration import Outage
 from bus_schema.link.configuration import AUTO, LinkConfiguration
 from controller.compensation.command_timeline import (
     GROWS_BY,
@@ -149,6 +150,17 @@ def _levels(setup: Setup, horizon: HorizonSettings) -> bool:
     return min(first_ns + spare_ns, later_ns) >= up_ns + down_ns
 
 
+def _may_be_late(setup: Setup, horizon: HorizonSettings) -> bool:
+    """Whether commands may come too late, or not at all for a while."""
+    sides = setup.link.uplink, setup.link.downlink
+    is_emulated = any(largest_delay_ns(side) != 0 for side in sides)
+    expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
+    if expected_ms is not None and not is_emulated:
+        return True  # the delay of a real link, which may vary
+    has_outage = any(isinstance(each, Outage) for side in sides for each in side.schedule)
+    return has_outage or not _levels(setup, horizon)
+
+
 def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
     """Return how many ticks lie between two rows of a command; 0 without a bridge.
 
@@ -156,13 +168,12 @@ def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
         ConfigurationError: there is a bridge, but commands cannot have rows.
     """
     compensation = setup.scenario.controller.delay_compensation
-    bridge_ms = compensation.bridge_ms
-    if bridge_ms == AUTO:
-        may_be_late = compensation.expected_round_trip_ms is not None or not _levels(setup, horizon)
-        is_wanted = horizon.is_announced and compensation.learns_model and may_be_late
-        longest_ms = setup.scenario.plant.command_timeout_ms
-        bridge_ms = min(_BRIDGE_MS, longest_ms) if is_wanted else 0.0
-    elif bridge_ms and not horizon.is_announced:
+    given, bridge_ms = compensation.bridge_ms, 0.0
+    if isinstance(given, float):
+        bridge_ms = given
+    elif horizon.is_announced and compensation.learns_model and _may_be_late(setup, horizon):
+        bridge_ms = min(_BRIDGE_MS, setup.scenario.plant.command_timeout_ms)
+    if bridge_ms and not horizon.is_announced:
         allowed = (
             f"must be 0 unless delay_compensation.enabled is true, with link.playout_ms {AUTO}"
         )
