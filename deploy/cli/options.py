@@ -72,6 +72,13 @@ Overrides = Annotated[
         callback=_newest,
     ),
 ]
+InterfaceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KIND",
+        help="Interface of the robot: servoj, franka_torque, …; see plant.interface.kind.",
+    ),
+]
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
 ]

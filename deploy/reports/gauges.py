@@ -234,6 +234,29 @@ class GaugedDataSheet(GaugedSummary):
                 yield replace(each, name=f"{each.name}, uncertain plants")
 
 
+class _Way(_Part):
+    way: str
+    runs: int
+    kept: int
+    tip_largest_mm: Finite | None
+
+
+class GaugedRobotSheet(GaugedSummary):
+    """A robot's data sheet: its margins, and the largest error of its tip in each way to drive it."""
+
+    group = "robot_datasheet"
+    other_units = (_MM,)
+    arm: str
+    margin: GaugedMargins
+    ways: list[_Way]
+
+    def numbers(self) -> Iterator[Gauged]:
+        yield from self.margin.numbers()
+        for way in self.ways:
+            largest = way.tip_largest_mm if way.kept == way.runs else None
+            yield Gauged(f"{self.arm}, {way.way}, largest tip error", largest, _MM, sign=-1)
+
+
 class GaugedTuning(GaugedSummary):
     """A tuning, whose costs are for its search alone: no numbers."""
 

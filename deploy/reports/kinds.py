@@ -21,6 +21,7 @@ from deploy.reports.gauges import (
     GaugedComparison,
     GaugedDataSheet,
     GaugedMargins,
+    GaugedRobotSheet,
     GaugedRobustness,
     GaugedRun,
     GaugedSummary,
@@ -155,6 +156,8 @@ _KINDS = {
                    study_at="deploy.study.benchmark.benchmark:Benchmark"),
         ResultKind("datasheet", GaugedDataSheet,
                    again_at="deploy.reports.studies.data_sheet_results:sheet_again"),
+        ResultKind("robot_datasheet", GaugedRobotSheet,
+                   again_at="deploy.reports.studies.robot_sheet_results:robot_sheet_again"),
     )
 }  # fmt: skip
 
