@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeGuard
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import did_you_mean
-from controller.laws import LAWS
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.interfaces.configuration import INTERFACES, InterfaceConfiguration
@@ -37,6 +36,11 @@ def takes_of(kind: str) -> Takes:
         raise ScenarioError(f"--interface {kind}: {error}") from error
 
 
+def has_controller(kind: str | None) -> TypeGuard[str]:
+    """Whether robots of a kind have a controller of their own; raises as `takes_of`."""
+    return kind is not None and bool(takes_of(kind)) and kind != TORQUE
+
+
 def interface_values(kind: str | None, law: str | None = None) -> dict[str, Any]:
     """Return values of a scenario whose robot has an interface, by dotted key.
 
@@ -61,6 +65,11 @@ def interface_values(kind: str | None, law: str | None = None) -> dict[str, Any]
     return {**values, COMPENSATION: False, LAW: law or LOOPS[takes]}
 
 
-def is_outer(law: str) -> bool:
-    """Whether a law gives targets, and reads its reference ahead."""
-    return law in LAWS and LAWS[law].gives != TORQUE
+def laws_for(kind: str | None) -> list[str] | None:
+    """Return the laws that close a loop around a robot; None where all laws of torques do.
+
+    Raises:
+        ScenarioError: as `takes_of`.
+    """
+    takes = TORQUE if kind is None else takes_of(kind)
+    return None if takes == TORQUE else [LOOPS[takes]]

@@ -135,7 +135,8 @@ def check_interface(setup: Setup) -> None:
     if interface.has_controller:
         _check_link(scenario, reaches_it=setup.link_kind.reaches_robots)
         if takes == TORQUE and (lacking := _torque_lacking(setup.robot)):
-            allowed = f"must be of positions or velocities, such as servoj: {setup.robot.path.name} {lacking}"
+            why = f"{setup.robot.path.name} {lacking}"
+            allowed = f"must be of positions or velocities, such as servoj: {why}"
             raise ConfigurationError(_KEY, interface.kind, allowed)
     else:
         _check_no_controller(scenario)

@@ -34,6 +34,8 @@ _DELAYS = ("link.uplink.delay_ms", "link.downlink.delay_ms")
 _LINK = ("link.uplink", "link.downlink")
 _USUAL_LAW = "fixed_time_adaptive"
 _ROUND_TRIPS_MS = (0.0, 10.0, 20.0, 40.0, 80.0)
+_LIMIT_MS = 500.0
+"""Largest round trip of the search for margins: loops around robots take more than torques do."""
 SHOWN_MS = 40.0
 """Round trip that a headline quotes, if none is given."""
 
@@ -98,15 +100,15 @@ class RobotSheet:
     def ways(self) -> list[Way]:
         """Return the ways to drive the robot, without what is set already."""
         has_torque = takes_of(self.interface) == TORQUE
-        laws = [self.law] if self.law else list(dict.fromkeys(["streaming", self.loop]))
-        laws = [self.loop] if has_torque else laws
+        streams = not self.law and takes_of(self.interface) == "position"
+        laws = ["streaming", self.loop] if streams else [self.loop]
         limiters = self._tried(limiter_key(self.interface), can=_has_limiter(self.interface))
         compensations = self._tried(COMPENSATION, can=has_torque)
         found = []
         for limiter, law, compensation in itertools.product(limiters, laws, compensations):
             reads_ahead = not has_torque and law in LAWS and LAWS[law].gives != TORQUE
-            for preview in self._tried(_PREVIEW, can=reads_ahead):
-                found.append(Way(law, preview, limiter, compensation))
+            previews = self._tried(_PREVIEW, can=reads_ahead)
+            found += [Way(law, each, limiter, compensation) for each in previews]
         return found
 
     def _tried(self, key: str, *, can: bool) -> Sequence[bool | None]:
@@ -149,6 +151,7 @@ class RobotSheet:
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.loop], "running": [False],
             "seeds": [1], "offsets": [1.0], "duration_s": self.duration_s,
+            "limit": _LIMIT_MS,
         }  # fmt: skip
         if takes_of(self.interface) == TORQUE and COMPENSATION not in own:
             values["compensation"] = [False, True]
@@ -177,7 +180,10 @@ def _has_limiter(kind: str) -> bool:
 
 
 def driven(way: Way, link: str, setup: Setup) -> dict[str, Any]:
-    """Run a robot, and return what the data sheet says of it; the lag is that of the worst joint."""
+    """Run a robot, and return what its data sheet says of it.
+
+    The lag is that of the joint that is furthest behind or ahead.
+    """
     found = summarise(simulate(setup).data())
     lags = {
         name: lag

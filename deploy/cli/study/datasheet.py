@@ -23,13 +23,11 @@ from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.run_folder import ResultFolder, provenance
 from deploy.run.stop_signals import on_stop
-from deploy.scenario.interface_choice import takes_of
+from deploy.scenario.interface_choice import has_controller
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.data_sheet import DataSheet, any_pattern_ms
 from deploy.study.robot_sheet import RobotSheet, driven
 from deploy.study.study import StudyOfRuns
-from plant_emulator.interfaces.settings import TORQUE
-
 
 _LAW = "fixed_time_adaptive"
 
@@ -64,7 +62,7 @@ def datasheet(options: DatasheetOptions) -> None:
     stops the robot. After an interruption or a kill, the same command continues.
     """
     parse_laws(options.law, "--law")
-    if options.interface is not None and takes_of(options.interface) and options.interface != TORQUE:
+    if has_controller(options.interface):
         _of_robot(options, options.interface)
         return
     sheet = DataSheet(
@@ -115,9 +113,7 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
             rows.append(driven(*run))
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
-        results = conclude(
-            console, folder, lambda: write_robot_sheet(folder, sheet, found, rows)
-        )
+        results = conclude(console, folder, lambda: write_robot_sheet(folder, sheet, found, rows))
     leave(interrupted=False, whole=True, kept=gate.is_passed(results.summary, console))
 
 

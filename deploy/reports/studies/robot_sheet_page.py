@@ -118,13 +118,15 @@ def _tip_sentence(summary: Summary, law: str) -> str:
 
 
 def _tip_text(found: Summary) -> str:
-    if found["tip_largest_mm"] is None:
-        return "every run ended by a fault"
-    text = f"the tip is up to {number(found['tip_largest_mm'], unit=' mm')} away"
-    if (lag_ms := found["lag_ms"]) is None:
-        return text
-    side = "behind" if lag_ms >= 0.0 else "ahead"
-    return f"{text} and {number(abs(lag_ms), unit=' ms')} {side} ({found['lag_joint']})"
+    """How far the tip is away and its slowest joint behind, as far as that is known."""
+    parts = []
+    if (largest_mm := found["tip_largest_mm"]) is not None:
+        parts.append(f"the tip is up to {number(largest_mm, unit=' mm')} away")
+    if (lag_ms := found["lag_ms"]) is not None:
+        side = "behind" if lag_ms >= 0.0 else "ahead"
+        lag = f"{number(abs(lag_ms), unit=' ms')} {side} ({found['lag_joint']})"
+        parts.append(lag if parts else f"joints are up to {lag}")
+    return " and ".join(parts) or "nothing is known, as every run ended by a fault or at rest,"
 
 
 def _where(summary: Summary) -> str:
@@ -171,9 +173,8 @@ def _reflexes_text(runs: list[Summary]) -> str:
         return "none"
     sentences = []
     for kind, count in Counter(reflex["kind"] for reflex, _ in stopped).most_common():
-        earliest, run = min(
-            (each for each in stopped if each[0]["kind"] == kind), key=lambda each: each[0]["time_s"]
-        )  # fmt: skip
+        alike = [each for each in stopped if each[0]["kind"] == kind]
+        earliest, run = min(alike, key=lambda each: float(each[0]["time_s"]))
         of_joint = f" of {earliest['joint']}" if earliest["joint"] else ""
         when = f"first at {earliest['time_s']:.3f} s{of_joint}, {run['link']}, {way_text(run)}"
         sentences.append(f"{kind} in {count} of {len(runs)} runs ({when})")
