@@ -52,6 +52,7 @@ class RobotRig:
         arm.read_encoders()
         while not self._stop_requested and (ticks is None or self.ticks < ticks):
             due_ns = grid.tick_ns(self.ticks + 1)
+            self._server.serve(0.0)  # clients are served also while the host is late
             while (left_ns := due_ns - self._clock.now_ns()) > 0:
                 self._server.serve(1e-9 * left_ns)
             tick = max(grid.tick_at_or_before(self._clock.now_ns()), self.ticks + 1)

@@ -1,7 +1,8 @@
 """What the program ``rtde_control`` of ur-rtde does with its registers.
 
-Integer register 0 has a command. The program answers in its output register 0: 1, ready; 0, at
-work; 2, done. Servo and speed commands go on until they are stopped.
+Integer register 0 has a command. The program answers in its output register 0: 1, ready; 0, not
+running; 2, done, until the client has cleared the command. Servo and speed commands go on until
+they are stopped: the program is ready for the next one at once.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ class ControlScript:
             self._is_at_work = False
             self._answer(_READY)
         elif not self._is_at_work:
-            self._is_at_work = True
             number = int(command)  # type: ignore[arg-type]
+            self._is_at_work = number not in _CONTINUOUS
             self.commands[number] = self.commands.get(number, 0) + 1
             self._do(number)
 
@@ -95,7 +96,7 @@ class ControlScript:
         else:
             action(self)
         if self.is_running:
-            self._answer(_DONE)
+            self._answer(_READY if number in _CONTINUOUS else _DONE)
 
     def _answer(self, state: int) -> None:
         self.outputs["output_int_register_0"] = state
@@ -135,3 +136,5 @@ _ACTIONS: Mapping[int, Callable[[ControlScript], None]] = {
     255: ControlScript._stop_script,
 }  # fmt: skip
 """Commands of ur-rtde 1.6, by number."""
+_CONTINUOUS = (9, 11)
+"""Commands that a client repeats without clearing them."""
