@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +18,7 @@ from bus_schema.recording.atomic_files import write_json
 from bus_schema.runtime.clock import MonotonicClock
 from deploy.cli.common import say_oddities
 from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
+from deploy.judge.joint_lag import lags_s
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
 from deploy.run.network.link_relay import LinkRelay
@@ -116,18 +117,44 @@ def _serve(
             server.close()
         counts = None if relay is None else relay.counts()
     summary = _summary(setup, server, rig, counts)
-    np.savetxt(out / "motion.csv", _rows(*rig.motion), delimiter=",", fmt="%.9g",
-               header=",".join(["time_s", *setup.robot.joint_names]), comments="")  # fmt: skip
+    write_motion(out / "motion.csv", setup.robot.joint_names, rig)
     write_json(out / "manifest.json", provenance())
     write_json(out / "summary.json", summary)
+    known = [lag for lag in summary["lag_ms"] if lag is not None]
+    if known:
+        console.print(f"joints were up to {max(known, key=abs):.3g} ms behind their targets")
     for stop in summary["stops"]:
         console.print(f"stopped at {stop['time_s']:.3f} s: {stop['reason']}")
     console.print(f"results: {out}")
     return INTERRUPTED if ticks is not None and rig.ticks < ticks else FINISHED
 
 
-def _rows(times_s: Vector, positions: Matrix) -> Matrix:
-    return np.column_stack([times_s, positions])
+def write_motion(file: Path, names: Sequence[str], rig: RobotRig) -> None:
+    """Write times, measured positions, and those that clients asked for, as CSV."""
+    rows = np.column_stack([rig.times_s, np.array(rig.actual_rad), np.array(rig.wanted_rad)])
+    heads = ["time_s", *(f"{n}.position_rad" for n in names), *(f"{n}.target_rad" for n in names)]
+    np.savetxt(file, rows, delimiter=",", fmt="%.9g", header=",".join(heads), comments="")
+
+
+def lag_ms(times_s: Vector, actual_rad: Matrix, wanted_rad: Matrix) -> list[float | None]:
+    """Return how far each joint was behind the positions that clients asked for, ms.
+
+    None for a joint that they did not move. The speed of targets, which come in steps, is that over
+    100 ms.
+
+    Args:
+        times_s: shape (rows,).
+        actual_rad: measured, shape (rows, joints).
+        wanted_rad: asked for, likewise; NaN for nothing.
+    """
+    after, before = (np.searchsorted(times_s, times_s + each) for each in (0.05, -0.05))
+    after = np.minimum(after, len(times_s) - 1)
+    spans_s = times_s[after] - times_s[before]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speeds = (wanted_rad[after] - wanted_rad[before]) / spans_s[:, None]
+    known = np.isfinite(speeds).all(axis=1) & np.isfinite(wanted_rad).all(axis=1)
+    lags = lags_s((actual_rad - wanted_rad)[known], speeds[known])
+    return [1e3 * float(lag) if np.isfinite(lag) else None for lag in lags]
 
 
 def _summary(
@@ -142,6 +169,7 @@ def _summary(
         "ticks": rig.ticks,
         "skipped": rig.skipped,
         **server.counts,
+        "lag_ms": lag_ms(np.array(rig.times_s), np.array(rig.actual_rad), np.array(rig.wanted_rad)),
         "network": relay,
     }
 

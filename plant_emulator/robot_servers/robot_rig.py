@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.runtime.clock import Clock, TickGrid
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.robot_servers.robot_server import RobotServer
@@ -22,9 +22,9 @@ class RobotRig:
     Attributes:
         ticks: number of ticks so far.
         skipped: number of ticks at which no client was served because the host was late.
-        actual_rad: measured positions, one row for each tick that was served.
-        times_s: their times.
-        reflex: the robot's own stop, as of the last tick; None without one.
+        times_s: of the ticks that were served.
+        actual_rad: measured positions at them.
+        wanted_rad: positions that clients asked for then; NaN for none.
     """
 
     def __init__(self, arm: ArmPlant, server: RobotServer, clock: Clock, grid: TickGrid) -> None:
@@ -33,15 +33,11 @@ class RobotRig:
         self.ticks = self.skipped = 0
         self.times_s: list[float] = []
         self.actual_rad: list[Vector] = []
+        self.wanted_rad: list[Vector] = []
 
     def request_stop(self) -> None:
         """End at the next tick; safe from signal handlers and other threads."""
         self._stop_requested = True
-
-    @property
-    def motion(self) -> tuple[Vector, Matrix]:
-        """Times, s, shape (rows,), and measured positions, rad, shape (rows, joints)."""
-        return np.array(self.times_s), np.array(self.actual_rad)
 
     def run(self, ticks: int | None = None) -> None:
         """Run for a number of ticks, or until a stop is requested."""
@@ -63,5 +59,6 @@ class RobotRig:
             now_s = 1e-9 * grid.tick_ns(tick)
             self.times_s.append(now_s)
             self.actual_rad.append(arm.measured[0].copy())
+            self.wanted_rad.append(self._server.target_rad.copy())
             self._server.cycle(now_s, arm.measured, arm.torques.actuator)
         arm.end()

@@ -61,6 +61,11 @@ class RobotServer(ABC):
 
     @property
     @abstractmethod
+    def target_rad(self) -> Vector:
+        """Position that a client asks for now, shape (joints,); NaN if it asks for none."""
+
+    @property
+    @abstractmethod
     def counts(self) -> dict[str, Any]:
         """What clients have asked for, and why the robot stopped, for a summary."""
 

@@ -33,6 +33,13 @@ class ScriptMotion(Stoppable):
         self.position, self.velocity = position_rad.copy(), np.zeros(position_rad.size)
         self._wanted, self._servo = np.zeros(position_rad.size), None
 
+    @property
+    def target_rad(self) -> Vector:
+        """Position that a servo command asks for, shape (joints,); NaN without one."""
+        if self._servo is None:
+            return np.full(self.position.size, np.nan)
+        return self._wanted
+
     def servo(self, position_rad: Vector, lookahead_s: float, gain: float) -> None:
         """Follow a position, from the next cycle on."""
         if self._servo is None or self._servo_key != (lookahead_s, gain):

@@ -76,6 +76,10 @@ class UniversalRobotsServer(RobotServer):
         for client in list(self._clients.values()):
             client.publish(now_s, values)
 
+    @property
+    def target_rad(self) -> Vector:
+        return self._motion.target_rad
+
     def close(self) -> None:
         for key in list(self._selector.get_map().values()):
             assert isinstance(key.fileobj, socket.socket)
