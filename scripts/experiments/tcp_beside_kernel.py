@@ -115,8 +115,8 @@ def kernel_stream_ms(count: int, period_s: float) -> Vector:
 
 def emulated_round_trips_ms(link: LinkConfiguration, count: int, period_s: float) -> Vector:
     """Return what requests and answers take in virtual time, each after the one before."""
-    there = open_channel(link.downlink, 2, DOWNLINK, (), answer_ns(link, DOWNLINK))
-    back = open_channel(link.uplink, 2, UPLINK, (), answer_ns(link, UPLINK))
+    there: Channel[None] = open_channel(link.downlink, 2, DOWNLINK, (), answer_ns(link, DOWNLINK))
+    back: Channel[None] = open_channel(link.uplink, 2, UPLINK, (), answer_ns(link, UPLINK))
     found, now_ns = [], 0
     for _ in range(count):
         there.send(None, now_ns, _SIZE)
