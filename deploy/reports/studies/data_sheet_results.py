@@ -21,6 +21,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.study.data_sheet import DataSheet, worst_window
+from deploy.study.robot_sheet import RobotSheet
 from deploy.study.study import StudyOfRuns, digest_of
 
 FILE = "datasheet.yaml"
@@ -28,7 +29,7 @@ _PARTS = ("margin", "network", "plants")
 _WINDOW = "worst_window"
 
 
-def sheet_folder(sheet: DataSheet, out: Path | None, *, overwrite: bool) -> Path:
+def sheet_folder(sheet: DataSheet | RobotSheet, out: Path | None, *, overwrite: bool) -> Path:
     """Return the folder of a data sheet, in which an earlier command may have begun it.
 
     Args:
