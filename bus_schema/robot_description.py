@@ -6,6 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -119,21 +120,49 @@ class RobotDescription:
             shapes: visual and collision shapes to keep: all, with mesh files ``named`` by absolute
                 path; the ``drawable`` ones; or ``none``, as for physics.
         """
-        root = ET.fromstring(self.text)
-        write_plainly(root)
-        resolve_joints(root, set(self.joint_names), {each.name for each in self.followers})
-        if self.base_rpy_rad is not None:
-            attach_mount(root, self.base_rpy_rad)
-        resolve_inertias(root)
-        if shapes == "none":
-            drop_shapes(root, but_drawable=False)
-        name_meshes(root, self.path.parent)
-        if shapes == "drawable":
-            drop_shapes(root, but_drawable=True)
-        if payload_kg > 0.0:
-            attach_payload(root, self.tip_link, payload_kg)
-        ET.indent(root)  # Bullet splits lines of more than 8192 characters
-        return ET.tostring(root, encoding="unicode")
+        moving = (frozenset(self.joint_names), frozenset(each.name for each in self.followers))
+        payload = (self.tip_link, payload_kg)
+        if shapes == "none":  # no mesh on the disk counts, and every load of an arm asks for it
+            return _of_bodies(self.text, *moving, self.base_rpy_rad, payload)
+        return _resolved(self.text, *moving, self.base_rpy_rad, payload, self.path.parent, shapes)
+
+
+def _resolved(
+    text: str,
+    driven: frozenset[str],
+    followers: frozenset[str],
+    base_rpy_rad: tuple[float, float, float] | None,
+    payload: tuple[str, float],
+    folder: Path,
+    shapes: Shapes,
+) -> str:
+    """Return `RobotDescription.resolved_urdf`; a payload is its link and its mass."""
+    root = ET.fromstring(text)
+    write_plainly(root)
+    resolve_joints(root, driven, followers)
+    if base_rpy_rad is not None:
+        attach_mount(root, base_rpy_rad)
+    resolve_inertias(root)
+    if shapes == "none":
+        drop_shapes(root, but_drawable=False)
+    name_meshes(root, folder)
+    if shapes == "drawable":
+        drop_shapes(root, but_drawable=True)
+    if payload[1] > 0.0:
+        attach_payload(root, *payload)
+    ET.indent(root)  # Bullet splits lines of more than 8192 characters
+    return ET.tostring(root, encoding="unicode")
+
+
+@lru_cache(maxsize=32)
+def _of_bodies(
+    text: str,
+    driven: frozenset[str],
+    followers: frozenset[str],
+    base_rpy_rad: tuple[float, float, float] | None,
+    payload: tuple[str, float],
+) -> str:
+    return _resolved(text, driven, followers, base_rpy_rad, payload, Path(), "none")
 
 
 def load_robot(

@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection
 from functools import cache
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import (
@@ -61,6 +61,8 @@ from controller.manipulator_model import ManipulatorModel
 from controller.slow_law import AnswerTiming, ChunkRules, SlowLaw
 
 LONGEST_HORIZON_MS = 1e-6 * LONGEST_HORIZON_NS
+LONGEST_BRIDGE_MS = 1000.0
+"""Longest time for which a command may bridge the loss of later ones."""
 PROCESS = "process"
 """In place of a law's name: the controller is a user's own process on the bus."""
 _INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
@@ -87,6 +89,14 @@ Word = Annotated[str, BeforeValidator(_to_word), Field(min_length=1)]
 """A word of a command line."""
 
 
+def _check_bridge(value: object) -> object:
+    # A union of types would report each of its parts, by names that no scenario has.
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "auto" and not (is_number and 0.0 <= cast(float, value) <= LONGEST_BRIDGE_MS):
+        raise ValueError(f"a number of ms from 0 to {LONGEST_BRIDGE_MS:g}, or auto")
+    return value
+
+
 class DelayCompensationConfiguration(StrictModel):
     """Prediction of the state in which a command will act, for any law.
 
@@ -103,7 +113,8 @@ class DelayCompensationConfiguration(StrictModel):
             what the sections of both directions say. An automatic play-out is this long from the
             start, and never shorter.
         bridge_ms: each command also holds predicted torques for this time after it acts; they act
-            while later commands are lost. Needs an automatic play-out.
+            while later commands are lost. Needs an automatic play-out. ``auto``: 200, but at most
+            ``plant.command_timeout_ms``, where commands may come too late (``adaptive`` only).
     """
 
     enabled: bool = False
@@ -112,7 +123,7 @@ class DelayCompensationConfiguration(StrictModel):
     learn_friction: bool = True
     identify_model: bool = True
     expected_round_trip_ms: Annotated[NonNegative, Field(le=LONGEST_HORIZON_MS)] | None = None
-    bridge_ms: NonNegative = 0.0
+    bridge_ms: Annotated[float | Literal["auto"], BeforeValidator(_check_bridge)] = "auto"
 
     @field_validator("predictor")
     @classmethod

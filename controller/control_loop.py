@@ -86,9 +86,11 @@ class ControlLoop:
         self._task, self._link = task, link
         self._compensation = task.compensation
         announces = task.compensation is not None and task.compensation.announces
-        rows = 1 if task.compensation is None else task.compensation.rows
+        rows, row_ticks = 1, 1
+        if task.compensation is not None:
+            rows, row_ticks = task.compensation.rows, task.compensation.row_ticks
         messages = self._messages = CycleMessages(
-            names, rows, has_targets=task.sends_targets, has_acting_time=announces
+            names, rows, row_ticks, has_targets=task.sends_targets, has_acting_time=announces
         )
         self._command, self._torques_nm = messages.command, messages.torques_nm
         self._target = messages.targets[:, 0] if task.sends_targets else None

@@ -16,6 +16,7 @@ class CycleMessages:
     Args:
         joint_names: names of the joints.
         rows: torques that a command has, one after the other.
+        row_ticks: ticks from one of them to the next.
         has_targets: whether a command has targets for drives that close their own loop.
         has_acting_time: whether a command says when it acts.
 
@@ -34,8 +35,9 @@ class CycleMessages:
     """
 
     def __init__(
-        self, joint_names: tuple[str, ...], rows: int, *, has_targets: bool, has_acting_time: bool
-    ) -> None:
+        self, joint_names: tuple[str, ...], rows: int, row_ticks: int, *,
+        has_targets: bool, has_acting_time: bool,
+    ) -> None:  # fmt: skip
         self.state_layout = topics.layout(topics.JOINT_STATES, joint_names)
         self.arrived, self.state = Record(self.state_layout), Record(self.state_layout)
         self.motion: Matrix = self.state.rows("position", "velocity")
@@ -43,7 +45,8 @@ class CycleMessages:
         self.plant_status = Record(self.plant_status_layout)
         command = topics.layout(
             topics.JOINT_COMMANDS, joint_names,
-            has_targets=has_targets, has_acting_time=has_acting_time, rows=rows,
+            has_targets=has_targets, has_acting_time=has_acting_time,
+            rows=rows, row_ticks=row_ticks,
         )  # fmt: skip
         self.command = Record(command)
         self.torques_nm: Matrix = self.command.fields["effort"].reshape(rows, -1)

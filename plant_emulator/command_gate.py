@@ -61,16 +61,35 @@ class SenderNumbers:
 logger = logging.getLogger(__name__)
 
 
-class LaterRows(NamedTuple):
-    """Rows of a command after its first, for the ticks after that of the state it answers.
+class Rows(NamedTuple):
+    """Rows of a command, from its first on.
 
     Attributes:
         torques_nm: shape (rows, joints).
         targets: for the drives, each as of its own tick, shape (rows, 2, joints); None for none.
+        ticks: from one row to the next; torques and targets change linearly in between.
     """
 
     torques_nm: Matrix
     targets: Matrix | None
+    ticks: int
+
+    @property
+    def last_tick(self) -> int:
+        """Tick of the last row, counted from the first; later ones repeat it."""
+        return (len(self.torques_nm) - 1) * self.ticks
+
+    def at(self, tick: int) -> tuple[Vector, Matrix | None]:
+        """Return torque and target of a tick up to the last one."""
+        target = None if self.targets is None else self._between(self.targets, tick)
+        return self._between(self.torques_nm, tick), target
+
+    def _between(self, table: NDArray[np.float64], tick: int) -> NDArray[np.float64]:
+        row, rest = divmod(tick, self.ticks)
+        value: NDArray[np.float64] = table[row]
+        if rest:
+            value = value + rest / self.ticks * (table[row + 1] - value)
+        return value
 
 
 class Command(NamedTuple):
@@ -82,7 +101,7 @@ class Command(NamedTuple):
         stamp_ns: stamp of the state it answers.
         target: for the drives, as of that stamp: position, rad, and velocity, rad/s, as rows, shape
             (2, joints); None for none.
-        later: rows for the following ticks; None for none.
+        rows: its rows, where it has several, for the following ticks too; else None.
         acts_after_ns: time from that stamp until it acts; 0 for on arrival.
     """
 
@@ -90,7 +109,7 @@ class Command(NamedTuple):
     sequence: int
     stamp_ns: int
     target: Matrix | None = None
-    later: LaterRows | None = None
+    rows: Rows | None = None
     acts_after_ns: int = 0
 
 
@@ -179,7 +198,7 @@ class CommandGate:
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
         target = None if self._target is None else _given(self._target)
-        later = None if self._record.later is None else self._later_rows(self._record.later)
+        rows = None if self._record.later is None else self._rows(self._record.later, target)
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
         self._require_commander(arrival)
@@ -196,16 +215,18 @@ class CommandGate:
             self._numbers.is_new(arrival.sequence, arrival.payload)
         acts_after_ns = self._record.acts_after_ns
         return Command(
-            self._torque_nm.copy(), arrival.sequence, stamp_ns, target, later, acts_after_ns
+            self._torque_nm.copy(), arrival.sequence, stamp_ns, target, rows, acts_after_ns
         )
 
-    def _later_rows(self, rows: NDArray[np.void]) -> LaterRows:
-        torques_nm = rows["effort"]
+    def _rows(self, later: NDArray[np.void], target: Matrix | None) -> Rows:
+        torques_nm = np.vstack((self._torque_nm, later["effort"]))
         if not np.isfinite(torques_nm).all():
             raise InvalidMessageError("not_finite", "a torque of a later row is not finite")
-        if self._target is None:
-            return LaterRows(torques_nm, None)
-        return LaterRows(torques_nm, _given(np.stack((rows["position"], rows["velocity"]), axis=1)))
+        targets = None
+        if target is not None:
+            following = np.stack((later["position"], later["velocity"]), axis=1)
+            targets = _given(np.concatenate((target[np.newaxis], following)))
+        return Rows(torques_nm, targets, self._record.row_ticks)
 
     def _require_commander(self, arrival: CommandArrival) -> None:
         """Refuse other senders than the commander, and repetitions of its commands.

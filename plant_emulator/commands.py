@@ -160,7 +160,7 @@ class ArmCommands:
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
             self._arm.command(command.torque_nm, command.target, command.stamp_ns)
-            self._with_rows = command if command.later is not None else None
+            self._with_rows = command if command.rows is not None else None
             self.play_row(now_ns)
             if self._arm.mode is not mode:
                 self._supervisor.announce_mode("first valid command, brakes released")
@@ -168,15 +168,13 @@ class ArmCommands:
     def play_row(self, now_ns: int) -> None:
         """Apply the row for this tick, if the command in force has several; then hold the last."""
         command = self._with_rows
-        if command is None or command.later is None:
+        if command is None or command.rows is None:
             return
-        torques_nm, targets = command.later
         since_ns = now_ns - command.stamp_ns - command.acts_after_ns
-        row = min(since_ns // self._period_ns, len(torques_nm))
-        if row > 0:
-            target = None if targets is None else targets[row - 1]
-            stamp_ns = command.stamp_ns + row * self._period_ns
-            self._arm.command(torques_nm[row - 1], target, stamp_ns)
+        tick = min(since_ns // self._period_ns, command.rows.last_tick)
+        if tick > 0:
+            stamp_ns = command.stamp_ns + tick * self._period_ns
+            self._arm.command(*command.rows.at(tick), stamp_ns)
 
     def _may_have_missed_state(self) -> bool:
         """Whether the controller may have missed the state, as the first one or a replacement."""

@@ -22,7 +22,7 @@ from bus_schema.runtime.randomness import is_seed_used
 from bus_schema.runtime.realtime import stolen_ms
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
-from plant_emulator.channel.impairment import open_downlink, open_uplink
+from plant_emulator.channel.opening import open_downlink, open_uplink
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import CommandGate
 from plant_emulator.commands import ArmCommands, Watchdog

@@ -11,7 +11,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.arm.delay_line import NEVER, DriveCommand
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
-from plant_emulator.interfaces.interface import Motion, Reflex
+from plant_emulator.interfaces.interface import Motion, Reflex, RobotInterface
 from plant_emulator.interfaces.settings import TORQUE
 
 TorquesAlong = Callable[[Vector, Vector, Vector], Vector]
@@ -28,15 +28,18 @@ class RobotController:
         configuration: section ``plant.interface``.
         torques_along: inverse dynamics of the arm, as its own controller knows it.
         grid: physics steps of the run.
+        interface: moves the arm; by default what the section says.
 
     Attributes:
         next_due: number of the physics step at which the next cycle begins.
     """
 
     def __init__(
-        self, configuration: InterfaceConfiguration, torques_along: TorquesAlong, grid: TickGrid
-    ) -> None:
-        self._interface, self._torques_along = configuration.build(), torques_along
+        self, configuration: InterfaceConfiguration, torques_along: TorquesAlong, grid: TickGrid,
+        interface: RobotInterface | None = None,
+    ) -> None:  # fmt: skip
+        self._interface = configuration.build() if interface is None else interface
+        self._torques_along = torques_along
         self._takes_torque = configuration.takes == TORQUE
         self._knows_arm = configuration.settings.knows_arm
         self._period_s, self._phase_s = configuration.true_period_s, 1e-3 * configuration.phase_ms

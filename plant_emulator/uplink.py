@@ -54,14 +54,14 @@ class Uplink:
         Returns:
             The lateness in ns.
         """
-        while self.channel.next_due_ns < until_ns:
+        while self.channel.is_due_before(until_ns):
             self._deliver_next()
         self._telemetry.send(self._link)
         return self._link.wait_until(self._clock, until_ns)
 
     def deliver_due(self, now_ns: int) -> None:
         """Deliver states that are due, also those that are due just now."""
-        while self.channel.next_due_ns <= now_ns:
+        while self.channel.is_due_before(now_ns + 1):
             self._deliver_next()
 
     def _deliver_next(self) -> None:

@@ -18,6 +18,10 @@ from deploy.run.stop_signals import STOPS, stop_at_once
 # On a new machine any test may be the first to need a kernel: what it reads stays the same.
 os.environ["FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"] = "1"
 
+# Matrices here are small: threads of a BLAS that wait for each other beside other tests took six
+# times as long. NumPy and SciPy read it when a test first imports them, processes inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # What is printed depends on the terminal, which tests describe themselves.
 os.environ["TERM"] = "xterm"
 for variable in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE"):

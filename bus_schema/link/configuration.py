@@ -124,6 +124,8 @@ class LinkConfiguration(StrictModel, validate_default=True):
             ``use_sim_time``.
         uplink: plant to controller.
         downlink: controller to plant.
+        transport: ``udp``: messages are lost; ``tcp``: a lost one is sent again, and all that
+            follow wait for it.
         playout_ms: a command acts no earlier than this after the stamp of the state that it
             answers; 0 for on arrival. With ``auto``, each command says when it acts, and the
             controller learns from the plant how late commands arrive; the default with
@@ -145,6 +147,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     publish_clock: bool = False
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
+    transport: Literal["udp", "tcp"] = "udp"
     playout_ms: PlayoutTime = None
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
@@ -166,6 +169,18 @@ class LinkConfiguration(StrictModel, validate_default=True):
         if protocol in ("tls", "quic"):
             raise ValueError("of another protocol, or link.security.enabled true")
         return endpoint
+
+    @field_validator("transport")
+    @classmethod
+    def _check_transport(cls, transport: str, info: ValidationInfo) -> str:
+        if transport == "udp":
+            return transport
+        if info.data.get("kind") == "can":
+            raise ValueError("udp with link.kind = can: a bus has no streams")
+        ways = (info.data.get(name) for name in ("uplink", "downlink"))
+        if any(way is not None and way.duplicate for way in ways):
+            raise ValueError("udp with a duplicate: TCP delivers nothing twice")
+        return transport
 
     def listen_endpoint(self, role: Role) -> str:
         """Return where plant or controller listen; recorders connect to both, and do not."""

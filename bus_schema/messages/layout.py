@@ -11,6 +11,7 @@ sender) are parsed by it.
 from __future__ import annotations
 
 import ctypes
+import re
 import struct
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -33,6 +34,9 @@ MOST_ROWS = 1000
 _ACTS_AFTER = "acts_after_ns="
 """A command's frame_id, if it says when it acts: this and ten digits."""
 _DIGITS = 10
+_ROW_TICKS = " row_ticks="
+"""What follows if it has rows that lie several ticks apart: this and their number."""
+_TIMES = re.compile(f"{_ACTS_AFTER}([0-9]{{1,{_DIGITS}}})(?:{_ROW_TICKS}([1-9][0-9]{{0,3}}))?")
 
 
 class Record:
@@ -49,6 +53,7 @@ class Record:
         payload: returns the message as wire bytes.
         later: of a message with several rows, those after the first, as a table with the columns of
             `MessageLayout.dtype`; None for one row.
+        row_ticks: ticks from one of these rows to the next.
     """
 
     def __init__(self, layout: MessageLayout) -> None:
@@ -70,6 +75,7 @@ class Record:
         # Used in each tick: these views take a third of the time of the above.
         self.sec, self.nanosec = self.stamp[:4].cast("i"), self.stamp[4:].cast("I")
         self.later: NDArray[np.void] | None = None
+        self.row_ticks = 1
         begin = layout.acts_after_at
         self._digits = None if begin is None else self.memory[begin : begin + _DIGITS]
 
@@ -124,6 +130,7 @@ class MessageLayout:
         strings: value of every string sequence, by dotted field name; plain strings are empty.
         may_have_rows: arrays of a foreign sender may hold several rows, one after the other.
         has_acting_time: the header's frame_id says when a command acts, see `Record.acts_after_ns`.
+        row_ticks: ticks from one row of a command that says when it acts to the next.
 
     Attributes:
         acts_after_at: place of the digits of that time; None without them.
@@ -138,13 +145,15 @@ class MessageLayout:
         strings: Mapping[str, Sequence[str]] | None = None,
         may_have_rows: bool = False,
         has_acting_time: bool = False,
+        row_ticks: int = 1,
     ) -> None:
         self.type_name, self._may_have_rows = type_name, may_have_rows
         self._lengths = defaultdict(lambda: length, lengths or {})
         self._strings = {name: list(values) for name, values in (strings or {}).items()}
         message = _zero_message(type_name, self._lengths, self._strings)
         if has_acting_time:
-            message.header.frame_id = f"{_ACTS_AFTER}{0:0{_DIGITS}}"
+            apart = f"{_ROW_TICKS}{row_ticks}" if row_ticks > 1 else ""
+            message.header.frame_id = f"{_ACTS_AFTER}{0:0{_DIGITS}}{apart}"
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         place = self.template.find(_ACTS_AFTER.encode()) + len(_ACTS_AFTER)
         self.acts_after_at = place if has_acting_time else None
@@ -219,7 +228,7 @@ class MessageLayout:
         into.memory[:] = table[:1].tobytes()
         into.later = table[1:] if rows > 1 else None
         if self.acts_after_at is not None:
-            into.acts_after_ns = _acting_time(message.header.frame_id)
+            into.acts_after_ns, into.row_ticks = _times(message.header.frame_id)
 
     def _count_rows(self, values: Mapping[str, NDArray[Any]]) -> int:
         """Return how many rows the arrays of a foreign message hold; all hold as many, or none.
@@ -303,11 +312,13 @@ def _parts(is_wanted: NDArray[np.bool_]) -> struct.Struct:
     return struct.Struct("".join(f"{size}{'s' if wanted else 'x'}" for wanted, size in runs))
 
 
-def _acting_time(frame_id: str) -> int:
-    """Return when a command acts by its frame_id, ns after its stamp; 0 if it does not say so."""
-    digits = frame_id.removeprefix(_ACTS_AFTER).encode()
-    is_given = frame_id.startswith(_ACTS_AFTER) and digits.isdigit() and len(digits) <= _DIGITS
-    return int(digits) if is_given else 0
+def _times(frame_id: str) -> tuple[int, int]:
+    """Return when a command acts by its frame_id, ns after its stamp, and the ticks of a row.
+
+    A command that does not say so acts on arrival (0), and has a row for each tick (1).
+    """
+    found = _TIMES.fullmatch(frame_id)
+    return (int(found[1]), int(found[2] or 1)) if found else (0, 1)
 
 
 def _attribute(message: Any, dotted: str) -> Any:

@@ -120,13 +120,15 @@ def layout(
     has_targets: bool = False,
     has_acting_time: bool = False,
     rows: int = 1,
+    row_ticks: int = 1,
 ) -> MessageLayout:
     """Return the wire layout of a fixed-size topic for a robot with these joints.
 
     A command carries torques alone, unless it `has_targets`: positions and velocities for drives
     that close their own loop (see `bus_schema.drive_feedback`). From a foreign sender it may have
     rows for the following ticks too. A command that `has_acting_time` says when it acts, and one of
-    our own may have `rows` to be written one after the other. A reference has no torques.
+    our own may have `rows` to be written one after the other, `row_ticks` apart. A reference has no
+    torques.
     """
     if topic.type_name == message_types.RUN_EVENT:
         raise ValueError(f"{topic.name} has no fixed layout")
@@ -137,6 +139,7 @@ def layout(
         strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
         may_have_rows=topic is JOINT_COMMANDS,
         has_acting_time=has_acting_time and topic is JOINT_COMMANDS,
+        row_ticks=row_ticks,
     )
 
 

@@ -6,6 +6,7 @@ import importlib.util
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 from bus_schema.errors import RobotDescriptionError
@@ -38,7 +39,7 @@ _PYBULLET_DATA = "package://pybullet_data/"
 """Meshes of shipped arms, available if that Python package is installed."""
 
 
-def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> None:
+def resolve_joints(root: ET.Element, driven: AbstractSet[str], followers: AbstractSet[str]) -> None:
     """Make every joint revolute, prismatic or fixed, with unit axes and all four limits."""
     for joint in root.findall("joint"):
         name = joint.get("name")

@@ -1,4 +1,4 @@
-"""Rows of a command for the ticks after it acts, which bridge lost commands.
+"""Rows of a command for the time after it acts, which bridge lost commands.
 
 The arm is expected to return to the reference from its predicted error e, critically damped. The
 torque of the believed arm along this motion, τ̂(t), changes that of the law: τ(t) = τ + τ̂(t) − τ̂(0).
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import all_finite, bind, compiled
 from controller.compensation.arm_belief import ArmBelief, NominalArm, smooth_sign
-from controller.compensation.command_timeline import PIECES, Commands, add_change
+from controller.compensation.command_timeline import Commands, add_change
 from controller.control_law import Tracking
 from controller.reference import Reference
 from controller.rigid_bodies.dynamics import inverse_dynamics
@@ -40,7 +40,7 @@ def filling(
         targets: for the drives: positions, rad, and velocities, rad/s, shape (2, rows, joints).
     """
     state = commands.state[0]
-    piece_s = 1e-9 * float(state["row_ns"]) * int(state["bridge_rows"]) / PIECES
+    piece_s = 1e-9 * float(state["tick_ns"]) * int(state["row_ticks"])
     follow = [reference.onto(*end) for end in commands.next_plan]
     compute = bind(
         _fill, nominal, belief, commands, predicted.error, predicted.error_rate, piece_s,
@@ -61,7 +61,7 @@ def _fill(
     piece_s: float, torques_nm: Matrix, targets: NDArray[np.float64], horizon_s: float,
 ) -> None:  # fmt: skip
     """Turn the reference at the ends of the pieces into the plan, and fill the rows by it."""
-    plan, limits_nm, rows, joints = commands.next_plan, nominal.limits_nm, *torques_nm.shape
+    plan, limits_nm, joints = commands.next_plan, nominal.limits_nm, error.size
     torque, values, omega = np.empty(joints), np.empty((3, joints)), _RETURNS_RAD_S
     for end in range(len(plan)):
         after_s = end * piece_s
@@ -81,9 +81,9 @@ def _fill(
             plan[end, 1, i], plan[end, 2, i] = position - horizon_s * velocity, velocity
     if not all_finite(plan):
         plan[:] = 0.0  # numbers overflowed: all rows repeat the first
-    for row in range(1, rows):
+    for row in range(1, len(plan)):
         values[0], values[1], values[2] = torques_nm[0], targets[0, 0], targets[1, 0]
-        add_change(plan, row, rows - 1, values)
+        add_change(plan, row - 1, 1.0, values)
         for i in range(joints):
             torques_nm[row, i] = min(max(values[0, i], -limits_nm[i]), limits_nm[i])
         targets[0, row], targets[1, row] = values[1], values[2]

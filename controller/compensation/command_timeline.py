@@ -51,8 +51,8 @@ class HorizonSettings(NamedTuple):
         grows_by: how fast it grows to the wanted one, as a share of the time.
         is_announced: each command says when it acts, and the plant holds it until then.
         reserve_ns: what is added to the largest delay that was reported.
-        bridge_rows: rows of a command after its first.
-        row_ns: time from one row to the next, which is that from one state to the next.
+        row_ticks: ticks from one row of a command to the next, of a bridge of `PIECES`; 0 for none.
+        tick_ns: time from one state to the next.
         substeps: physics steps in that time; an announced horizon ends where one begins, as the
             plant acts in such steps.
         actuator_ns: dead time of the actuators, which is part of every horizon.
@@ -65,15 +65,15 @@ class HorizonSettings(NamedTuple):
     grows_by: float = GROWS_BY
     is_announced: bool = False
     reserve_ns: int = 0
-    bridge_rows: int = 0
-    row_ns: int = 1_000_000
+    row_ticks: int = 0
+    tick_ns: int = 1_000_000
     substeps: int = 1
     actuator_ns: int = 0
 
     @property
     def longest_step_ns(self) -> int:
         """Time between states above which some were absent."""
-        return ABSENCE_STATES * self.row_ns
+        return ABSENCE_STATES * self.tick_ns
 
 
 _AS_REPORTED = HorizonSettings()
@@ -152,7 +152,7 @@ def no_commands(joints: int, settings: HorizonSettings = _AS_REPORTED) -> Comman
         "mean_delay_ns": 0.0, "spread_ns": 0.0, "late_since_ns": -1,
         "first": HELD, "newest": HELD, "in_force": HELD,
     }  # fmt: skip
-    ends = PIECES + 1 if settings.bridge_rows else 0
+    ends = PIECES + 1 if settings.row_ticks else 0
     commands = Commands(
         np.zeros(CAPACITY, np.int64), np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, joints)),
         np.zeros((CAPACITY, 2, joints)), np.zeros(CAPACITY, np.int64),
@@ -182,7 +182,7 @@ def note(commands: Commands, torque_nm: Vector, target: Matrix, number: int, sta
     assign(commands.torques_nm[slot], torque_nm)
     assign(commands.targets[slot], target)
     commands.announced_ns[slot] = state.horizon_ns if state.is_announced else 0
-    if state.bridge_rows > 0:
+    if state.row_ticks > 0:
         assign(commands.plans[slot], commands.next_plan)
     first = number if state.first == HELD else state.first
     state.first = max(first, number - CAPACITY + 1)
@@ -202,18 +202,25 @@ def command_at(commands: Commands, slot: int, now_ns: int, values: Matrix) -> fl
     age_ns = now_ns - commands.stamps_ns[slot]
     if len(commands.next_plan) > 0:
         state = commands.state[0]
-        row = max(0, (age_ns - commands.announced_ns[slot]) // state.row_ns)
-        row = min(row, state.bridge_rows)
-        add_change(commands.plans[slot], row, state.bridge_rows, values)
-        age_ns -= row * state.row_ns
+        tick = max(0, (age_ns - commands.announced_ns[slot]) // state.tick_ns)
+        tick = min(tick, PIECES * state.row_ticks)
+        piece = min(tick // state.row_ticks, PIECES - 1)
+        share = tick / state.row_ticks - piece
+        add_change(commands.plans[slot], piece, share, values)
+        age_ns -= tick * state.tick_ns
     return age_ns * 1e-9  # type: ignore[no-any-return]
 
 
 @compiled
-def add_change(plan: NDArray[np.float64], row: int, rows: int, values: Matrix) -> None:
-    """Add the change until a row to torque, target position and velocity, shape (3, joints)."""
-    piece = min(row * PIECES // rows, PIECES - 1)
-    share = row * PIECES / rows - piece
+def add_change(plan: NDArray[np.float64], piece: int, share: float, values: Matrix) -> None:
+    """Add the change until a share of a piece to torque, target position and velocity.
+
+    Args:
+        plan: of a command, see `Commands.plans`.
+        piece: its number, from 0 on.
+        share: what has passed of it, from 0 to 1.
+        values: changed in place, shape (3, joints).
+    """
     for what in range(3):
         for i in range(values.shape[1]):
             begin, end = plan[piece, what, i], plan[piece + 1, what, i]
@@ -248,14 +255,16 @@ def observe(commands: Commands, feedback: CommandFeedback, now_ns: int, last_ns:
     if not state.is_announced:
         _follow_delay(commands, sequence, delay_ns, now_ns)
     else:
+        late_ns = 0
         if sequence != state.in_force and delay_ns > commands.announced_ns[sequence % CAPACITY]:
-            arrival_ns = max(arrival_ns, delay_ns)  # it came late
+            late_ns = delay_ns
+            arrival_ns = max(arrival_ns, late_ns)
         arrival_ns = min(arrival_ns, now_ns - commands.stamps_ns[state.first % CAPACITY])
         if sequence == HELD and state.wanted_ns == state.actuator_ns and state.first != HELD:
             # Nothing acts yet, so the first command has been on its way for at least this long.
             waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
             state.exact_ns = max(state.exact_ns, float(waited_ns))
-        _announce(commands, arrival_ns, now_ns, now_ns - last_ns)
+        _announce(commands, arrival_ns, late_ns, now_ns, now_ns - last_ns)
     state.in_force = sequence
 
 
@@ -279,16 +288,20 @@ def _follow_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int)
 
 
 @compiled
-def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) -> None:
+def _announce(
+    commands: Commands, arrival_ns: int, late_ns: int, now_ns: int, step_ns: int
+) -> None:  # fmt: skip
     """Choose the horizon to announce, after a state reported how long commands take to arrive.
 
-    It grows at once when a command came late, but only for an episode of late commands above its
-    usual limit, and slowly towards the wanted one. It shrinks slowly to what arrivals need, but not
-    below the wanted one.
+    It grows at once to what the command in force needed if that came late, but only for an episode
+    of late commands above its usual limit; by a tick if only others came late, as in a burst that
+    arrives at one instant; and slowly towards the wanted one. It shrinks slowly to what arrivals
+    need, but not below the wanted one.
 
     Args:
         commands: all that were sent.
         arrival_ns: as in `CommandFeedback`.
+        late_ns: time that the command in force took, if it is new and came late; else 0.
         now_ns: stamp of the state.
         step_ns: time since the last state.
     """
@@ -303,7 +316,9 @@ def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) ->
             state.late_since_ns = -1
         elif state.late_since_ns < 0:
             state.late_since_ns = now_ns
-    needed_ns = arrival_ns + state.reserve_ns
+    needed_ns = late_ns + state.reserve_ns
+    if late_ns <= state.horizon_ns:
+        needed_ns = min(arrival_ns + state.reserve_ns, state.horizon_ns + state.tick_ns)
     if state.late_since_ns < 0 or now_ns - state.late_since_ns < _EPISODE_NS:
         needed_ns = min(needed_ns, state.most_ns)
     excess_ns = max(0.0, state.longest_ns - state.mean_delay_ns)
@@ -319,8 +334,8 @@ def _announce(commands: Commands, arrival_ns: int, now_ns: int, step_ns: int) ->
     else:
         exact_ns = min(exact_ns, max(state.wanted_ns, state.longest_ns))
     state.exact_ns = exact_ns
-    steps = math.ceil(exact_ns * state.substeps / state.row_ns)
-    _expect(state, int(steps) * state.row_ns // state.substeps)
+    steps = math.ceil(exact_ns * state.substeps / state.tick_ns)
+    _expect(state, int(steps) * state.tick_ns // state.substeps)
 
 
 @compiled

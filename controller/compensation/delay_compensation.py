@@ -22,6 +22,7 @@ from controller.compensation.arm_belief import NominalArm, first_belief, forget
 from controller.compensation.bridge import filling
 from controller.compensation.command_timeline import (
     HELD,
+    PIECES,
     CommandFeedback,
     HorizonSettings,
     forget_commands,
@@ -69,6 +70,7 @@ class DelayCompensation:
     Attributes:
         announces: whether each command has to say when it acts: one horizon after its stamp.
         rows: rows of a command, with its first.
+        row_ticks: ticks from one of them to the next.
         commands: those sent, and the horizon.
         belief: the belief about the arm.
         identification: the filter that updates the belief.
@@ -89,7 +91,8 @@ class DelayCompensation:
     ) -> None:
         joints = nominal.limits_nm.size
         self.announces = horizon.is_announced
-        self.rows = 1 + horizon.bridge_rows
+        self.rows = 1 + PIECES if horizon.row_ticks else 1
+        self.row_ticks = max(1, horizon.row_ticks)
         self.commands = no_commands(joints, horizon)
         self.belief = first_belief(nominal)
         self.identification = identification

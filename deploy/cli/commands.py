@@ -64,6 +64,7 @@ PANELS = {
         "controller": "cli.processes:controller",
         "record": "cli.processes:record",
         "drives": "cli.drives:drives",
+        "robot-server": "cli.robot_server:robot_server",
         "keys": "cli.network.keys:app",
     },
     "Other systems": {

@@ -24,7 +24,7 @@ from deploy.judge import gate as gating
 from deploy.judge.tested_with import Tested, require_same_test
 from deploy.judge.verdict import decide
 from deploy.reports.gate_files import write_history, write_junit, write_markdown
-from deploy.reports.kinds import gauged, kind_named, numbers_in, read_baseline
+from deploy.reports.kinds import gauged, kind_named, numbers_in, read_baseline, require_numbers
 from deploy.reports.results import TABLE_FILE, Results, write_run
 from deploy.reports.terminal import print_page
 from deploy.run.confirmation import confirmation_of
@@ -126,6 +126,8 @@ class ResultGate:
         self._gate = gating.build_gate(options.at_least, options.tolerance, numbers)
         compared = result.compared_with(quantity, patterns=patterns)
         gating.require_fit(self._gate, unit, compared)
+        if options.baseline is not None and before is not None:
+            require_numbers(options.baseline, before, unit)
         self._changes: list[str] = []
         if before is not None:
             allows_changes = options.allow_changes

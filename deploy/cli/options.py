@@ -72,6 +72,13 @@ Overrides = Annotated[
         callback=_newest,
     ),
 ]
+InterfaceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KIND",
+        help="Interface of the robot: servoj, franka_torque, …; see plant.interface.kind.",
+    ),
+]
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
 ]
@@ -114,8 +121,8 @@ class GateOptions:
         typer.Option(
             metavar="N",
             help="Exit with 3 if a result is smaller: of margin, a value such as 20ms; of simulate,"
-            " compare and sweep, the distance to the bound, such as 15%. With a length,"
-            " such as 2mm, exit with 3 if the tip's largest error is larger.",
+            " compare and sweep, the distance to the bound, such as 15%. With a length or time, as"
+            " 2mm, exit with 3 if the tip's largest error or a joint's lag is larger.",
         ),
     ] = None
     baseline: Annotated[

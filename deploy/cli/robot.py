@@ -20,7 +20,7 @@ from bus_schema.urdf.checks import finite_number
 from bus_schema.urdf.end_effectors import BESIDE
 from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
 from controller.manipulator_model import ManipulatorModel
-from deploy.cli.options import IncludeOption, JointsOption, MassOption
+from deploy.cli.options import IncludeOption, InterfaceOption, JointsOption, MassOption
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
@@ -35,6 +35,7 @@ from deploy.scenario.checking.plausibility import (
 )
 from deploy.scenario.checking.warnings import scenario_warnings
 from deploy.scenario.definition import ScenarioConfiguration
+from deploy.scenario.interface_choice import interface_values
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
@@ -45,7 +46,7 @@ from deploy.scenario.starter import (
     starter_scenario,
 )
 from deploy.scenario.xacro_arguments import split_arguments
-from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
+from deploy.scenario.yaml_files import ScenarioError, set_value, to_yaml, validated
 
 STARTER_COMMENT = """\
 # A first scenario: rest to rest at 30 % of the joints' speeds. robot.drive_data names what is
@@ -84,6 +85,7 @@ def robot(
     scenario: Annotated[
         bool, typer.Option("--scenario", help="Write a first scenario for the arm.")
     ] = False,
+    interface: InterfaceOption = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.yaml", help="File for --scenario.", show_default=False),
@@ -108,6 +110,8 @@ def robot(
         raise ScenarioError(text if text.startswith("/") else f"{file}: {text}") from error
     setup = at_rest(arm)
     values = starter_scenario(arm)
+    for key, value in interface_values(interface).items():
+        set_value(values, key, value)
     try:
         check_plant(first := build_setup(values, arm.path))
     except RobotDescriptionError as error:  # as `simulate` would

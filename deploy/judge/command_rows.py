@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,28 @@ def tabulate_by_tick(
     return np.frombuffer(b"".join(ticks), layout.dtype)
 
 
+class _Rows(NamedTuple):
+    """Rows of a command as messages of one row, and the ticks from one to the next."""
+
+    messages: NDArray[np.void]
+    ticks: int
+
+    def at(self, tick: int) -> bytes:
+        """Return the message of a tick after the first row; values are linear between rows."""
+        row, rest = divmod(tick, self.ticks)
+        if row >= len(self.messages) - 1:
+            return bytes(self.messages[-1].tobytes())
+        before, after = self.messages[row : row + 2]
+        message = self.messages[row : row + 1].copy()
+        for name in {"position", "velocity", "effort"} & set(message.dtype.names or ()):
+            message[name] = before[name] + rest / self.ticks * (after[name] - before[name])
+        return message.tobytes()
+
+
 def _valid(
     layout: MessageLayout, payloads: Sequence[bytes], end_ns: int
-) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield the stamp of each valid command, ns, with one message for each of its rows."""
+) -> Iterator[tuple[int, _Rows]]:
+    """Yield the stamp of each valid command, ns, with its rows."""
     record, newest_ns = Record(layout), -1
     for payload in payloads:
         try:
@@ -41,13 +60,13 @@ def _valid(
             continue
         if newest_ns < stamp_ns < end_ns:
             newest_ns = stamp_ns
-            later = () if record.later is None else record.later
-            yield stamp_ns, [record.payload(), *(row.tobytes() for row in later)]
+            first = np.frombuffer(record.payload(), layout.dtype)
+            later = () if record.later is None else (record.later,)
+            yield stamp_ns, _Rows(np.concatenate((first, *later)), record.row_ticks)
 
 
-def _by_tick(
-    commands: Iterator[tuple[int, list[bytes]]], period_ns: int, end_ns: int
-) -> Iterator[bytes]:
-    for (stamp_ns, rows), (following_ns, _) in pairwise([*commands, (end_ns, [])]):
+def _by_tick(commands: Iterator[tuple[int, _Rows]], period_ns: int, end_ns: int) -> Iterator[bytes]:
+    none = _Rows(np.empty(0, np.void), 1)
+    for (stamp_ns, rows), (following_ns, _) in pairwise([*commands, (end_ns, none)]):
         for index, at_ns in enumerate(range(stamp_ns, following_ns, period_ns)):
-            yield with_stamp(rows[min(index, len(rows) - 1)], at_ns)
+            yield with_stamp(rows.at(index), at_ns)

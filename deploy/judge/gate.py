@@ -1,8 +1,9 @@
 """A gate: which numbers of a result are too small, or smaller than before.
 
 A study of margins is gated by each margin; a sweep, comparison or run by the smallest distance of
-an error to its bound, in percent of the bound; with a limit in mm a comparison or run by the
-largest error of the tip. A history holds the numbers of earlier commits.
+an error to its bound, in percent of the bound; with a limit in mm or ms a comparison or run by the
+largest error of the tip, or by the largest lag of a joint. A history holds the numbers of earlier
+commits.
 """
 
 from __future__ import annotations

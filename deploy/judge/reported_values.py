@@ -79,7 +79,7 @@ _REFLEXES = TypeAdapter(
     Annotated[list[Annotated[Reflex, AfterValidator(Reflex.model_dump)]], Field(max_length=100)]
 )
 _CHANNEL = {
-    **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered"), _COUNT),
+    **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered", "resent"), _COUNT),
     "rejected": _COUNTS,
     "delay_ms": dict.fromkeys(("mean", *PERCENTILES), _MAYBE),
     "loss_burst": {"mean": _MAYBE, "longest": _COUNT},

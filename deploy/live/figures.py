@@ -17,7 +17,7 @@ from controller.reference import sample_positions
 from deploy.reports.figures import style
 from deploy.reports.figures.space import show_in_space, skeletons
 from deploy.scenario.setup import Setup
-from plant_emulator.channel.impairment import open_downlink, open_uplink
+from plant_emulator.channel.opening import open_downlink, open_uplink
 
 _HEADROOM = 1.3
 _POSTURES = 200

@@ -15,7 +15,7 @@ from deploy.reports.studies.study_texts import case_title
 from deploy.study.study import OF_BOUND, shown_value
 
 _EVERY_PATTERN = ", every pattern of delays"
-_RUNS, _MM = "runs", "mm"
+_RUNS, _MM, _MS = "runs", "mm", "ms"
 
 
 class _Part(BaseModel):
@@ -70,14 +70,15 @@ class _TipError(_Part):
 
 
 class GaugedRun(GaugedSummary):
-    """A run: its smallest margin, and the largest error of its tip."""
+    """A run: its smallest margin, the largest error of its tip, and its largest lag."""
 
-    other_units = (_MM,)
+    other_units = (_MM, _MS)
     scenario: str
     law: str
     verdict: str
     bounds: _Bounds
     tip_error_mm: _TipError | None = None
+    lag_ms: list[Finite | None] | None = None
 
     def numbers(self) -> Iterator[Gauged]:
         is_kept = self.verdict == Verdict.KEPT
@@ -86,12 +87,15 @@ class GaugedRun(GaugedSummary):
         if self.tip_error_mm is not None:  # which older versions lack
             largest = self.tip_error_mm.largest if is_kept else None
             yield Gauged(f"{name}, largest tip error", largest, _MM, sign=-1)
+        if self.lag_ms is not None:
+            lags = [abs(lag) for lag in self.lag_ms if lag is not None and is_kept]
+            yield Gauged(f"{name}, largest lag", max(lags, default=None), _MS, sign=-1)
 
 
 class GaugedComparison(GaugedSummary):
-    """A comparison: the smallest margin of each law, and the largest error of its tip."""
+    """A comparison: of each law what a run has."""
 
-    other_units = (_MM,)
+    other_units = GaugedRun.other_units
     laws: Annotated[dict[str, GaugedRun], Field(min_length=1)]
 
     def numbers(self) -> Iterator[Gauged]:
@@ -232,6 +236,29 @@ class GaugedDataSheet(GaugedSummary):
         if self.parts.plants is not None:
             for each in self.parts.plants.numbers():
                 yield replace(each, name=f"{each.name}, uncertain plants")
+
+
+class _Way(_Part):
+    way: str
+    runs: int
+    kept: int
+    tip_largest_mm: Finite | None
+
+
+class GaugedRobotSheet(GaugedSummary):
+    """A robot's data sheet: its margins, and the largest error of its tip in each way."""
+
+    group = "robot_datasheet"
+    other_units = (_MM,)
+    arm: str
+    margin: GaugedMargins
+    ways: list[_Way]
+
+    def numbers(self) -> Iterator[Gauged]:
+        yield from self.margin.numbers()
+        for way in self.ways:
+            largest = way.tip_largest_mm if way.kept == way.runs else None
+            yield Gauged(f"{self.arm}, {way.way}, largest tip error", largest, _MM, sign=-1)
 
 
 class GaugedTuning(GaugedSummary):

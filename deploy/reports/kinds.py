@@ -24,6 +24,7 @@ from deploy.reports.gauges import (
     GaugedComparison,
     GaugedDataSheet,
     GaugedMargins,
+    GaugedRobotSheet,
     GaugedRobustness,
     GaugedRun,
     GaugedSummary,
@@ -156,6 +157,8 @@ RESULT_KINDS: Registry[ResultKind] = Registry("studies", "kind", ResultKind, {
                    study_at="deploy.study.benchmark.benchmark:Benchmark"),
         ResultKind("datasheet", GaugedDataSheet,
                    again_at="deploy.reports.studies.data_sheet_results:sheet_again"),
+        ResultKind("robot_datasheet", GaugedRobotSheet,
+                   again_at="deploy.reports.studies.robot_sheet_results:robot_sheet_again"),
     )
 })  # fmt: skip
 """Kinds of results by name; installed packages add kinds of study."""
@@ -214,14 +217,12 @@ def read_baseline(path: Path, unit: str) -> GaugedSummary:
         unit: of the numbers, as `gauged` takes it.
 
     Raises:
-        ScenarioError: it cannot be read, is of another kind, unfinished, or has no numbers.
+        ScenarioError: it cannot be read, is of another kind, unfinished, or lacks a number.
     """
     file = path / "summary.json" if path.is_dir() else path
     try:
         found = _read(_JSON.validate_json(read_text(file)))
-        numbers = numbers_in(found, unit)
-        if unit in found.other_units and not numbers:
-            raise ValueError(f"has no number in {unit}")
+        numbers_in(found, unit)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
@@ -233,6 +234,16 @@ def read_baseline(path: Path, unit: str) -> GaugedSummary:
     if not found.completed:
         raise ScenarioError(f"--baseline {file}: is unfinished (completed = false): {_ALLOWED}")
     return found
+
+
+def require_numbers(path: Path, found: GaugedSummary, unit: str) -> None:
+    """Check that an earlier result of the right kind has numbers in a unit; older ones lack some.
+
+    Raises:
+        ScenarioError: it has none.
+    """
+    if unit in found.other_units and not numbers_in(found, unit):
+        raise ScenarioError(f"--baseline {path}: has no number in {unit}: {_ALLOWED}")
 
 
 def _read(summary: Summary) -> GaugedSummary:

@@ -15,7 +15,7 @@ Direction = Literal["both", "uplink", "downlink"]
 
 _OTHER_DIRECTION = {"uplink": "downlink", "downlink": "uplink"}
 _CEILING_STEP_S = 1e-4
-_AT_A_TIME_S = 0.5
+_AT_A_TIME_S = 0.1
 _LATEST_CEILING_S = 5.0
 
 

@@ -6,10 +6,14 @@ import math
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.link.channel_configuration import Outage
 from bus_schema.link.configuration import AUTO, LinkConfiguration
-from bus_schema.messages import topics
-from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, MOST_ROWS
-from controller.compensation.command_timeline import GROWS_BY, LONGEST_HORIZON_NS, HorizonSettings
+from controller.compensation.command_timeline import (
+    GROWS_BY,
+    LONGEST_HORIZON_NS,
+    PIECES,
+    HorizonSettings,
+)
 from controller.configuration import LONGEST_HORIZON_MS
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from plant_emulator.channel.delay_range import (
@@ -33,6 +37,8 @@ Until the first command acts, the arm is held: with 40 % the three-joint arm los
 bound at the start, with 15 % a twenty-fifth. And an arm that can be held for long is slow enough to
 be foreseen for long: it withstands rare late commands better than a longer horizon.
 """
+_BRIDGE_MS = 200.0
+"""Bridge of commands that may come late. A longer one follows a wrong model too far."""
 _EASILY_HELD_NS = 200_000_000
 """That time of an arm that never leaves its bounds while it is held."""
 _GROWS_BY_ON_NETWORK = 0.3
@@ -73,6 +79,7 @@ def horizon_settings(setup: Setup) -> HorizonSettings:
     of_link, actuator = _of_link(setup), setup.scenario.plant.actuator
     actuator_ns = actuator.delay_steps(1e-9 * _grain_ns(setup)) * _grain_ns(setup)
     return of_link._replace(
+        row_ticks=_row_ticks(setup, of_link),
         least_ns=of_link.least_ns + actuator_ns,
         first_ns=of_link.first_ns + actuator_ns,
         wanted_ns=of_link.wanted_ns + actuator_ns,
@@ -90,11 +97,10 @@ def _of_link(setup: Setup) -> HorizonSettings:
     link = setup.link
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     expected_ns = None if expected_ms is None else round(expected_ms * 1e6)
-    rows = _bridge_rows(setup)
     if not link.plays_automatically:
         first_ns = link.emulated_round_trip_ns if expected_ns is None else expected_ns
         period_ns = setup.grid.period_ns
-        return HorizonSettings(least_ns=link.playout_ns, first_ns=first_ns, row_ns=period_ns)
+        return HorizonSettings(least_ns=link.playout_ns, first_ns=first_ns, tick_ns=period_ns)
     if expected_ns is None:
         first_ns, wanted_ns, grows_by = _emulated(setup, link)
     else:
@@ -106,8 +112,7 @@ def _of_link(setup: Setup) -> HorizonSettings:
         grows_by=grows_by,
         is_announced=True,
         reserve_ns=setup.grid.period_ns,
-        bridge_rows=rows,
-        row_ns=setup.grid.period_ns,
+        tick_ns=setup.grid.period_ns,
         substeps=setup.grid.substeps,
     )
 
@@ -118,49 +123,63 @@ def playout_range_ns(setup: Setup) -> tuple[int, int]:
     It has both values only where it is chosen automatically, for delays that vary. A command that
     comes late acts later.
     """
+    return _range_ns(setup, setup.horizon)
+
+
+def _range_ns(setup: Setup, horizon: HorizonSettings) -> tuple[int, int]:
     if not setup.link.plays_automatically:
         return setup.link.playout_ns, setup.link.playout_ns
-    chosen_ns = (setup.horizon.first_ns, setup.horizon.wanted_ns)
+    chosen_ns = (horizon.first_ns, horizon.wanted_ns)
     first_ns, later_ns = map(setup.grid.next_substep_ns, chosen_ns)
     return min(first_ns, LONGEST_HORIZON_NS), min(later_ns, LONGEST_HORIZON_NS)
 
 
 def levels(setup: Setup) -> bool:
     """Whether every message of a run arrives before the play-out lets it act, at any time."""
+    return _levels(setup, setup.horizon)
+
+
+def _levels(setup: Setup, horizon: HorizonSettings) -> bool:
     up_ns, down_ns = map(largest_delay_ns, (setup.link.uplink, setup.link.downlink))
     if up_ns is None or down_ns is None:
         return False
-    first_ns, later_ns = playout_range_ns(setup)
+    first_ns, later_ns = _range_ns(setup, horizon)
     spare_ns = 0
     if later_ns > first_ns:
         spare_ns = spare_at_start_ns((setup.link.uplink, setup.link.downlink), GROWS_BY)
     return min(first_ns + spare_ns, later_ns) >= up_ns + down_ns
 
 
-def _bridge_rows(setup: Setup) -> int:
-    """Return how many rows a command has after its first.
+def _may_be_late(setup: Setup, horizon: HorizonSettings) -> bool:
+    """Whether commands may come too late, or not at all for a while."""
+    sides = setup.link.uplink, setup.link.downlink
+    is_emulated = any(largest_delay_ns(side) != 0 for side in sides)
+    expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
+    if expected_ms is not None and not is_emulated:
+        return True  # the delay of a real link, which may vary
+    has_outage = any(isinstance(each, Outage) for side in sides for each in side.schedule)
+    return has_outage or not _levels(setup, horizon)
+
+
+def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
+    """Return how many ticks lie between two rows of a command; 0 without a bridge.
 
     Raises:
-        ConfigurationError: they are more than a command may have, or commands cannot have any.
+        ConfigurationError: there is a bridge, but commands cannot have rows.
     """
-    bridge_ms = setup.scenario.controller.delay_compensation.bridge_ms
-    rows = math.ceil(1e6 * bridge_ms / setup.grid.period_ns)
-    key = "controller.delay_compensation.bridge_ms"
-    if rows and not setup.link.plays_automatically:
+    compensation = setup.scenario.controller.delay_compensation
+    given, bridge_ms = compensation.bridge_ms, 0.0
+    if isinstance(given, float):
+        bridge_ms = given
+    elif horizon.is_announced and compensation.learns_model and _may_be_late(setup, horizon):
+        bridge_ms = min(_BRIDGE_MS, setup.scenario.plant.command_timeout_ms)
+    if bridge_ms and not horizon.is_announced:
         allowed = (
             f"must be 0 unless delay_compensation.enabled is true, with link.playout_ms {AUTO}"
         )
+        key = "controller.delay_compensation.bridge_ms"
         raise ConfigurationError(key, bridge_ms, allowed, ["link.playout_ms"])
-    row_bytes = 8 * setup.robot.joints * (3 if setup.drive.is_active else 1)
-    one_bytes = setup.layouts()[topics.JOINT_COMMANDS.name].size
-    most = min(MOST_ROWS - 1, (MAX_PAYLOAD_BYTES - one_bytes) // row_bytes)
-    if rows > most:
-        allowed = (
-            f"must be at most {1e-6 * most * setup.grid.period_ns:g}, as a command has {most} more"
-            " rows"
-        )
-        raise ConfigurationError(key, bridge_ms, allowed, ["rate_hz"])
-    return rows
+    return math.ceil(1e6 * bridge_ms / (PIECES * setup.grid.period_ns))
 
 
 def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int, float]:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from bus_schema.configuration import ConfigurationError
+from bus_schema.robot_description import RobotDescription
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL, LeftOut
@@ -130,8 +134,29 @@ def check_interface(setup: Setup) -> None:
     _check_targets_arrive(scenario)
     if interface.has_controller:
         _check_link(scenario, reaches_it=setup.link_kind.reaches_robots)
+        if takes == TORQUE and (lacking := _torque_lacking(setup.robot)):
+            why = f"{setup.robot.path.name} {lacking}"
+            allowed = f"must be of positions or velocities, such as servoj: {why}"
+            raise ConfigurationError(_KEY, interface.kind, allowed)
     else:
         _check_no_controller(scenario)
+
+
+def _torque_lacking(robot: RobotDescription) -> str:
+    """Return what an arm's file says against a torque interface; empty for nothing."""
+    driven, taken = set(robot.joint_names), set[str | None]()
+    for joint in ET.fromstring(robot.text).findall("ros2_control/joint"):
+        if joint.get("name") in driven:
+            taken |= {each.get("name") for each in joint.findall("command_interface")}
+    if taken and "effort" not in taken:
+        return f"has command interfaces for {', '.join(sorted(map(str, taken)))} alone"
+    if robot.drives.servo_stiffness_nm_rad.all():
+        return "has position servos at all joints"
+    limits_nm = robot.effort_limits_nm
+    unknown = ~(np.isfinite(limits_nm) & (limits_nm > 0.0))
+    if unknown.any():
+        return f"gives no largest torque of {robot.joint_names[int(unknown.argmax())]}"
+    return ""
 
 
 def _check_no_preview(setup: Setup) -> None:

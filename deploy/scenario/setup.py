@@ -37,6 +37,7 @@ from deploy.scenario.robot_interface import (
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
+from plant_emulator.interfaces.interface import RobotInterface
 from plant_emulator.plant_task import PlantTask
 from plant_emulator.robot_controller import RobotController
 
@@ -242,9 +243,13 @@ class Setup:
             self.drive,
         )
         if self.scenario.plant.interface.has_controller:
-            along = self._true_model().inverse_dynamics
-            arm.be_controlled_by(RobotController(interface_in_force(self), along, self.grid))
+            arm.be_controlled_by(self.robot_controller())
         return arm
+
+    def robot_controller(self, interface: RobotInterface | None = None) -> RobotController:
+        """Return the robot's own controller, moved by this interface or by the scenario's."""
+        along = self._true_model().inverse_dynamics
+        return RobotController(interface_in_force(self), along, self.grid, interface)
 
     def _true_model(self) -> ManipulatorModel:
         """Return the arm as the robot's own controller knows it: exactly, without friction."""

@@ -23,8 +23,8 @@ from deploy.study.sweep import Sweep
 from plant_emulator.channel.trace_file import read_trace
 
 _SOURCE = Path("datasheet")
-_TRACES = "link.uplink.trace.file, link.downlink.trace.file"
-_STARTS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
+TRACE_KEYS = "link.uplink.trace.file, link.downlink.trace.file"
+START_KEYS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
 _STRETCH_NS, _LEAD_NS = 500_000_000, 250_000_000
 """Length of the worst stretch of a network, and how long before it a window begins."""
 _MODEL_ERRORS = (0.8, 1.25)
@@ -87,7 +87,7 @@ class DataSheet:
         file = Path(self.network)
         name = str(file.resolve()) if file.is_file() else self.network
         grid: dict[str, list[Any]] = {
-            _TRACES: [name], _STARTS: _window_starts_s(name, 5 if self.is_quick else 12),
+            TRACE_KEYS: [name], START_KEYS: window_starts_s(name, 5 if self.is_quick else 12),
             COMPENSATION: [True, False], DRIVE_FEEDBACK: [False, True],
         }  # fmt: skip
         given = {LAW: self.law, "duration_s": self.duration_s, **self._set()}
@@ -127,7 +127,7 @@ def worst_window(rows: list[Row]) -> Row:
     return max(own, key=badness)
 
 
-def _window_starts_s(network: str, count: int) -> list[float]:
+def window_starts_s(network: str, count: int) -> list[float]:
     """Return where windows of a trace begin: spread over it, and just before its worst stretch.
 
     Args:

@@ -28,6 +28,7 @@ class TransportStatistics:
         reordered: messages that came out behind a younger one.
         loss_bursts: unbroken runs of lost messages.
         longest_loss_burst: messages in the longest of them.
+        resent: messages sent again, with TCP; None for other transports.
         delays_us: number of deliveries by delay, in whole µs.
         trace: the trace that the channel replays, if it has one.
     """
@@ -39,6 +40,7 @@ class TransportStatistics:
     reordered: int = 0
     loss_bursts: int = 0
     longest_loss_burst: int = 0
+    resent: int | None = None
     delays_us: Counter[int] = field(default_factory=Counter)
     trace: TraceReplay | None = None
     _sent_ns: array[int] = field(default_factory=lambda: array("q"))
@@ -91,6 +93,7 @@ class TransportStatistics:
             **{name: getattr(self, name) for name in counts},
             "delay_ms": self._delay_ms(),
             "loss_burst": {"mean": mean_burst, "longest": self.longest_loss_burst},
+            **({} if self.resent is None else {"resent": self.resent}),
             **self._beside_trace(),
         }
 
@@ -126,7 +129,7 @@ class Channel(Generic[Item]):
         delay_ns: by how much.
 
     Attributes:
-        next_due_ns: when the next item comes out; `NEVER_NS` if nothing is on its way.
+        next_due_ns: no item comes out before; `NEVER_NS` if nothing is on its way.
         mean_delay_ns: what the delay's distribution says at the start of the run. Neither the
             queue of a bandwidth limit nor waiting for others counts, nor that no delay is negative.
             A pattern counts with its largest delay.
@@ -167,9 +170,13 @@ class Channel(Generic[Item]):
     def take_due(self, now_ns: int) -> list[tuple[int, Item]]:
         """Return all items to be delivered until `now_ns` and their times, in that order."""
         due: list[tuple[int, Item]] = []
-        while self.next_due_ns <= now_ns:
+        while self.is_due_before(now_ns + 1):
             due.append(self.receive())
         return due
+
+    def is_due_before(self, until_ns: int) -> bool:
+        """Whether `receive` has an item before an instant, until which nothing more is sent."""
+        return self.next_due_ns < until_ns
 
     def statistics(self) -> TransportStatistics:
         """Counts of sent, delivered and lost items."""

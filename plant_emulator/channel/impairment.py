@@ -9,27 +9,22 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from bus_schema.link.channel_configuration import ChannelConfiguration, TraceConfiguration
-from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.runtime.randomness import generator, report_use
+from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.runtime.randomness import report_use
 from plant_emulator.channel.channel import (
     NEVER_NS,
     Channel,
     Item,
-    TracedChannel,
     TransportStatistics,
 )
 from plant_emulator.channel.conditions import ConditionFault, Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter, endless
-from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.trace import TraceReplay
-from plant_emulator.channel.trace_file import LOST_NS, read_trace
-from plant_emulator.command_gate import Command
+from plant_emulator.channel.trace_file import LOST_NS
 
 
 class Loss:
@@ -102,7 +97,30 @@ class ImpairedChannel(Channel[Item]):
         self.mean_delay_ns = round(mean_ns + start.delay_ns + self._jitter.mean * start.jitter_ns)
 
     def send(self, item: Item, now_ns: int, size_bytes: int) -> bool:
-        conditions, statistics = self._schedule.at(now_ns), self._statistics
+        statistics = self._statistics
+        due_ns, copy_due_ns = self.arrivals(item, now_ns, size_bytes)
+        transit = _Transit(statistics.sent, now_ns, is_copy=False)
+        statistics.note_sent(is_lost=due_ns is None)
+        if due_ns is None:
+            statistics.note_delay(now_ns, LOST_NS)
+            return False
+        statistics.note_delay(now_ns, due_ns - now_ns)
+        self._dispatch(item, transit, due_ns)
+        if copy_due_ns is not None:
+            self._dispatch(item, transit._replace(is_copy=True), copy_due_ns)
+        return True
+
+    def arrivals(
+        self, item: Item | None, now_ns: int, size_bytes: int
+    ) -> tuple[int | None, int | None]:
+        """Return when a message that is sent now arrives, and its copy; None for what does not.
+
+        Args:
+            item: the message; None for one that was sent before.
+            now_ns: when it is sent, which must not decrease between calls.
+            size_bytes: what it takes of a limited bandwidth.
+        """
+        conditions = self._schedule.at(now_ns)
         self._is_random = self._is_random or conditions.is_random
         jitter = self._jitter.draw(conditions.correlation)
         is_lost = self._loss.loses_next(conditions)
@@ -112,20 +130,13 @@ class ImpairedChannel(Channel[Item]):
             found_ns = self._trace.delay_ns(now_ns, item)
             is_lost = is_lost or found_ns is None
             traced_ns = found_ns or 0
-        transit = _Transit(statistics.sent, now_ns, is_copy=False)
-        statistics.note_sent(is_lost=is_lost)
         if is_lost:
-            statistics.note_delay(now_ns, LOST_NS)
-            return False
+            return None, None
         due_ns = self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
-        statistics.note_delay(now_ns, due_ns - now_ns)
-        self._dispatch(item, transit, due_ns)
-        if is_doubled:
-            jitter = self._copy_jitter.draw(0.0)
-            copy = transit._replace(is_copy=True)
-            due_ns = self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
-            self._dispatch(item, copy, due_ns)
-        return True
+        if not is_doubled:
+            return due_ns, None
+        jitter = self._copy_jitter.draw(0.0)
+        return due_ns, self._due_ns(conditions, jitter, traced_ns, now_ns, size_bytes)
 
     def receive(self) -> tuple[int, Item]:
         due_ns, transit, item = heapq.heappop(self._under_way)
@@ -159,79 +170,3 @@ class ImpairedChannel(Channel[Item]):
         if not self._may_overtake:
             due_ns = self._latest_due_ns = max(due_ns, self._latest_due_ns)
         return due_ns
-
-
-def open_uplink(
-    link: LinkConfiguration, seed: int, faults: Sequence[ConditionFault] = ()
-) -> Channel[Item]:
-    """Return the channel of states to the controller.
-
-    Args:
-        link: section of the scenario.
-        seed: the scenario's seed.
-        faults: scheduled faults of this direction.
-
-    Raises:
-        ValueError: its file of delays cannot be used.
-    """
-    return open_channel(link.uplink, seed, UPLINK, faults)
-
-
-def open_downlink(
-    link: LinkConfiguration, seed: int, faults: Sequence[ConditionFault] = ()
-) -> Channel[Command] | PlayoutBuffer:
-    """Return the channel of commands to the joints, with a play-out buffer if configured.
-
-    Args:
-        link: section of the scenario.
-        seed: the scenario's seed.
-        faults: scheduled faults of this direction.
-
-    Raises:
-        ValueError: its file of delays cannot be used.
-    """
-    channel: Channel[Command] = open_channel(link.downlink, seed, DOWNLINK, faults)
-    plays_out = link.playout_ns or link.plays_automatically
-    return PlayoutBuffer(channel, link.playout_ns) if plays_out else channel
-
-
-def open_channel(
-    configuration: ChannelConfiguration,
-    seed: int,
-    stream: int,
-    faults: Sequence[ConditionFault] = (),
-) -> Channel[Item]:
-    """Return the simplest channel that has all configured features of a direction.
-
-    Args:
-        configuration: a section ``link.uplink`` or ``link.downlink``.
-        seed: the scenario's seed.
-        stream: `UPLINK` or `DOWNLINK`.
-        faults: scheduled faults of this direction.
-
-    Raises:
-        ValueError: its file of delays cannot be used.
-    """
-    if configuration.is_constant and not faults:
-        return Channel(configuration.delay_ns)
-    replay = _replay(configuration.trace, seed, stream)
-    without = configuration.model_copy(update={"trace": None})
-    if replay is not None and without.is_constant and not (faults or configuration.reorder):
-        return TracedChannel(configuration.delay_ns, replay)
-    seeds = np.random.SeedSequence(seed, spawn_key=(stream,))
-    return ImpairedChannel(configuration, seeds, replay, faults)
-
-
-def _replay(trace: TraceConfiguration | None, seed: int, stream: int) -> TraceReplay | None:
-    """Return the trace of a direction; both halves of round trips start at the same time."""
-    if trace is None:
-        return None
-    is_halved = read_trace(Path(trace.file)).is_round_trip
-    seeds = np.random.SeedSequence(seed, spawn_key=(UPLINK if is_halved else stream,)).spawn(6)
-    replay = TraceReplay(trace, generator(seeds[5]))
-    replay.is_second_half = is_halved and stream == DOWNLINK
-    return replay
-
-
-UPLINK, DOWNLINK = 100, 101
-"""Keys that separate the random streams of the two directions and of the arm."""

@@ -239,8 +239,8 @@ def test_rows_for_the_following_ticks_come_in_the_order_of_the_plants_joints():
     command = bench.admit(foreign(names, numbers, 5, numbers + 10.0, numbers + 20.0))
     assert command.torque_nm.tolist() == [1.0, 2.0, 0.0]
     assert command.target.tolist() == [[11.0, 12.0, 10.0], [21.0, 22.0, 20.0]]
-    assert command.later.torques_nm.tolist() == [[4.0, 5.0, 3.0]]
-    assert command.later.targets.tolist() == [[[14.0, 15.0, 13.0], [24.0, 25.0, 23.0]]]
-    assert bench.admit(foreign(NAMES, (1.0, 2.0, 3.0), 6)).later is None
+    assert command.rows.torques_nm[1:].tolist() == [[4.0, 5.0, 3.0]]
+    assert command.rows.targets[1:].tolist() == [[[14.0, 15.0, 13.0], [24.0, 25.0, 23.0]]]
+    assert bench.admit(foreign(NAMES, (1.0, 2.0, 3.0), 6)).rows is None
     assert bench.admit(foreign(NAMES, numbers, 7, numbers[:3], numbers)) is None
     assert bench.rejected == {"wrong_size": 1}

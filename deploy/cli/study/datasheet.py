@@ -11,17 +11,25 @@ import typer
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.cli.common import ResultGate, leave, parse_laws, say_warnings, show_results
-from deploy.cli.options import GateOptions, ScenarioArgument, taking
+from deploy.cli.options import GateOptions, InterfaceOption, ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
+from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study
 from deploy.reports.studies.data_sheet_results import sheet_folder, sheet_parts, write_data_sheet
+from deploy.reports.studies.robot_sheet_results import KIND, write_robot_sheet
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.run_folder import ResultFolder, provenance
+from deploy.run.stop_signals import on_stop
+from deploy.scenario.interface_choice import has_controller
+from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.data_sheet import DataSheet
+from deploy.study.robot_sheet import RobotSheet, driven
 from deploy.study.study import StudyOfRuns
+
+_LAW = "fixed_time_adaptive"
 
 
 @dataclass(kw_only=True)
@@ -29,7 +37,11 @@ class DatasheetOptions(GateOptions, WorkerOptions):
     """The options of `datasheet`."""
 
     scenario: ScenarioArgument = "paper_arm"
-    law: Annotated[str, typer.Option(help="The control law.")] = "fixed_time_adaptive"
+    law: Annotated[
+        str | None,
+        typer.Option(help=f"The control law; by default {_LAW}, or those of the interface."),
+    ] = None
+    interface: InterfaceOption = None
     network: Annotated[
         str | None,
         typer.Option(
@@ -45,12 +57,16 @@ def datasheet(options: DatasheetOptions) -> None:
     """Answer on one page how much delay an arm takes.
 
     The page has the margins for constant and for varying delays, the share of windows of a network
-    and of uncertain plants that keep their bounds, the worst window, and what helps. After an
-    interruption or a kill, the same command continues.
+    and of uncertain plants that keep their bounds, the worst window, and what helps. For a robot
+    with a controller of its own (--interface), it says how far the tip is behind, and which reflex
+    stops the robot. After an interruption or a kill, the same command continues.
     """
     parse_laws(options.law, "--law")
+    if has_controller(options.interface):
+        _of_robot(options, options.interface)
+        return
     sheet = DataSheet(
-        options.scenario, options.law, options.network, options.plants, options.fixed(),
+        options.scenario, options.law or _LAW, options.network, options.plants, options.fixed(),
         options.quick,
     )  # fmt: skip
     margin, windows = sheet.margin(), sheet.windows()
@@ -74,6 +90,34 @@ def datasheet(options: DatasheetOptions) -> None:
         )
     kept = gate.is_passed(results.summary, console)
     leave(interrupted=False, whole=True, kept=kept)
+
+
+def _of_robot(options: DatasheetOptions, interface: str) -> None:
+    """Answer for a robot that has a controller of its own."""
+    if options.plants:
+        raise ScenarioError(f"--plants: must be left out with --interface {interface}")
+    sheet = RobotSheet(
+        options.scenario, interface, options.law, options.network, options.fixed(), options.quick
+    )
+    margin, planned = sheet.margin(), list(sheet.runs())
+    gate = ResultGate(options, "datasheet", "ms", margin.tested_with, KIND)
+    console, stop = Console(), threading.Event()
+    out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
+    say_warnings(planned[0][2])
+    found, _ = _made(margin, options, out / "margin", console, stop)
+    rows = []
+    on_stop(stop.set)
+    with CommandProgress(console, "robot", len(planned), "runs") as progress:
+        for done, run in enumerate(planned):
+            _leave_if_stopped(stop, console)
+            progress.update(done)
+            rows.append(driven(*run))
+    with ResultFolder(out).lock() as folder:
+        write_json(folder.manifest, provenance())
+        results = show_results(
+            console, folder, lambda: write_robot_sheet(folder, sheet, found, rows)
+        )
+    leave(interrupted=False, whole=True, kept=gate.is_passed(results.summary, console))
 
 
 def _made(

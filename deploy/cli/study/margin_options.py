@@ -13,12 +13,20 @@ from deploy.cli.common import parse_laws
 from deploy.cli.options import (
     Confirm,
     GateOptions,
+    InterfaceOption,
     Out,
     Overrides,
     Overwrite,
     RequireBounds,
     ScenarioArgument,
 )
+from deploy.scenario.interface_choice import (
+    COMPENSATION,
+    DRIVE_FEEDBACK,
+    interface_values,
+    laws_for,
+)
+from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override, read_yaml
 from deploy.study.comparison.settling import OFFSETS_RAD
 
@@ -244,13 +252,14 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
     study: Annotated[
         str | None, typer.Option(help="A study file, or the name of a shipped study.")
     ] = None
+    interface: InterfaceOption = None
 
     def definition(self) -> dict[str, Any]:
         costly = (self.study, self.plants, self.at_least, self.baseline)
         given: dict[str, Any] = {
             **dict.fromkeys(_FOLLOW_UPS, True if all(each is None for each in costly) else None),
             "scenarios": self.scenario or None,
-            "laws": parse_laws(self.laws),
+            "laws": parse_laws(self.laws) or laws_for(self.interface),
             "seeds": None if self.seeds is None else option_value("--seeds", self.seeds),
             "duration_s": self.duration,
         }
@@ -287,6 +296,10 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
         own = {key: value for key, value in own.items() if key != "duration_s"}
     if "duration_s" in fixed:
         values = {key: value for key, value in values.items() if key != "duration_s"}
+    for_robot = interface_values(options.interface)
+    varied = {"compensation": COMPENSATION, "drive_feedback": DRIVE_FEEDBACK}
+    asked = {LAW, *(key for name, key in varied.items() if name in given)}
+    own = own | {key: value for key, value in for_robot.items() if key not in asked}
     return values | given | {"set": {**own, **fixed}}
 
 

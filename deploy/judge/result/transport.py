@@ -23,6 +23,7 @@ class Channel(Section):
         lost: those that the emulated link lost
         duplicated: those that the emulated link delivered twice
         reordered: those that arrived after a later one
+        resent: only over TCP — those that TCP sent again
         rejected: those that the receiver refused, by reason
         delay_ms: delay in the emulated link (mean, p50, p99, p99_9, max)
         loss_burst: messages lost in a row (mean, longest)
@@ -31,12 +32,13 @@ class Channel(Section):
             null in virtual time (p50, p99, p99_9, max)
     """
 
-    only_sometimes = frozenset({"delay_ms", "loss_burst"})  # older versions did not count them
+    only_sometimes = frozenset({"delay_ms", "loss_burst", "resent"})
     sent: Annotated[int | None, Column()]
     delivered: Annotated[int | None, Column()]
     lost: Annotated[int | None, Column()]
     duplicated: int | None
     reordered: int | None
+    resent: int | None = None
     rejected: dict[str, int]
     delay_ms: Annotated[Spread | None, Column("delay_{}_ms", entries=_DELAYS)] = None
     loss_burst: Spread | None = None

@@ -25,6 +25,8 @@ _REJECTED = (
 )
 WALL_TIME = "Control step and wake-up lateness are wall time, the others are on the run's clock."
 PERCENTILE_NAMES = {name: name.replace("_", ".") for name in PERCENTILES}
+_RESENT = "resent"
+"""Key that only directions over TCP have."""
 _TRANSPORT = {
     "sent": "Sent",
     "delivered": "Delivered",
@@ -33,6 +35,7 @@ _TRANSPORT = {
     "loss_burst.longest": "Lost in a row, maximum",
     "duplicated": "Duplicated",
     "reordered": "Reordered",
+    _RESENT: "Sent again",
     "delay_ms.mean": "Delay, mean (ms)",
     **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in PERCENTILE_NAMES.items()},
     **{
@@ -117,6 +120,7 @@ def transport_table(result: RunResult) -> Table:
     rows: list[list[Value]] = [
         [title, *(_value(channel.model_dump(), key) for channel in channels)]
         for key, title in _TRANSPORT.items()
+        if key != _RESENT or any(channel.resent is not None for channel in channels)
     ]
     for reason in sorted({reason for channel in channels for reason in channel.rejected}):
         counts = (channel.rejected.get(reason, 0) for channel in channels)

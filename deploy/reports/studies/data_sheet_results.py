@@ -21,6 +21,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.study.data_sheet import DataSheet, any_pattern_ms, worst_window
+from deploy.study.robot_sheet import RobotSheet
 from deploy.study.study import StudyOfRuns, digest_of
 
 FILE = "datasheet.yaml"
@@ -31,7 +32,7 @@ DoPart = Callable[[StudyOfRuns, Path], tuple[dict[str, Any], list[Row]]]
 """Runs a study in a folder; returns its summary and rows."""
 
 
-def sheet_folder(sheet: DataSheet, out: Path | None, *, overwrite: bool) -> Path:
+def sheet_folder(sheet: DataSheet | RobotSheet, out: Path | None, *, overwrite: bool) -> Path:
     """Return the folder of a data sheet, in which an earlier command may have begun it.
 
     Args:

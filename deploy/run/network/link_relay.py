@@ -25,7 +25,7 @@ from deploy.run.network.relayed_bytes import (
     Direction,
     RelayedStream,
 )
-from plant_emulator.channel.impairment import DOWNLINK, UPLINK, open_channel
+from plant_emulator.channel.opening import DOWNLINK, UPLINK, answer_ns, open_channel
 
 Address = tuple[str, int]
 _LOOK_UP_NS = 100_000_000
@@ -60,6 +60,7 @@ class LinkRelay:
                     way if self._is_datagrams else way.model_copy(update={"reorder": False}),
                     seed,
                     stream,
+                    answer_ns=answer_ns(link, stream),
                 )
             )
             for way, stream in ways

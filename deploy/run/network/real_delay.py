@@ -17,7 +17,7 @@ from deploy.run.network.links import free_ports
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.channel import Channel
-from plant_emulator.channel.impairment import open_downlink, open_uplink
+from plant_emulator.channel.opening import open_downlink, open_uplink
 
 RELAY = "relay"
 """Name of the process."""

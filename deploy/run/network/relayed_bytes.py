@@ -60,7 +60,7 @@ class Direction:
 
     def let_go(self, now_ns: Callable[[], int]) -> None:
         """Send on what is due."""
-        while self.channel.next_due_ns <= now_ns():
+        while self.channel.is_due_before(now_ns() + 1):
             due_ns, chunk = self.channel.receive()
             chunk.sink.pass_on(chunk, now_ns())
             self.lateness_us[(now_ns() - due_ns) // 1000] += 1

@@ -13,7 +13,7 @@ from controller.control_law import Tracking
 )
 def test_a_law_integrates_over_lost_states_but_not_over_an_absence(period_ms, absence_ms, step_ms):
     """16 periods are integrated; after a longer absence a law begins as at its first state."""
-    settings = HorizonSettings(first_ns=48 * MS, row_ns=period_ms * MS)
+    settings = HorizonSettings(first_ns=48 * MS, tick_ns=period_ms * MS)
     compensation, measured = compensation_of(horizon=settings), Tracking(3)
     measured.position[:] = START
     seen = []

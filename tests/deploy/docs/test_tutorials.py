@@ -15,7 +15,7 @@ import pytest
 from tests.deploy.docs.pages import DOCS, Block, blocks, commands
 from tests.multicast import own_place
 from tests.waiting import HANG_S
-from tests.warm_process import ROOT, WITHOUT_REPORT, WarmProcess
+from tests.warm_process import ROOT, WITHOUT_REPORT, WarmProcess, here, no_report
 
 GROUP = "239.74.163.8"
 """Of the tutorial on drives; tests at the same time need groups and ports of their own."""
@@ -34,7 +34,10 @@ def save(block: Block, page: Path, folder: Path) -> None:
 
 
 class Shell:
-    """Runs commands in a folder; those of funnel-hil in processes that have their libraries."""
+    """Runs commands in the current folder; those of funnel-hil in this process.
+
+    What runs in the background is a process that has its libraries.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -53,16 +56,16 @@ class Shell:
         if words[0] != "funnel-hil":
             subprocess.run(words, cwd=self.folder, env=self.environment, check=True, timeout=HANG_S)
             return
-        is_background = words[-1] == "&"
-        words = [*words[1 : len(words) - is_background], *more]
-        process = WarmProcess(
-            *words, cwd=self.folder, environment=self.environment, main=WITHOUT_REPORT
-        )
-        if is_background:
+        if words[-1] == "&":
+            process = WarmProcess(
+                *words[1:-1], *more, cwd=self.folder, environment=self.environment,
+                main=WITHOUT_REPORT,
+            )  # fmt: skip
             self.in_background.append(process)
             return
-        output, _ = process.communicate()
-        assert process.returncode == int(notes.get("exits", 0)), f"{words}: {output}"
+        with no_report():
+            code, output = here(*words[1:], *more, **self.environment)
+        assert code == int(notes.get("exits", 0)), f"{words}: {output}"
 
     def end(self) -> None:
         for process in self.in_background:

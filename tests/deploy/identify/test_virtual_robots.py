@@ -44,8 +44,8 @@ def virtual(tmp_path_factory):
 @pytest.mark.parametrize(
     ("arm", "correlations_s", "noise", "draws"),
     [
-        (NAME, [0.0], 0.01, 3),
-        (NAME, [0.1, 1.0, 10.0], 0.01, 2),
+        (NAME, [0.0], 0.01, 2),
+        (NAME, [0.1, 10.0], 0.01, 2),
         (NAME, [1.0, 10.0], 0.05, 2),
         ("ur5e", [1.0], 0.01, 1),
     ],

@@ -129,6 +129,27 @@ def test_tip_error_is_gated_by_a_limit_in_millimetres(funnel_hil, tmp_path):
     assert [each.unit for each in gauged(summary)] == ["% of the bound"]
 
 
+def test_lag_is_gated_by_a_limit_in_milliseconds(funnel_hil, tmp_path):
+    """20 + 8 ms, and half a cycle of 4; friction holds up the elbow."""
+    simulate = [
+        "simulate", "--no-report", "--set", "plant.interface.kind=rsi", "--set",
+        "controller.law=streaming", "--set", "controller.preview_ms=0", "--set", "duration_s=1",
+        "--set", "plant.interface.rsi={dead_time_ms: 8, lag_ms: 0}", "--set",
+        "link.downlink.delay_ms=20", "--set", "robot.initial_offset_rad=0", "--set",
+        "funnel={final_rad: 1, convergence_margin_rad: 2, overshoot_margin_rad: 2}",
+    ]  # fmt: skip
+    assert funnel_hil(*simulate, "--at-least", "50ms", "--out", tmp_path / "1")[0] == 0
+    output = funnel_hil.output(*simulate, "--at-least", "25ms", "--out", tmp_path / "2", code=3)
+    assert "paper_arm, streaming, largest lag: 3" in output
+    assert "must be at most 25 ms" in output
+    summary = json.loads((tmp_path / "1" / "summary.json").read_text())
+    [lag] = gauged(summary, "ms")
+    assert lag.value == max(summary["lag_ms"])
+    assert summary["lag_ms"][0] == pytest.approx(30.0, abs=1.0)
+    lost = {**summary, "verdict": "lost"}
+    assert [each.value for each in gauged(lost, "ms")] == [None]
+
+
 def test_numbers_of_studies_are_margins_and_distances_to_the_bound():
     short = {"duration_s": 0.2, "metrics.from_s": 0.1}
     margin = interface.margin("paper_arm", short, laws=["smc"], resolution=16, limit=16)

@@ -52,13 +52,14 @@ def test_a_plant_is_values_that_the_scenario_takes():
 
 
 def test_draws_stay_within_their_range_and_use_all_of_it():
-    coulomb = np.array([drawn(number).draws[COULOMB] for number in range(1, 201)])
+    draws = [drawn(number).draws for number in range(1, 201)]
+    coulomb = np.array([each[COULOMB] for each in draws])
     assert coulomb.shape == (200, 3)
     assert 0.5 <= coulomb.min() < 0.52
     assert 1.95 < coulomb.max() <= 2.0
     # Log-uniform: half of 600 draws below 1, give or take 4 standard deviations of 12.
     assert abs((coulomb < 1.0).sum() - 300) < 49
-    signs = np.sign([drawn(number).draws["robot.initial_offset_rad"] for number in range(1, 201)])
+    signs = np.sign([each["robot.initial_offset_rad"] for each in draws])
     assert abs(signs.sum()) < 4 * math.sqrt(600)
 
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel
-from plant_emulator.channel.impairment import ImpairedChannel, open_downlink, open_uplink
+from plant_emulator.channel.impairment import ImpairedChannel
+from plant_emulator.channel.opening import open_downlink, open_uplink
 
 MS = 1_000_000
 MESSAGES = 20_000

@@ -9,7 +9,7 @@ from bus_schema.link.channel_configuration import PatternConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS
 from plant_emulator.channel.delay_range import configured_delays_ns
-from plant_emulator.channel.impairment import open_uplink
+from plant_emulator.channel.opening import open_uplink
 from plant_emulator.channel.pattern import delay_in_pattern_ns
 
 MS = 1_000_000

@@ -4,7 +4,7 @@ import numpy as np
 
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel
-from plant_emulator.channel.impairment import open_downlink
+from plant_emulator.channel.opening import open_downlink
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import Command
 

@@ -8,7 +8,8 @@ import pytest
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, TracedChannel
-from plant_emulator.channel.impairment import ImpairedChannel, open_downlink, open_uplink
+from plant_emulator.channel.impairment import ImpairedChannel
+from plant_emulator.channel.opening import open_downlink, open_uplink
 from plant_emulator.channel.trace import curves
 from plant_emulator.command_gate import Command
 

@@ -25,7 +25,7 @@ from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from deploy.run.network.link_relay import LinkRelay
 from deploy.run.network.relayed_bytes import RESEND_NS
-from plant_emulator.channel.impairment import DOWNLINK, open_channel
+from plant_emulator.channel.opening import DOWNLINK, open_channel
 
 DELAY_NS = 24_000_000
 HANG_S = 30.0

@@ -1,0 +1,1 @@
+"""Emulated robots that answer vendors' own clients, a folder for each maker."""

@@ -1,0 +1,64 @@
+"""An arm in real time whose own controller obeys the clients of a robot server."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.runtime.clock import Clock, TickGrid
+from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.robot_servers.robot_server import RobotServer
+
+
+class RobotRig:
+    """Physics and clients of an emulated robot.
+
+    Args:
+        arm: the arm; the server's interface moves it.
+        server: answers the clients.
+        clock: the rig's time.
+        grid: instants at which physics and clients advance.
+
+    Attributes:
+        ticks: number of ticks so far.
+        skipped: number of ticks at which no client was served because the host was late.
+        times_s: of the ticks that were served.
+        actual_rad: measured positions at them.
+        wanted_rad: positions that clients asked for then; NaN for none.
+    """
+
+    def __init__(self, arm: ArmPlant, server: RobotServer, clock: Clock, grid: TickGrid) -> None:
+        self._arm, self._server, self._clock, self._grid = arm, server, clock, grid
+        self._stop_requested = False
+        self.ticks = self.skipped = 0
+        self.times_s: list[float] = []
+        self.actual_rad: list[Vector] = []
+        self.wanted_rad: list[Vector] = []
+
+    def request_stop(self) -> None:
+        """End at the next tick; safe from signal handlers and other threads."""
+        self._stop_requested = True
+
+    def run(self, ticks: int | None = None) -> None:
+        """Run for a number of ticks, or until a stop is requested."""
+        arm, grid = self._arm, self._grid
+        self._clock.start()
+        arm.begin()
+        arm.command(np.zeros(len(arm.joint_names)))  # the robot's controller releases the brakes
+        arm.read_encoders()
+        while not self._stop_requested and (ticks is None or self.ticks < ticks):
+            due_ns = grid.tick_ns(self.ticks + 1)
+            self._server.serve(0.0)  # clients are served also while the host is late
+            while (left_ns := due_ns - self._clock.now_ns()) > 0:
+                self._server.serve(1e-9 * left_ns)
+            tick = max(grid.tick_at_or_before(self._clock.now_ns()), self.ticks + 1)
+            self.skipped += tick - self.ticks - 1
+            arm.advance(self.ticks * grid.substeps, tick * grid.substeps)
+            self.ticks = tick
+            arm.read_encoders()
+            now_s = 1e-9 * grid.tick_ns(tick)
+            self.times_s.append(now_s)
+            self.actual_rad.append(arm.measured[0].copy())
+            self.wanted_rad.append(self._server.target_rad.copy())
+            self._server.cycle(now_s, arm.measured, arm.torques.actuator)
+        arm.end()

@@ -1,0 +1,80 @@
+"""Base of emulated robots that answer vendors' own clients."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.registry import Registry
+from plant_emulator.interfaces.interface import RobotInterface
+from plant_emulator.interfaces.settings import InterfaceSettings
+
+
+class RobotServer(ABC):
+    """A robot's controller as its clients see it.
+
+    Args:
+        settings: section of the robot's interface.
+        period_s: of the controller's cycles.
+        say: called with a sentence when a client comes, goes, or asks for what is not emulated.
+
+    Attributes:
+        interface: what moves the arm.
+        ports: numbers of its ports, by what they are for.
+        relayed: name of the port that a network stands before.
+        joints: number of joints that its clients expect; None for any.
+    """
+
+    ports: ClassVar[Mapping[str, int]]
+    relayed: ClassVar[str]
+    joints: ClassVar[int | None] = None
+    interface: RobotInterface
+
+    @abstractmethod
+    def __init__(
+        self, settings: InterfaceSettings, period_s: float, say: Callable[[str], None]
+    ) -> None: ...
+
+    @abstractmethod
+    def open(self, host: str, ports: Mapping[str, int]) -> None:
+        """Listen at these ports; raises `OSError` if one is taken."""
+
+    @abstractmethod
+    def serve(self, timeout_s: float) -> None:
+        """Answer clients until the time is over."""
+
+    @abstractmethod
+    def cycle(self, now_s: float, measured: Matrix, torque_nm: Vector) -> None:
+        """Publish the arm's state, once per cycle.
+
+        Args:
+            now_s: time since the controller began.
+            measured: positions and velocities as rows, shape (2, joints).
+            torque_nm: of the actuators, shape (joints,).
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close all connections."""
+
+    @property
+    @abstractmethod
+    def target_rad(self) -> Vector:
+        """Position that a client asks for now, shape (joints,); NaN if it asks for none."""
+
+    @property
+    @abstractmethod
+    def counts(self) -> dict[str, Any]:
+        """What clients have asked for, and why the robot stopped, for a summary."""
+
+
+_UNIVERSAL_ROBOTS = "plant_emulator.robot_servers.universal_robots.server:UniversalRobotsServer"
+ROBOT_SERVERS: Registry[type[RobotServer]] = Registry(
+    "robot_servers",
+    "plant.interface.kind",
+    RobotServer,
+    {"servoj": _UNIVERSAL_ROBOTS, "speedj": _UNIVERSAL_ROBOTS},
+)
+"""Robots that answer vendors' clients, by the interface of the arm."""

@@ -1,0 +1,140 @@
+"""What the program ``rtde_control`` of ur-rtde does with its registers.
+
+Integer register 0 has a command. The program answers in its output register 0: 1, ready; 0, not
+running; 2, done, until the client has cleared the command. Servo and speed commands go on until
+they are stopped: the program is ready for the next one at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.rtde.packages import Value
+from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
+
+_READY, _DONE = 1, 2
+_COMMAND, _FLOAT = "input_int_register_0", "input_double_register_{}"
+_JOINTS = 6
+_STOP_RAD_S2 = 20.0
+"""Of `stopj` after servoing, and 10 after a speed; as the program has them."""
+LEAST_LOOKAHEAD_S, MOST_LOOKAHEAD_S = 0.03, 0.2
+
+
+class ControlScript:
+    """The uploaded program.
+
+    Args:
+        motion: what it moves.
+        step_time_s: of the controller's cycles.
+        say: called with a sentence when something is not understood, or stops.
+
+    Attributes:
+        is_running: whether the program runs.
+        outputs: its output registers, by name.
+        commands: number of commands of each number.
+        stops: time and reason of each stop of the program.
+    """
+
+    def __init__(
+        self, motion: ScriptMotion, step_time_s: float, say: Callable[[str], None]
+    ) -> None:
+        self._motion, self._say, self._step_time_s = motion, say, step_time_s
+        self.is_running, self._is_at_work = False, False
+        self.outputs: dict[str, Value] = {"output_int_register_0": 0}
+        self._inputs: dict[str, Value] = {}
+        self.commands: dict[int, int] = {}
+        self.stops: list[tuple[float, str]] = []
+        self.now_s = self._heard_s = 0.0
+        self._silence_s = math.inf
+
+    def begin(self) -> None:
+        """Start the program, as after its upload."""
+        self.is_running, self._is_at_work, self._silence_s = True, False, math.inf
+        self._inputs[_COMMAND] = 0
+        self._answer(_READY)
+
+    def end(self, reason: str) -> None:
+        """Stop the program and the arm."""
+        if self.is_running:
+            self.is_running = False
+            self.stops.append((self.now_s, reason))
+            self._say(f"program stopped: {reason}")
+        self._motion.brake(_STOP_RAD_S2)
+        self._answer(0)
+
+    def take(self, values: Mapping[str, Value]) -> None:
+        """Take the input registers of a package, and do what they say."""
+        self._inputs |= values
+        if _COMMAND in values:
+            self._heard_s = self.now_s
+        if not self.is_running:
+            return
+        command = self._inputs.get(_COMMAND, 0)
+        if not command:
+            self._is_at_work = False
+            self._answer(_READY)
+        elif not self._is_at_work:
+            number = int(command)  # type: ignore[arg-type]
+            self._is_at_work = number not in _CONTINUOUS
+            self.commands[number] = self.commands.get(number, 0) + 1
+            self._do(number)
+
+    def cycle(self, now_s: float) -> None:
+        """Let time pass: the watchdog stops a program whose client is silent."""
+        self.now_s = now_s
+        if self.is_running and now_s - self._heard_s > self._silence_s:
+            self.end(f"watchdog: no input for {1e3 * self._silence_s:.0f} ms")
+
+    def _do(self, number: int) -> None:
+        action = _ACTIONS.get(number)
+        if action is None:
+            self._say(f"command {number} is not emulated, and does nothing")
+        else:
+            action(self)
+        if self.is_running:
+            self._answer(_READY if number in _CONTINUOUS else _DONE)
+
+    def _answer(self, state: int) -> None:
+        self.outputs["output_int_register_0"] = state
+
+    def _float(self, number: int) -> float:
+        return float(self._inputs.get(_FLOAT.format(number), 0.0))  # type: ignore[arg-type]
+
+    @property
+    def _joints(self) -> Vector:
+        return np.array([self._float(number) for number in range(_JOINTS)])
+
+    def _servoj(self) -> None:
+        lookahead_s = min(max(self._float(9), LEAST_LOOKAHEAD_S), MOST_LOOKAHEAD_S)
+        self._motion.servo(self._joints, lookahead_s, self._float(10) or 300.0)
+
+    def _speedj(self) -> None:
+        self._motion.speed(self._joints, self._float(6))
+
+    def _servo_stop(self) -> None:
+        self._motion.brake(self._float(0) or _STOP_RAD_S2)
+
+    def _get_steptime(self) -> None:
+        self.outputs["output_double_register_0"] = self._step_time_s
+
+    def _set_watchdog(self) -> None:
+        frequency_hz = self._float(0)
+        self._silence_s = 1.0 / frequency_hz if frequency_hz > 0.0 else math.inf
+
+    def _stop_script(self) -> None:
+        self.end("by the client")
+
+
+_ACTIONS: Mapping[int, Callable[[ControlScript], None]] = {
+    9: ControlScript._speedj, 11: ControlScript._servoj, 15: ControlScript._servo_stop,
+    16: ControlScript._servo_stop, 26: ControlScript._get_steptime,
+    34: ControlScript._servo_stop, 35: ControlScript._set_watchdog,
+    255: ControlScript._stop_script,
+}  # fmt: skip
+"""Commands of ur-rtde 1.6, by number."""
+_CONTINUOUS = (9, 11)
+"""Commands that a client repeats without clearing them."""

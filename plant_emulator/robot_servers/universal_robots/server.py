@@ -1,0 +1,166 @@
+"""The ports of a Universal Robots controller: RTDE, scripts and dashboard, in one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import selectors
+import socket
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from plant_emulator.interfaces.servoj import ServoJSettings
+from plant_emulator.interfaces.settings import InterfaceSettings
+from plant_emulator.robot_servers.robot_server import RobotServer
+from plant_emulator.robot_servers.universal_robots import dashboard
+from plant_emulator.robot_servers.universal_robots.control_script import ControlScript
+from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
+from plant_emulator.robot_servers.universal_robots.rtde_port import RtdeClient
+from plant_emulator.robot_servers.universal_robots.variables import values_now
+
+_CHUNK_BYTES = 1 << 16
+_PROGRAM = re.compile(rb"^def\s+(\w+)\s*\(", re.MULTILINE)
+_LAST_LINE = re.compile(rb"^(end|run program)\s*$", re.MULTILINE)
+_NAME = b"rtde_control"
+_MOST_SCRIPT_BYTES = 1 << 20
+
+Receive = Callable[[bytes], None]
+
+
+class UniversalRobotsServer(RobotServer):
+    """An e-Series controller with six joints, as ``ur-rtde`` uses it."""
+
+    ports: ClassVar[Mapping[str, int]] = {"rtde": 30004, "script": 30003, "dashboard": 29999}
+    relayed: ClassVar[str] = "rtde"
+    joints: ClassVar[int | None] = 6
+
+    def __init__(
+        self, settings: InterfaceSettings, period_s: float, say: Callable[[str], None]
+    ) -> None:
+        servo = settings if isinstance(settings, ServoJSettings) else ServoJSettings()
+        self.interface = self._motion = ScriptMotion(period_s, servo)
+        self._script, self._say = ControlScript(self._motion, period_s, say), say
+        self._selector = selectors.DefaultSelector()
+        self._clients: dict[socket.socket, RtdeClient] = {}
+        self._script_bytes: dict[socket.socket, bytes] = {}
+        self._period_s, self._next_s = period_s, 0.0
+
+    def open(self, host: str, ports: Mapping[str, int]) -> None:
+        for name, port in ports.items():
+            listener = socket.create_server((host, port))
+            listener.setblocking(False)
+            self._selector.register(listener, selectors.EVENT_READ, name)
+
+    def serve(self, timeout_s: float) -> None:
+        for key, _ in self._selector.select(max(0.0, timeout_s)):
+            assert isinstance(key.fileobj, socket.socket)
+            if isinstance(key.data, str):
+                self._accept(key.fileobj, key.data)
+            else:
+                self._read(key.fileobj, key.data)
+
+    def cycle(self, now_s: float, measured: Matrix, torque_nm: Vector) -> None:
+        if now_s < self._next_s - 1e-6:
+            return
+        self._next_s = max(self._next_s + self._period_s, now_s)
+        self._script.cycle(now_s)
+        planned = np.stack([self._motion.position, self._motion.velocity])
+        values = values_now(
+            now_s, measured, planned, torque_nm, runs=self._script.is_running,
+            outputs=self._script.outputs,
+        )  # fmt: skip
+        for client in list(self._clients.values()):
+            client.publish(now_s, values)
+
+    @property
+    def target_rad(self) -> Vector:
+        return self._motion.target_rad
+
+    def close(self) -> None:
+        for key in list(self._selector.get_map().values()):
+            assert isinstance(key.fileobj, socket.socket)
+            key.fileobj.close()
+        self._selector.close()
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        stops = [{"time_s": time_s, "reason": reason} for time_s, reason in self._script.stops]
+        return {"commands": dict(self._script.commands), "stops": stops}
+
+    def _accept(self, listener: socket.socket, port: str) -> None:
+        try:
+            client, _ = listener.accept()
+        except OSError:
+            return
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._say(f"client at the {port} port")
+        self._selector.register(client, selectors.EVENT_READ, self._receiver(client, port))
+
+    def _receiver(self, client: socket.socket, port: str) -> Receive:
+        """Return what takes the bytes of a new connection."""
+        if port == "rtde":
+            rtde = RtdeClient(lambda data: self._send(client, data), self._script.take)
+            self._clients[client] = rtde
+            return rtde.receive
+        if port == "dashboard":
+            self._send(client, f"{dashboard.GREETING}\n".encode())
+            return lambda data: self._answer_lines(client, data)
+        self._script_bytes[client] = b""
+        return lambda data: self._collect(client, data)
+
+    def _read(self, client: socket.socket, receive: Receive) -> None:
+        try:
+            data = client.recv(_CHUNK_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._forget(client)
+            return
+        try:
+            receive(data)
+        except (ValueError, struct.error) as error:
+            self._say(f"connection closed: {error}")
+            self._forget(client)
+
+    def _forget(self, client: socket.socket) -> None:
+        self._clients.pop(client, None)
+        self._script_bytes.pop(client, None)
+        with contextlib.suppress(KeyError, ValueError):
+            self._selector.unregister(client)
+        client.close()
+
+    def _send(self, client: socket.socket, data: bytes) -> None:
+        """Send bytes; a client that does not read them is closed."""
+        try:
+            sent = client.send(data)
+        except OSError:
+            sent = 0
+        if sent < len(data):
+            self._forget(client)
+
+    def _answer_lines(self, client: socket.socket, data: bytes) -> None:
+        for line in data.decode("utf-8", "replace").splitlines():
+            self._send(client, f"{dashboard.answer(line, self._script)}\n".encode())
+
+    def _collect(self, client: socket.socket, data: bytes) -> None:
+        """Collect a script, and begin the program once its last line is there."""
+        text = self._script_bytes[client] + data
+        if len(text) > _MOST_SCRIPT_BYTES:
+            raise ValueError(f"a script of more than {_MOST_SCRIPT_BYTES} bytes")
+        self._script_bytes[client] = text
+        name = _PROGRAM.search(text)
+        if name is None or not _LAST_LINE.search(text, name.end()):
+            return
+        self._script_bytes[client] = b""
+        if name[1] == _NAME:
+            self._say("program rtde_control starts")
+            self._script.begin()
+        else:
+            self._say(f"program {name[1].decode()} is not emulated, and does nothing")

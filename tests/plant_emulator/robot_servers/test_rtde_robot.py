@@ -1,0 +1,243 @@
+"""The emulated Universal Robots controller: motion, registers, ports, and ur-rtde itself."""
+
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from bus_schema.runtime.clock import MonotonicClock
+from deploy.cli.robot_server import lag_ms
+from deploy.scenario.scenario import load_setup
+from plant_emulator.interfaces.servoj import ServoJSettings
+from plant_emulator.robot_servers.robot_rig import RobotRig
+from plant_emulator.robot_servers.universal_robots.control_script import ControlScript
+from plant_emulator.robot_servers.universal_robots.dashboard import answer
+from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
+from plant_emulator.robot_servers.universal_robots.server import UniversalRobotsServer
+from tests.waiting import HANG_S
+
+H = 2e-3
+STATE = "output_int_register_0"
+MEASURED = np.zeros((2, 6))
+
+
+def motion():
+    found = ScriptMotion(H, ServoJSettings())
+    found.start(np.zeros(6))
+    return found
+
+
+def cycles(moved, count):
+    for _ in range(count):
+        moved.step(None, MEASURED)
+    return moved.position[5], moved.velocity[5]
+
+
+def test_speedj_accelerates_by_its_acceleration_and_goes_on():
+    """v = a t up to 0.2 after 0.1 s; then 0.2 t. x = a t² / 2 of that."""
+    moved = motion()
+    moved.speed(np.full(6, 0.2), 2.0)
+    assert cycles(moved, 25) == pytest.approx((0.5 * 2.0 * 0.05**2, 0.1))
+    assert cycles(moved, 75) == pytest.approx((0.5 * 2.0 * 0.1**2 + 0.2 * 0.1, 0.2))
+    moved.brake(4.0)
+    assert cycles(moved, 25)[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_servoj_is_behind_a_ramp_by_its_dead_time_and_lag():
+    """4 ms and lookahead (2/3 + 200/gain), and a target stays for a cycle."""
+    moved, speed = motion(), 0.3
+    for number in range(1000):
+        moved.servo(np.full(6, speed * number * H), 0.1, 300.0)
+        moved.step(None, MEASURED)
+    behind_s = (speed * 1000 * H - moved.position[5]) / speed
+    assert behind_s == pytest.approx(4e-3 + 0.1 * (2 / 3 + 200 / 300) + 0.5 * H, abs=0.5 * H)
+
+
+def command(number, *floats):
+    registers = {f"input_double_register_{k}": value for k, value in enumerate(floats)}
+    return {"input_int_register_0": number, **registers}
+
+
+def script():
+    said = []
+    found = ControlScript(motion(), H, said.append)
+    found.begin()
+    return found, said
+
+
+def test_a_command_is_done_until_it_is_cleared_and_servoing_is_ready_at_once():
+    program, _ = script()
+    assert program.outputs[STATE] == 1
+    program.take(command(26))
+    assert program.outputs[STATE] == 2
+    assert program.outputs["output_double_register_0"] == H
+    program.take(command(0))
+    assert program.outputs[STATE] == 1
+    program.take(command(11, *6 * [0.5], 0, 0, H, 0.1, 300))
+    assert program.outputs[STATE] == 1
+    assert program.commands == {26: 1, 11: 1}
+
+
+def test_a_watchdog_stops_the_program_and_the_arm():
+    """At 10 Hz: silence of more than 100 ms."""
+    program, _ = script()
+    program.take(command(35, 10.0))
+    program.cycle(0.05)
+    program.take(command(0))
+    program.take(command(9, *6 * [0.2], 2.0, 0))
+    program.cycle(0.149)
+    assert program.is_running
+    program.cycle(0.151)
+    assert not program.is_running
+    assert program.stops == [(0.151, "watchdog: no input for 100 ms")]
+    program.take(command(9, *6 * [0.2], 2.0, 0))
+    assert cycles(program._motion, 100)[1] == 0.0
+
+
+def test_what_is_not_emulated_is_said():
+    program, said = script()
+    program.take(command(1, *6 * [0.0]))
+    assert said == ["command 1 is not emulated, and does nothing"]
+    assert "could not understand" in answer("load x.urp", program)
+    assert answer("stop", program) == "Stopped"
+    assert not program.is_running
+
+
+def test_lag_is_that_of_steps_that_follow_a_ramp():
+    """Targets every 20 ms, and joints 80 ms behind their mean: 70 behind the step of each tick."""
+    times_s = np.arange(0.0, 3.0, 1e-3)
+    steps = 0.3 * np.floor(times_s / 0.02 + 1e-9) * 0.02
+    actual = 0.3 * (times_s - 0.08)
+    columns = [each[:, None] for each in (actual, steps)]
+    [lag] = lag_ms(times_s, *columns)
+    assert lag == pytest.approx(70.0, abs=1.0)
+    assert lag_ms(times_s, columns[0], np.full((3000, 1), np.nan)) == [None]
+
+
+@contextmanager
+def robot(host, **ports):
+    """A UR5e in real time; its server and its rig."""
+    setup = load_setup("ur5e_motors", ["plant.interface.kind=servoj", "controller.law=streaming"])
+    interface = setup.scenario.plant.interface
+    server = UniversalRobotsServer(interface.settings, interface.period_s, lambda _: None)
+    arm = setup.arm()
+    arm.be_controlled_by(setup.robot_controller(server.interface))
+    server.open(host, ports or server.ports)
+    rig = RobotRig(arm, server, MonotonicClock(), setup.grid)
+    thread = threading.Thread(target=rig.run)
+    thread.start()
+    try:
+        yield server, rig
+    finally:
+        rig.request_stop()
+        thread.join()
+        server.close()
+        arm.close()
+
+
+class Client:
+    """RTDE by hand, after the guide."""
+
+    def __init__(self, host, port):
+        self._socket = socket.create_connection((host, port), timeout=HANG_S)
+
+    def send(self, kind, payload=b""):
+        self._socket.sendall(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload)
+
+    def receive(self):
+        size, kind = struct.unpack(">HB", self._read(3))
+        return chr(kind), self._read(size - 3)
+
+    def ask(self, kind, payload=b""):
+        self.send(kind, payload)
+        while (answer := self.receive())[0] != kind:
+            pass
+        return answer[1]
+
+    def _read(self, size):
+        data = b""
+        while len(data) < size:
+            more = self._socket.recv(size - len(data))
+            assert more, "closed"
+            data += more
+        return data
+
+
+def free_ports(host, *names):
+    found = {}
+    for name in names:
+        with socket.create_server((host, 0)) as free:
+            found[name] = free.getsockname()[1]
+    return found
+
+
+def test_a_client_by_hand_is_answered_and_moves_a_joint():
+    host = "127.0.0.1"
+    ports = free_ports(host, "rtde", "script")
+    with robot(host, **ports):
+        client = Client(host, ports["rtde"])
+        assert client.ask("V", struct.pack(">H", 2)) == b"\x01"
+        assert struct.unpack(">4I", client.ask("v"))[0] == 5
+        assert client.ask("O", struct.pack(">d", 500.0) + b"actual_q,no_such")[1:] == (
+            b"VECTOR6D,NOT_FOUND"
+        )
+        names = b"timestamp,actual_q,output_int_register_0"
+        recipe = client.ask("O", struct.pack(">d", 500.0) + names)
+        assert recipe[1:] == b"DOUBLE,VECTOR6D,INT32"
+        inputs = ",".join(
+            ["input_int_register_0", *(f"input_double_register_{k}" for k in range(11))]
+        )
+        number = client.ask("I", inputs.encode())[0]
+        assert client.ask("S") == b"\x01"
+        with socket.create_connection((host, ports["script"])) as script_port:
+            script_port.sendall(b"def rtde_control():\n  sync()\nend\nrun program\n")
+            while struct.unpack(">B7di", client.receive()[1])[-1] != 1:
+                pass
+        *start, _ = struct.unpack(">B7di", client.receive()[1])[2:]
+        wanted = [*start[:5], start[5] + 0.1]
+        client.send("U", struct.pack(">Bi11d", number, 11, *wanted, 0, 0, 0.002, 0.1, 300))
+        deadline_s = time.monotonic() + HANG_S
+        while abs(struct.unpack(">B7di", client.receive()[1])[7] - wanted[5]) > 1e-3:
+            assert time.monotonic() < deadline_s
+
+
+UR_RTDE = """
+import sys, time, rtde_receive, rtde_control
+receive = rtde_receive.RTDEReceiveInterface(sys.argv[1])
+control = rtde_control.RTDEControlInterface(sys.argv[1])
+wanted = receive.getActualQ()
+wanted[5] += 0.1
+while abs(receive.getActualQ()[5] - wanted[5]) > 1e-3:
+    assert control.servoJ(wanted, 0, 0, 0.002, 0.1, 300)
+    time.sleep(0.01)
+assert control.servoStop()
+assert control.setWatchdog(5.0)
+assert control.speedJ([0, 0, 0, 0, 0, 0.1], 2.0, 0.0)
+while control.isProgramRunning() or abs(receive.getActualQd()[5]) > 1e-3:
+    time.sleep(0.01)
+print("all done")
+"""
+
+
+@pytest.mark.skipif(
+    find_spec("rtde_control") is None, reason="ur-rtde is not installed: no wheels from 3.13 on"
+)
+def test_ur_rtde_unmodified_servos_a_joint_and_a_watchdog_stops_it():
+    """It waits without letting go of Python's lock, so that it needs a process of its own."""
+    host = "127.0.0.57"
+    with robot(host) as (server, _):
+        command = [sys.executable, "-c", UR_RTDE, host]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=HANG_S, check=False
+        )  # fmt: skip
+        assert done.stdout.endswith("all done\n"), done.stderr
+        assert [stop["reason"] for stop in server.counts["stops"]] == [
+            "watchdog: no input for 200 ms"
+        ]
