@@ -24,7 +24,7 @@ from bus_schema.user_files import open_parquet, read_bytes
 MOST_BYTES = 500_000_000
 """Ten million samples as text take less."""
 PARQUET, _GZIP = b"PAR1", b"\x1f\x8b"
-"""How files of these formats begin."""
+"""First bytes of files of these formats."""
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _LONGEST_LIST = 100
 Names = Sequence[str]

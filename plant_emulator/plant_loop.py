@@ -35,7 +35,7 @@ from plant_emulator.telemetry import PlantTelemetry
 from plant_emulator.uplink import Uplink
 
 _ENDED = ("ticks", "completed", "wall_s", "stolen_ms")
-"""What the last event reports of the outcome."""
+"""Keys of the outcome in the last event."""
 
 
 class PlantLoop:

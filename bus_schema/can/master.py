@@ -18,7 +18,7 @@ from bus_schema.link.can_configuration import CanConfiguration
 _MOST_LATE = 100
 _NEARLY = 0.8
 POLL_S = 0.05
-"""How long a master that enables drives waits for a frame."""
+"""Time for which a master that enables drives waits for a frame."""
 
 
 class DriveError(BusError):

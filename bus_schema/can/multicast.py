@@ -36,7 +36,7 @@ _INSTRUCTION = struct.Struct("=HBBI")
 _LOAD_WORD, _LOAD_HALF, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x28, 0x15, 0x06
 _PACKET_TYPE = 0xFFFFF000 + 4
 _SOURCE_PORT = 0
-"""Where it stands in a datagram, whose header is what the filter gets first."""
+"""Its offset in a datagram; the filter sees the header first."""
 _WHOLE = 0xFFFFFFFF
 
 Pack = Callable[[CanFrame], bytes]

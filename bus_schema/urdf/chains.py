@@ -13,7 +13,7 @@ from bus_schema.urdf.checks import mass_of
 from bus_schema.urdf.link_tree import LinkTree
 
 _SHOWN = 8
-_ARM_JOINTS = 3
+_FEWEST_BESIDE = 3
 """A branch with fewer joints, such as a finger or a head, is no arm beside another one."""
 
 
@@ -106,7 +106,7 @@ def _own(end: tuple[str, ...], ends: Sequence[tuple[str, ...]]) -> tuple[str, ..
         for other in ends
         if other != end
     ]
-    first = max((at for at, other in branches if len(other) - at >= _ARM_JOINTS), default=0)
+    first = max((at for at, other in branches if len(other) - at >= _FEWEST_BESIDE), default=0)
     return end[first:]
 
 

@@ -26,14 +26,14 @@ _JAW = f"a gripper's jaw: last, light, and opens to one side {MAY}"
 BESIDE = f"beside the arm, such as a wheel, a leg or a head {MAY}"
 OF_GRIPPERS = (_MIMICKED, _BESIDE_FINGERS, _SAME_AXIS, _OF_HAND, _JAW, BESIDE)
 """Reasons to hold a joint that could be driven."""
-_ARM_JOINTS = 4
+_CARRIES_A_HAND = 4
 """So many joints in a row are an arm, which may carry a hand."""
 _LIGHT, _LITTLE = 0.3, 0.1
 """Largest mass of all fingers, and of what one joint moves, as a share of the arm's."""
 _SHORT, _SHORT_BESIDE = 0.3, 0.5
 """Longest finger, as a share of the arm's reach; and longest branch beside an arm of few joints."""
 _ONE_SIDED, _WIDEST_RAD, _WIDEST_M = 0.15, 2.5, 0.2
-"""How far a jaw turns to the other side, as a share of its range; and that range."""
+"""Largest turn of a jaw to the other side, as a share of its range; and its widest range."""
 _PARALLEL, _SAME_LINE_M = 0.999, 1e-3
 """Least cosine between axes on one line, and their largest distance."""
 
@@ -166,7 +166,7 @@ def _hands(parts: _Parts) -> dict[str, str]:
     """Return the joints of end effectors behind an arm, and what they are."""
     found = dict[str, str]()
     for name, above in parts.above.items():
-        if len(above) >= _ARM_JOINTS and name not in found:
+        if len(above) >= _CARRIES_A_HAND and name not in found:
             fingers = _fingers(parts, above)
             found |= dict.fromkeys(fingers, _OF_HAND)
             if not fingers and (why := _last_of_gripper(parts, name)):
@@ -216,8 +216,8 @@ def _beside_arms(root: ET.Element, driven: Sequence[str]) -> list[str]:
     """
     chains = chains_of(root, driven)
     most = max((len(each.joints) for each in chains), default=0)
-    if most >= _ARM_JOINTS:
-        beside = [each for each in chains if len(each.joints) < _ARM_JOINTS]
+    if most >= _CARRIES_A_HAND:
+        beside = [each for each in chains if len(each.joints) < _CARRIES_A_HAND]
     else:
         arm = max(chains, key=lambda each: each.reach_m * each.mass_kg, default=None)
         beside = [each for each in chains if arm is not None and _is_small(each, arm)]

@@ -37,7 +37,7 @@ logger = logging.getLogger(__name__)
 
 _LARGEST_STATE_BACKLOG = 1000
 _COMPILES_S = 120.0
-"""How much longer to wait for a controller that has joined: a new installation may be compiling."""
+"""Further time to wait for a controller that has joined: a new installation may be compiling."""
 _GRACE_S = 1.0
 _GRACE_BESIDE_RECORDER_S = 3.0
 """A client beside a recorder may be a mere viewer while our own controller still starts."""

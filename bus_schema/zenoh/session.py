@@ -56,7 +56,7 @@ _SETTINGS: dict[str, Any] = {
 _CLOSE_TIMEOUT_S = 2.0
 _OS_ERROR = re.compile(r"([^:\[\]]+ \(os error \d+\))")
 _SOURCE = re.compile(r"\s+at\s+/\S+?:\d+\.")
-"""What zenoh's messages have of the operating system's, and of its own sources."""
+"""Parts of zenoh's messages that come from the operating system and from its sources."""
 
 
 def _refusal(listen: Sequence[str], connect: Sequence[str], reason: str) -> str:

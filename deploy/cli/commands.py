@@ -20,6 +20,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from bus_schema.foreign_text import printable
+from bus_schema.runtime.extensions import installed
 from deploy.run.closed_output import outlive_readers
 from deploy.run.exit_codes import with_exit_codes
 from deploy.run.stop_signals import stop_at_once
@@ -72,7 +73,7 @@ PANELS = {
         "bench": "bench.bench:bench",
     },
 }
-"""Where each command is below `deploy`, ``module:function`` or ``module:app`` for a group, by the
+"""Place of each command below `deploy`, ``module:function`` or ``module:app`` for a group, by the
 panel of the help."""
 EARLIER = {
     "ros-package": "cli.ros2:ros_package",
@@ -103,10 +104,32 @@ class LazyGroup(TyperGroup):
             for name in COMMANDS
         }
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return all names, also those of installed packages."""
+        return [*super().list_commands(ctx), *_added()]
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """Return a command; packages are looked up only for names that do not ship."""
+        found = super().get_command(ctx, name)
+        return (
+            LazyCommand(name, rich_help_panel="Answer", help=_added().get(name))
+            if (found is None and name in _added())
+            else found
+        )
+
     def format_help(self, *args: Any) -> None:
         for name, command in self.commands.items():
             command.help = summary_of(name)
         super().format_help(*args)
+
+
+def _added() -> dict[str, str]:
+    """Return what installed packages add, by name of the command: a kind of study each."""
+    added = installed().get("studies", {})
+    return {
+        name: f"Run a study of {each[0].distribution}." for name, each in added.items()
+        if name not in COMMANDS
+    }  # fmt: skip
 
 
 class LazyCommand(TyperCommand):
@@ -132,8 +155,12 @@ class LazyCommand(TyperCommand):
 
     def load(self) -> Any:
         """Import the command."""
-        module, _, attribute = COMMANDS[self.name or ""].partition(":")
-        found = getattr(import_module(f"deploy.{module}"), attribute)
+        name = self.name or ""
+        if name in _added():
+            found = import_module("deploy.cli.study.added").command_of(name)
+        else:
+            module, _, attribute = COMMANDS[name].partition(":")
+            found = getattr(import_module(f"deploy.{module}"), attribute)
         if isinstance(found, typer.Typer):
             group = typer.main.get_command(found)
             group.name = self.name

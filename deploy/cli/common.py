@@ -27,7 +27,7 @@ from deploy.reports.gate_files import write_history, write_junit, write_markdown
 from deploy.reports.kinds import gauged, kind_named, numbers_in, read_baseline, require_numbers
 from deploy.reports.results import TABLE_FILE, Results, write_run
 from deploy.reports.terminal import print_page
-from deploy.run.confirmation import CONFIRMATION, confirmation_of
+from deploy.run.confirmation import confirmation_of
 from deploy.run.console import Console
 from deploy.run.execute import JudgedRun
 from deploy.run.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
@@ -65,7 +65,7 @@ def parse_laws(text: str | None, option: str = "--laws") -> list[str] | None:
     return named
 
 
-def say_oddities(*setups: Setup) -> None:
+def say_warnings(*setups: Setup) -> None:
     """Print each warning about the scenarios and arms once, to standard error."""
     for each in all_warnings(setups):
         say(f"warning: {each}", err=True)
@@ -187,7 +187,7 @@ def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> 
     raise typer.Exit(FINISHED if kept else BOUNDS_NOT_KEPT)
 
 
-def conclude(console: Console, folder: ResultFolder, judge: Callable[[], Results]) -> Results:
+def show_results(console: Console, folder: ResultFolder, judge: Callable[[], Results]) -> Results:
     """Judge results, which writes their files, and show them.
 
     Args:
@@ -255,10 +255,10 @@ def finish(
     def judge() -> Results:
         _require_data(console, folder, run)
         if confirms:
-            run.summary[CONFIRMATION] = confirmation_of(run, Watched())
+            run.result = run.result.replaced(confirmation=confirmation_of(run, Watched()))
         return write_run(folder, run, draws_report=not options.no_report)
 
-    summary = conclude(console, folder, judge).summary
+    summary = show_results(console, folder, judge).summary
     is_passed = gate is None or not summary["completed"] or gate.is_passed(summary, console)
     leave(
         interrupted=run.outcome.interrupted,

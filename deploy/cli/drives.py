@@ -17,7 +17,7 @@ from bus_schema.can.survey import require_no_others
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.cli.common import say_oddities
+from deploy.cli.common import say_warnings
 from deploy.cli.options import Overrides, ScenarioArgument
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
@@ -58,7 +58,7 @@ def drives(
 ) -> None:
     """Emulate the arm's motor drives on a CAN bus, with simulated physics, for any driver code."""
     setup = load_setup(scenario, overrides or [])
-    say_oddities(setup)
+    say_warnings(setup)
     can, plant = setup.scenario.link.can, setup.scenario.plant
     with naming(setup.origin):
         node_ids = check_drives(can, setup.robot, plant, takes_targets=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +11,10 @@ import numpy as np
 import typer
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import InputError, RobotDescriptionError
-from bus_schema.robot_description import RobotDescription, load_robot
+from bus_schema.errors import InputError
+from bus_schema.robot_description import RobotDescription
 from deploy.cli.network.trace import Unit
-from deploy.cli.options import IncludeOption, JointsOption, MassOption
+from deploy.cli.options import IncludeOption, JointsOption, MassOption, taking
 from deploy.identify.design import design, write_design
 from deploy.identify.identification import Identified, Wishes
 from deploy.identify.identification import identify as identify_arm
@@ -23,75 +23,76 @@ from deploy.reports.identify_report import error_table, joint_table, write_ident
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
 from deploy.run.new_folder import new_folder
-from deploy.scenario.referenced_files import find_urdf
-from deploy.scenario.xacro_arguments import split_arguments
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.referenced_files import named_robot
 
 _DESIGN_S = 30.0
 _POOR = 0.5
 """Error on held-out data, over the measured torque, from which a fit is doubtful."""
 
 
-def identify(
+@dataclass(kw_only=True)
+class IdentifyOptions:
+    """The options of `identify`."""
+
     logs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="LOG…", help="CSV, Parquet, MCAP or rosbag2 files of one robot."),
-    ] = None,
+    ] = None
     robot: Annotated[
         str | None, typer.Option(help="The arm's file, or the name of a shipped robot.")
-    ] = None,
-    joints: JointsOption = None,
-    include: IncludeOption = None,
-    mass: MassOption = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
+    ] = None
+    joints: JointsOption = None
+    include: IncludeOption = None
+    mass: MassOption = None
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace results in that folder.")
-    ] = False,
+    ] = False
     test: Annotated[
         list[Path] | None,
         typer.Option(metavar="LOG", help="Log to test on; repeatable.", show_default=False),
-    ] = None,
+    ] = None
     held_out: Annotated[
         float, typer.Option(help="Without --test: share at the end of each log to test on.")
-    ] = 1.0 / 3.0,
+    ] = 1.0 / 3.0
     position: Annotated[
         str | None,
         typer.Option(
             help="Columns of positions: a,b,… or a pattern with {n} or {joint}; topic of a bag."
         ),
-    ] = None,
-    velocity: Annotated[str | None, typer.Option(help="Columns of velocities.")] = None,
-    torque: Annotated[str | None, typer.Option(help="Columns of torques.")] = None,
-    current: Annotated[str | None, typer.Option(help="Columns of motor currents.")] = None,
+    ] = None
+    velocity: Annotated[str | None, typer.Option(help="Columns of velocities.")] = None
+    torque: Annotated[str | None, typer.Option(help="Columns of torques.")] = None
+    current: Annotated[str | None, typer.Option(help="Columns of motor currents.")] = None
     command: Annotated[
         str | None, typer.Option(help="Columns of commanded positions, for the dead time.")
-    ] = None,
-    time: Annotated[str | None, typer.Option(help="Column of times.")] = None,
+    ] = None
+    time: Annotated[str | None, typer.Option(help="Column of times.")] = None
     unit: Annotated[
         Unit | None,
         typer.Option(
             help=r"Unit of the times, if the name of their column does not say it.  \[default: s]"
         ),
-    ] = None,
+    ] = None
     degrees: Annotated[
         bool, typer.Option("--degrees", help="Positions and velocities are in degrees.")
-    ] = False,
+    ] = False
     link_side: Annotated[
         bool,
         typer.Option(
             "--link-side", help="Torques are measured beyond the gears: no rotor acts on them."
         ),
-    ] = False,
+    ] = False
     current_constants: Annotated[
         str | None,
         typer.Option(metavar="A,B,…", help="N m/A of each joint; by default from its weight."),
-    ] = None,
+    ] = None
     payload: Annotated[
         Path | None, typer.Option(metavar="LOG", help="Log of the same arm with a payload.")
-    ] = None,
+    ] = None
     payload_kg: Annotated[
         float | None, typer.Option(metavar="KG", help="Its mass, to check the current constants.")
-    ] = None,
+    ] = None
     design_file: Annotated[
         Path | None,
         typer.Option(
@@ -99,73 +100,68 @@ def identify(
             metavar="FILE.csv",
             help="Write a trajectory that shows all parameters; FILE.yaml is a JointTrajectory.",
         ),
-    ] = None,
+    ] = None
     duration_s: Annotated[
         float, typer.Option("--duration", metavar="S", help="Duration of that trajectory.")
-    ] = _DESIGN_S,
-) -> None:
+    ] = _DESIGN_S
+
+    def require_effect(self) -> None:
+        """Refuse options that would change nothing.
+
+        Raises:
+            InputError: there is one.
+        """
+        has_payload_alone = self.payload_kg is not None and self.payload is None
+        idle = {
+            "--held-out": self.held_out != Wishes.held_out and self.test and "without --test",
+            "--payload-kg": has_payload_alone and "with --payload",
+            "--duration": self.duration_s != _DESIGN_S and "with --design",
+        }
+        for name, allowed in idle.items():
+            if allowed:
+                raise InputError(f"identify: {name} has no effect here: must be given {allowed}")
+        if not 0.05 <= self.held_out <= 0.9:
+            raise InputError(f"--held-out {self.held_out:g}: must be between 0.05 and 0.9")
+
+    def arm(self) -> RobotDescription:
+        """Return the robot; raises `InputError` without one that can be used."""
+        if self.robot is None:
+            raise InputError("identify: --robot must name the arm's file, or a shipped robot")
+        joints = None if self.joints is None else [e.strip() for e in self.joints.split(",")]
+        return named_robot(self.robot, joints, self.include or (), self.mass)
+
+    def wishes(self, arm: RobotDescription) -> Wishes:
+        """Return the options of the identification."""
+        kinds = ("position", "velocity", "torque", "current", "command", "time")
+        given = self.current_constants
+        return Wishes(
+            {kind: getattr(self, kind) for kind in kinds}, self.unit, self.degrees, self.link_side,
+            self.held_out, None if given is None else _numbers(given, arm), self.payload_kg,
+        )  # fmt: skip
+
+
+@taking(IdentifyOptions)
+def identify(options: IdentifyOptions) -> None:
     """Identify an arm from its own log: masses, friction, rotors, delay, with intervals.
 
     DIR gets a URDF, a scenario, ranges for `margin --uncertainty`, a summary and a report. With
     --design, the command writes a trajectory that would show all of it, instead.
     """
-    if robot is None:
-        raise InputError("identify: --robot must name the arm's file, or a shipped robot")
-    arm = _arm(robot, joints, include or (), mass)
-    if design_file is not None:
+    arm, logs = options.arm(), options.logs
+    if options.design_file is not None:
         if logs:
-            raise InputError(f"--design {design_file}: must be given without LOG files")
-        _design(arm, design_file, duration_s)
+            raise InputError(f"--design {options.design_file}: must be given without LOG files")
+        _design(arm, options.design_file, options.duration_s)
         return
     if not logs:
         raise InputError("identify: give one or more LOG files")
-    _require_effect(
-        ("--held-out", held_out != Wishes.held_out and bool(test), "must be given without --test"),
-        (
-            "--payload-kg",
-            payload_kg is not None and payload is None,
-            "must be given with --payload",
-        ),
-        ("--duration", duration_s != _DESIGN_S, "must be given with --design"),
-    )
-    if not 0.05 <= held_out <= 0.9:
-        raise InputError(f"--held-out {held_out:g}: must be between 0.05 and 0.9")
-    columns = {
-        "position": position, "velocity": velocity, "torque": torque, "current": current,
-        "command": command, "time": time,
-    }  # fmt: skip
-    constants = None if current_constants is None else _numbers(current_constants, arm)
-    wishes = Wishes(columns, unit, degrees, link_side, held_out, constants, payload_kg)
-    found = identify_arm(logs, test or [], payload, arm, wishes)
-    folder = new_folder(f"identify-{arm.path.stem}", out, overwrite=overwrite)
+    options.require_effect()
+    found = identify_arm(logs, options.test or [], options.payload, arm, options.wishes(arm))
+    folder = new_folder(f"identify-{arm.path.stem}", options.out, overwrite=options.overwrite)
     check_is_free(folder)
     summary = write_results(found, folder)
     write_identify_report(found, summary, folder / "report.html")
     _show(found, folder)
-
-
-def _require_effect(*options: tuple[str, bool, str]) -> None:
-    """Refuse options that would change nothing: name, whether it is so, and what is allowed."""
-    for name, is_idle, allowed in options:
-        if is_idle:
-            raise InputError(f"identify: {name} has no effect here: {allowed}")
-
-
-def _arm(
-    name: str, joints: str | None, include: Sequence[Path], mass_kg: float | None
-) -> RobotDescription:
-    try:
-        file, arguments = split_arguments(name)
-        return load_robot(
-            find_urdf(file, Path.cwd()),
-            None if joints is None else [each.strip() for each in joints.split(",")],
-            arguments=arguments,
-            include=[folder.resolve() for folder in include],
-            mass_kg=mass_kg,
-        )
-    except RobotDescriptionError as error:
-        text = str(error)
-        raise ScenarioError(text if text.startswith("/") else f"{name}: {text}") from error
 
 
 def _design(arm: RobotDescription, file: Path, duration_s: float) -> None:

@@ -16,7 +16,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError
 from bus_schema.recording.atomic_files import write_json
 from bus_schema.runtime.clock import MonotonicClock
-from deploy.cli.common import say_oddities
+from deploy.cli.common import say_warnings
 from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
 from deploy.judge.joint_lag import lags_s
 from deploy.run.console import Console
@@ -63,7 +63,7 @@ def robot_server(
     Results are the motion, and why the robot stopped.
     """
     setup, server_type = _checked(scenario, interface, network, overrides)
-    say_oddities(setup)
+    say_warnings(setup)
     folder = resolved_out(out or Path("runs", f"robot-{setup.scenario.name}"))
     new_folder("robot-server", folder, overwrite=overwrite)
     raise typer.Exit(_serve(setup, server_type, host, duration_s, folder))

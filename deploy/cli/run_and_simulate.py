@@ -12,7 +12,7 @@ import typer
 
 from bus_schema.messages.topics import Role
 from controller.laws.custom import custom_laws_left_out
-from deploy.cli.common import ResultGate, finish, say_oddities, watching
+from deploy.cli.common import ResultGate, finish, say_warnings, watching
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
@@ -83,7 +83,7 @@ def _view(folder: Path, reporter: StatusReporter) -> int:
 def _checked(options: RunOptions) -> Setup:
     """Return the scenario after checking that it can run in processes."""
     setup = load_setup(options.scenario, options.overrides or [])
-    say_oddities(setup)
+    say_warnings(setup)
     if options.real_delay_ms is not None:
         check_real_delay(setup, options.real_delay_ms)
         setup = knowing_real_delay(setup, options.real_delay_ms)
@@ -147,7 +147,7 @@ def _simulated(options: SimulateOptions, console: Console, stop: threading.Event
     """Run and record; return the folder, what failed, and whether the user stopped it."""
     stop_at_once()
     setup = load_setup(options.scenario, options.overrides or [])
-    say_oddities(setup)
+    say_warnings(setup)
     if setup.scenario.link.security.enabled:
         typer.echo("warning: link.security: a simulation neither uses nor checks keys", err=True)
     check_link(setup, one_process=True)

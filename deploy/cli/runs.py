@@ -12,7 +12,6 @@ from bus_schema.foreign_text import say
 from deploy.judge.verdict import Verdict
 from deploy.reports.run_index import IndexedResults, results_in, tag
 from deploy.reports.terminal import fitted, open_table, width_of
-from deploy.reports.verdict_texts import VERDICTS
 from deploy.run.console import Console
 from deploy.run.new_folder import remove_results
 from deploy.scenario.scenario import SHIPPED
@@ -21,7 +20,7 @@ from deploy.study.study import SHIPPED as SHIPPED_STUDIES
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(help="Folder that contains the folders of results.")]
-_UNFINISHED = [VERDICTS[each].listed for each in (Verdict.NOTHING, Verdict.INTERRUPTED)]
+_UNFINISHED = [each.listed for each in (Verdict.NOTHING, Verdict.INTERRUPTED)]
 _MIB = 1 << 20
 _WIDEST = 100_000
 _HEADINGS = ["Folder", "Begun", "Kind", "What", "Result", "Tags", "MiB"]

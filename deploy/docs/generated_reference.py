@@ -1,8 +1,7 @@
 """A Sphinx directive whose content comes from the code when the site is built.
 
 ``{generated} NAME`` in a page stands for the Markdown that a function of `TABLES` returns. So the
-reference cannot name a key, an option or a column that does not exist, and cannot forget one:
-`meanings.yaml` must explain each key of a real ``summary.json`` and nothing else.
+reference cannot name a key, an option or a column that does not exist, and cannot forget one.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from bus_schema.configuration import Sections
 from bus_schema.foreign_text import markdown_table
 from bus_schema.registry import REGISTRIES, NameIn
 from bus_schema.units import split_unit
+from deploy.judge.result.section import Figure, figures
 
 PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything",
          types.NoneType: "must be left out"}  # fmt: skip
@@ -205,25 +205,20 @@ def meanings() -> dict[str, dict[str, str]]:
 
 
 def summary() -> str:
-    """Every key of the ``summary.json`` of a short run."""
-    import funnel_hil
+    """Every key of the ``summary.json`` of a run."""
+    from deploy.judge.metrics import RunResult
 
-    run = funnel_hil.simulate("paper_arm", {"duration_s": 0.01, "controller.law": "pid"})
-    known = meanings()["summary"]
-    keys = list(_leaves(run.summary, "", known))
-    only_sometimes = {key for key in known if known[key].startswith("only ")}
-    if wrong := set(keys) ^ set(known) - (only_sometimes - set(keys)):
-        raise ValueError(f"meanings.yaml and summary.json differ in {sorted(wrong)}")
-    return table(["key", "unit", "meaning"], [[f"`{k}`", unit_of(k), known[k]] for k in known])
+    rows = [[f"`{'.'.join(each.path)}`", unit_of(each.path[-1]), _meaning(each)]
+            for each in figures(RunResult)]  # fmt: skip
+    return table(["key", "unit", "meaning"], [row for row in rows if row[-1]])
 
 
-def _leaves(values: dict[str, Any], prefix: str, known: dict[str, str]) -> Iterator[str]:
-    for name, value in values.items():
-        key = f"{prefix}{name}"
-        if isinstance(value, dict) and key not in known:
-            yield from _leaves(value, f"{key}.", known)
-        else:
-            yield key
+def _meaning(figure: Figure) -> str:
+    """Return the words of a figure; those of a part are optional, as its figures have some."""
+    found = attributes_of(figure.section).get(figure.path[-1], "")
+    if not found and not figure.is_part:
+        raise ValueError(f"{figure.section.__name__}: no docstring explains {figure.path[-1]}")
+    return " ".join(found.split())
 
 
 def columns() -> str:
@@ -231,13 +226,14 @@ def columns() -> str:
     from pyarrow import parquet
 
     import funnel_hil
+    from deploy.judge.metrics import RunResult
 
     with tempfile.TemporaryDirectory() as folder:
         short = {"extends": "paper_arm", "name": "short", "duration_s": 0.01}
         funnel_hil.compare(short, laws=["pid"], out=Path(folder) / "found")
         schema = parquet.read_schema(next(Path(folder).rglob("*.parquet")))
-    in_summary = {key.rpartition(".")[2]: text for key, text in meanings()["summary"].items()}
-    known = in_summary | meanings()["columns"]
+    known = {name: _meaning(each) for each in figures(RunResult) for name in each.columns}
+    known |= meanings()["columns"]
     rows = [[f"`{each.name}`", str(each.type), unit_of(each.name), known[each.name]]
             for each in schema]  # fmt: skip
     return table(["column", "type", "unit", "meaning"], rows)

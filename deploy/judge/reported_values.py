@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationEr
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
+from deploy.judge.result.section import Section
 
 _MOST_NOTES = 20
 _COUNT = TypeAdapter(Annotated[int, Field(strict=True, ge=0, lt=1 << 53)])
@@ -51,7 +52,15 @@ _SWITCHES = TypeAdapter(
 _CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
 
 
-class _Reflex(BaseModel):
+class Reflex(Section):
+    """A stop that the robot's own controller decided.
+
+    Attributes:
+        kind: its reason
+        time_s: when it stopped
+        joint: the joint that caused it; null where none did
+    """
+
     kind: Annotated[str, Field(max_length=100)]
     time_s: Annotated[float, Field(strict=True, ge=0, lt=1e9, allow_inf_nan=False)]
     joint: Annotated[str, Field(max_length=100)] | None
@@ -67,7 +76,7 @@ class _Jump(BaseModel):
 
 _JUMP = TypeAdapter(Annotated[_Jump, AfterValidator(_Jump.model_dump)] | None)
 _REFLEXES = TypeAdapter(
-    Annotated[list[Annotated[_Reflex, AfterValidator(_Reflex.model_dump)]], Field(max_length=100)]
+    Annotated[list[Annotated[Reflex, AfterValidator(Reflex.model_dump)]], Field(max_length=100)]
 )
 _CHANNEL = {
     **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered", "resent"), _COUNT),

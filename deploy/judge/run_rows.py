@@ -7,66 +7,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bus_schema.arrays import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from bus_schema.user_files import open_parquet
 from deploy.judge.findings.reasons import Reason
+from deploy.judge.metrics import RunResult
+from deploy.judge.result.section import figures
 from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError
 
-_DIRECTIONS = ("uplink", "downlink")
-_COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
-_DELAYS = {f"delay_{name}_ms": "double" for name in ("mean", *PERCENTILES)}
-_COLUMNS = {
-    "scenario": "string",
-    "law": "string",
-    "seed": "int64",
-    "duration_s": "double",
-    "ticks": "int64",
-    "completed": "bool",
-    "ended_early_s": "double",
-    "error": "string",
-    "verdict": "string",
-    "seed_used": "bool",
-    "growing": "bool",
-    "vibrating": "bool",
-    "not_tested_below_hz": "double",
-    "bounds_kept": "bool",
-    "violation_fraction": "double",
-    "first_violation_s": "double",
-    "loss_reason": "string",
-    "loss_joint": "string",
-    "margin_min": "double",
-    "joint_names": "list<string>",
-    "rms_rad": "list<double>",
-    "max_abs_rad": "list<double>",
-    "tip_rms_mm": "double",
-    "tip_largest_mm": "double",
-    "settling_time_s": "list<double>",
-    "settling_bound_s": "list<double>",
-    "total_variation_nm_per_s": "list<double>",
-    "share_above_50_hz": "list<double>",
-    "rms_nm": "list<double>",
-    "peak_nm": "list<double>",
-    "saturated_fraction": "double",
-    "deadline_misses": "int64",
-    "success_rate": "double",
-    **{
-        f"{direction}_{name}": kind
-        for direction in _DIRECTIONS
-        for name, kind in {**_COUNTS, **_DELAYS}.items()
-    },
-    "digest": "string",
-    "motion": "string",
-}
-"""Names and types, units as in ``summary.json``; lists have one entry for each joint."""
-
-_OF_ANY_PART = {
-    *("scenario", "law", "seed", "duration_s", "ticks", "completed", "ended_early_s", "error"),
-    *("verdict", "seed_used", "bounds_kept", "first_violation_s", "loss_reason", "loss_joint"),
-    *("joint_names", "settling_bound_s", "digest"),
-}
-"""Columns that a run has that ended at its loss; the others are for whole runs."""
+_FIGURES = {name: each for each in figures(RunResult) for name in each.columns}
+_PATHS = {name: each.columns[name] for name, each in _FIGURES.items()}
+COLUMNS = {
+    **{name: each.kind for name, each in _FIGURES.items()},
+    "seed": "int64", "ended_early_s": "double", "error": "string",
+}  # fmt: skip
+"""Parquet types of the columns of every table of runs, by name: most are figures of a result."""
 
 _FLAWS = {"growing": Reason.GROWING, "vibrating": Reason.VIBRATION}
 """Columns that are true for runs that do not hold although they kept their bounds, and why."""
@@ -77,40 +32,35 @@ _DIGEST = b"funnel_hil.sha256"
 """In the schema's metadata: checksum of names, rows and conditions."""
 
 
-def row(summary: dict[str, Any], seed: int) -> Row:
+def row(result: RunResult, seed: int) -> Row:
     """Return a run as a row; `error` holds its faults, null for none.
 
     Args:
-        summary: the run's ``summary.json``.
+        result: the result of the run.
         seed: the scenario's seed.
     """
-    values: Row = {}
-    for section in ("bounds", "tracking", "torque", "timing"):
-        values |= summary[section]
-    error = "; ".join(summary["faults"]) or None
-    # which older versions lack, and runs that a study has not ended
-    lacking = ("motion", "seed_used", "ended_early_s", "not_tested_below_hz")
-    values |= dict.fromkeys(lacking) | summary
-    values |= {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
-    loss = summary.get("loss") or {}
-    values |= {"loss_reason": loss.get("reason"), "loss_joint": loss.get("joint")}
-    tip = summary.get("tip_error_mm") or {}
-    values |= {f"tip_{name}_mm": tip.get(name) for name in ("rms", "largest")}
-    values |= {name: bool(summary.get(name)) for name in _FLAWS}
-    for direction in _DIRECTIONS:
-        channel = summary["transport"][direction]
-        delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
-        statistics = {**{name: channel[name] for name in _COUNTS}, **delays}
-        values |= {f"{direction}_{name}": value for name, value in statistics.items()}
-    bound = values["settling_bound_s"]
-    if bound is not None and not isinstance(bound, list):
-        values["settling_bound_s"] = [bound] * len(values["joint_names"])
-    return {name: values[name] for name in _COLUMNS}
+    summary, joints = result.model_dump(), len(result.tracking.joint_names)
+    values = {name: _value(summary, at, COLUMNS[name], joints) for name, at in _PATHS.items()}
+    error = "; ".join(result.faults) or None
+    return {**values, "seed": seed, "ended_early_s": None, "error": error}
+
+
+def _value(summary: Mapping[str, Any], path: Sequence[str], kind: str, joints: int) -> Any:
+    """Return a value in a summary as its column has it; None where a part around it is missing."""
+    found: Any = summary
+    for key in path:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    if kind.startswith("list") and isinstance(found, float):  # the same for all joints
+        return [found] * joints
+    return bool(found) if isinstance(found, list) and kind == "bool" else found
 
 
 def early_row(row: Row) -> Row:
     """Return the row of a run that ended soon after its loss, without what only whole runs have."""
-    found = {name: value for name, value in row.items() if name in _OF_ANY_PART}
+    found = {
+        name: value for name, value in row.items()
+        if name not in _FIGURES or _FIGURES[name].is_of_any_part
+    }  # fmt: skip
     return {**dict.fromkeys(row), **found, "ended_early_s": row["duration_s"]}
 
 
@@ -149,7 +99,7 @@ def uses_seed(row: Row) -> bool:
 def failed_row(seed: int, error: str) -> Row:
     """Return the row of a run that left nothing to judge."""
     found = {"seed": seed, "completed": False, "error": error, "verdict": decide([error]).value}
-    return dict.fromkeys(_COLUMNS) | found
+    return dict.fromkeys(COLUMNS) | found
 
 
 def write_rows(
@@ -173,7 +123,7 @@ def write_rows(
         item = kind.removeprefix("list<").removesuffix(">")
         return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
 
-    columns = {**(more_columns or {}), **_COLUMNS, PROVENANCE: "string"}
+    columns = {**(more_columns or {}), **COLUMNS, PROVENANCE: "string"}
     schema = pa.schema(
         [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
     )

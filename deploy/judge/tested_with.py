@@ -16,6 +16,7 @@ from typing import Any
 from bus_schema.configuration import shown
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.effective import values_in_common
+from deploy.scenario.link_kinds.kind import LINK_KINDS
 from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -33,7 +34,6 @@ _GIVEN_TO_THE_LAW = ("model", "model_scale", "rotor_scale", "every", "inference_
 _WITHOUT_EFFECT = ("name", "clock", "seed", "robot.drive_data", "link.domain", "link.security.",
                    "link.publish_")  # fmt: skip
 """Keys that change no number of a gate; ``seed`` is one of a study's seeds."""
-_CAN = "link.can."
 _FILES = ("robot.urdf", *DATA_FILES)
 _DIGITS = 16
 _MOST_SHOWN = 10
@@ -52,7 +52,8 @@ def tested_with(setups: Iterable[Setup], study: Mapping[str, Any]) -> dict[str, 
 def _test_of(setup: Setup) -> dict[str, Any]:
     """Return the values in force that belong to the test; files as digests."""
     given = tuple(f"controller.{name}" for name in _GIVEN_TO_THE_LAW)
-    left_out = (*_WITHOUT_EFFECT, *(() if setup.scenario.link.kind == "can" else (_CAN,)))
+    others = tuple(f"link.{kind}." for kind in LINK_KINDS if kind != setup.scenario.link.kind)
+    left_out = (*_WITHOUT_EFFECT, *others)
     return {
         key: _digest(text) if key in _FILES else json.loads(text)
         for key, text in values_in_common(setup).items()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
+from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import RunData
 
 _MM = 1e3
@@ -15,7 +18,20 @@ _models: dict[tuple[str, str], ManipulatorModel] = {}
 """By arm and tip: the runs of a study mostly share them."""
 
 
-def tip_error_mm(run: RunData) -> dict[str, float | None]:
+class TipError(Section):
+    """Distance of the true tip from where the reference has it, mm.
+
+    Attributes:
+        rms: RMS of the tip's distance from where the reference has it, from ``metrics.from_s`` on;
+            null if no joint moves the tip
+        largest: largest of these distances
+    """
+
+    rms: Annotated[float | None, Column()]
+    largest: Annotated[float | None, Column()]
+
+
+def tip_error_mm(run: RunData) -> TipError:
     """Return RMS and largest distance of the true tip from the reference's, mm.
 
     Both are from ``metrics.from_s`` on, and None without a finite position there, or if the tip is
@@ -25,9 +41,9 @@ def tip_error_mm(run: RunData) -> dict[str, float | None]:
     distances_m = _distances_m(run, judged)
     is_on_axes = not distances_m.any() and run.true_errors_rad[judged].any()
     if is_on_axes or not (len(distances_m) and np.isfinite(distances_m).all()):
-        return {"rms": None, "largest": None}
+        return TipError(rms=None, largest=None)
     rms_m = float(np.sqrt((distances_m**2).mean()))
-    return {"rms": _MM * rms_m, "largest": _MM * float(distances_m.max())}
+    return TipError(rms=_MM * rms_m, largest=_MM * float(distances_m.max()))
 
 
 def _distances_m(run: RunData, rows: np.ndarray) -> Vector:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 
 class Verdict(StrEnum):
@@ -15,14 +15,30 @@ class Verdict(StrEnum):
     unfinished. FAULTED: something failed, inside the bounds or not. INTERRUPTED: the run was
     stopped before its end, inside its bounds until then. NOTHING: no tick was judged, or no command
     ever acted on the arm.
+
+    Attributes:
+        level: ``good``, ``bad`` or ``broken``, where the run cannot be judged as a whole.
+        headline: its words above a report.
+        listed: its words in a list of results.
     """
 
-    KEPT = "kept"
-    LOST = "lost"
-    UNKNOWN = "unknown"
-    FAULTED = "faulted"
-    INTERRUPTED = "interrupted"
-    NOTHING = "nothing"
+    level: Literal["good", "bad", "broken"]
+    headline: str
+    listed: str
+
+    def __new__(cls, name: str, level: Any = "", headline: str = "", listed: str = "") -> Verdict:
+        """Create a member whose value is its name in rows and summaries."""
+        member = str.__new__(cls, name)
+        member._value_ = name
+        member.level, member.headline, member.listed = level, headline, listed
+        return member
+
+    KEPT = "kept", "good", "Bounds kept", "bounds kept"
+    LOST = "lost", "bad", "Bounds not kept", "bounds not kept"
+    UNKNOWN = "unknown", "broken", "Not known whether bounds were kept", "unknown"
+    FAULTED = "faulted", "broken", "Run ended by a fault", "faulted"
+    INTERRUPTED = "interrupted", "broken", "Run interrupted", "interrupted"
+    NOTHING = "nothing", "broken", "Nothing was recorded", "incomplete"
 
 
 def decide(
@@ -51,15 +67,6 @@ def decide(
     if not is_known:
         return Verdict.UNKNOWN
     return Verdict.KEPT if is_ended else Verdict.INTERRUPTED
-
-
-def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
-    """Return the summary with a verdict, and with its consequences."""
-    is_judged = summary["bounds"].get("violation_fraction") is not None
-    ended = is_judged and verdict not in (Verdict.FAULTED, Verdict.INTERRUPTED)
-    bounds = {**summary["bounds"], "kept": verdict is Verdict.KEPT}
-    completed = bool(summary["completed"] and ended)
-    return {**summary, "verdict": verdict.value, "completed": completed, "bounds": bounds}
 
 
 def verdict_of(summary: Mapping[str, Any]) -> Verdict:

@@ -21,7 +21,7 @@ class Export(StrEnum):
 
 ENDINGS = {Export.SCENARIO: ".yaml", Export.MUJOCO: ".xml", Export.ISAACLAB: "_isaaclab.py",
            Export.MJLAB: "_mjlab.py"}  # fmt: skip
-"""How the names of files end."""
+"""Endings of the names of files."""
 _LEAST_STEP_S = 5e-4
 """Shortest physics step for which MuJoCo's history is long enough."""
 _NO_LAG_S = 1e-5

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bus_schema.foreign_text import say
-from deploy.reports.kinds import kind_named, kind_of
+from deploy.reports.kinds import kind_of, study_type
 from deploy.reports.results import (
     Results,
     comparison_results,
@@ -18,7 +18,7 @@ from deploy.reports.results import (
 )
 from deploy.run.execute import JudgedRun
 from deploy.run.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_summary
-from deploy.scenario.yaml_files import ScenarioError, read_yaml
+from deploy.scenario.yaml_files import ScenarioError, naming, read_yaml
 from deploy.study.comparison.recorded import read_again
 from deploy.study.execution.folder import STUDY_FILE, StudyFolder, changes_since
 from deploy.study.execution.runner import retrace
@@ -70,10 +70,11 @@ def read_study(path: Path) -> StudyOfRuns:
     """
     file = path / STUDY_FILE
     values = read_yaml(file)
-    study, definition = kind_named(str(values.get("kind"))).study, values.get("definition")
-    if study is None or not isinstance(definition, dict):
+    if not isinstance(values.get("definition"), dict):
         raise RunFolderError(f"{file}: must have the kind of a study, and definition")
-    return study(definition, file)
+    with naming(file):
+        study = study_type(str(values.get("kind")))
+    return study(values["definition"], file)
 
 
 def _run_again(path: Path) -> Again:

@@ -62,7 +62,7 @@ def write_identify_report(found: Identified, summary: Mapping[str, Any], path: P
     ]
     notes = Table("Notes", [Column("Note", is_text=True)], [[each] for each in found.notes])
     page = Page(
-        "identification", found.robot.path.stem, head, facts, lambda: _PANELS, found,
+        "identification", found.robot.path.stem, head, facts, lambda: PANELS, found,
         results=[Cards([error_table(found), joint_table(found)], "stacked"),
                  Cards([notes] if found.notes else [], "stacked"),
                  Cards([_mass_table(summary), _base_table(summary)], "stacked")],
@@ -229,7 +229,7 @@ def _changes(found: Identified) -> go.Figure:
     return figure
 
 
-_PANELS = (
+PANELS = (
     Panel("Torques", "torques", "Measured and predicted torque on held-out data", _torques,
           "The identified line should lie on the grey one; the dotted red line is the robot's file"
           " with estimated friction and rotors."),

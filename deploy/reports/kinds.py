@@ -6,13 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from bus_schema.configuration import ConfigurationError
+from bus_schema.registry import Registry
 from bus_schema.user_files import read_text
 from deploy.judge.gate import Gauged
 from deploy.judge.verdict import Verdict, verdict_of
@@ -30,7 +33,6 @@ from deploy.reports.gauges import (
 )
 from deploy.reports.studies.study_tables import margins_by_law, robustness_table
 from deploy.reports.tables import Table
-from deploy.reports.verdict_texts import VERDICTS
 from deploy.scenario.yaml_files import ScenarioError
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ Summary = Mapping[str, Any]
 _OLDER, _COMPLETE = "older version", "complete"
 _WORST = (
     _OLDER,
-    *(VERDICTS[each].listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
+    *(each.listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
 )
 _JSON = TypeAdapter(dict[str, Any])
 _ALLOWED = "must be summary.json of a finished run or study, or its folder"
@@ -53,7 +55,7 @@ _ALLOWED = "must be summary.json of a finished run or study, or its folder"
 def _verdict(summary: Summary) -> str:
     """Return the verdict in a summary; older versions did not write it there."""
     is_older = "ticks" in summary and "verdict" not in summary
-    return _OLDER if is_older else VERDICTS[verdict_of(summary)].listed
+    return _OLDER if is_older else verdict_of(summary).listed
 
 
 def _completeness(summary: Summary) -> str:
@@ -129,11 +131,10 @@ class ResultKind:
 
 def _at(place: str) -> Any:
     """Import what is at ``module:name``; None if the place is empty."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name) if name else None
+    return resolve_name(place) if place else None
 
 
-_KINDS = {
+RESULT_KINDS: Registry[ResultKind] = Registry("studies", "kind", ResultKind, {
     kind.name: kind
     for kind in (
         ResultKind("run", GaugedRun, listed=_verdict, is_run=True),
@@ -159,7 +160,8 @@ _KINDS = {
         ResultKind("robot_datasheet", GaugedRobotSheet,
                    again_at="deploy.reports.studies.robot_sheet_results:robot_sheet_again"),
     )
-}  # fmt: skip
+})  # fmt: skip
+"""Kinds of results by name; installed packages add kinds of study."""
 
 
 def kind_of(summary: Summary) -> ResultKind:
@@ -168,8 +170,22 @@ def kind_of(summary: Summary) -> ResultKind:
 
 
 def kind_named(name: str) -> ResultKind:
-    """Return a kind by its name; unknown ones have no numbers and no page."""
-    return _KINDS.get(name) or ResultKind(name)
+    """Return a kind by its name; unknown ones, and unusable ones, have no numbers and no page."""
+    with suppress(ConfigurationError):
+        return RESULT_KINDS[name]
+    return ResultKind(name)
+
+
+def study_type(name: str) -> type[StudyOfRuns]:
+    """Return the class of the studies of a kind.
+
+    Raises:
+        ConfigurationError: there is no such kind, or it is no study.
+    """
+    found = RESULT_KINDS[name].study
+    if found is None:
+        raise ConfigurationError(RESULT_KINDS.key, name, "must be a kind of study")
+    return found
 
 
 def gauged(summary: Summary, unit: str | None = None) -> list[Gauged]:

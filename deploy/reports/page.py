@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 T = TypeVar("T")
-"""What a report is about: a run, or several."""
+"""Subject of a report: a run, or several."""
 
 
 class Fact(NamedTuple):

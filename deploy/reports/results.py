@@ -14,7 +14,7 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.judge.conditions import conditions_of_recording, conditions_of_runs
 from deploy.judge.run_rows import read_rows, write_rows
 from deploy.judge.tested_with import TESTED_WITH
-from deploy.judge.verdict import Verdict, decide, with_verdict
+from deploy.judge.verdict import Verdict, decide
 from deploy.reports.kinds import kind_of
 from deploy.reports.page import Cards, Fact, Page
 from deploy.reports.runs.run_pages import diff_page, laws_page, run_page
@@ -55,7 +55,7 @@ class Results:
     @property
     def is_damaged(self) -> bool:
         """Whether a recording is damaged."""
-        return any(run.summary["recording"]["damage"] for run in self.runs)
+        return any(run.result.recording.damage for run in self.runs)
 
 
 def write_results(folder: ResultFolder, results: Results, *, draws_report: bool = True) -> Results:
@@ -82,9 +82,10 @@ def write_results(folder: ResultFolder, results: Results, *, draws_report: bool 
 def run_results(folder: RunFolder, run: JudgedRun) -> Results:
     """Judge a run; a confirmation in its folder is kept."""
     before, manifest = read_summary(folder.path), read_manifest(folder.path)
-    confirmed = run.summary.get(CONFIRMATION) or before.get(CONFIRMATION)
-    run.summary |= {CONFIRMATION: confirmed} if confirmed else {}
-    run.summary |= {TESTED_WITH: manifest.get(TESTED_WITH)}
+    run.result = run.result.replaced(
+        confirmation=run.result.confirmation or before.get(CONFIRMATION) or None,
+        tested_with=manifest.get(TESTED_WITH),
+    )
     return Results(run.summary, run_page(run, manifest), [run])
 
 
@@ -99,15 +100,17 @@ def write_run(folder: RunFolder, run: JudgedRun, *, draws_report: bool = True) -
         draws_report: as for `write_results`.
     """
     results = run_results(folder, run)
-    write_json(folder.summary, with_verdict(run.summary, Verdict.INTERRUPTED))  # until all is there
+    unfinished = run.result.with_verdict(Verdict.INTERRUPTED)  # until all is there
+    write_json(folder.summary, unfinished.model_dump())
     try:
         write_fault_record(run.data, folder.fault)
         end_if_asked()
         if draws_report and results.page is not None:
             _write_report(folder, results.page)
     except OSError as error:
-        run.summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
-        run.summary = with_verdict(run.summary, decide(run.summary["faults"]))
+        failure = f"{error.filename}: cannot be written: {error.strerror}"
+        faults = [*run.result.faults, failure]
+        run.result = run.result.replaced(faults=faults).with_verdict(decide(faults))
         results = run_results(folder, run)
     with contextlib.suppress(OSError):  # a full disk keeps the earlier one
         write_json(folder.summary, run.summary)
@@ -173,7 +176,7 @@ def comparison_results(
     of_runs: dict[str, Any] = {"laws": {run.law: run.summary for run in compared.runs}}
     if not setups:
         return Results({**summary, **of_runs}, None), compared
-    of_runs["clock"] = compared.runs[0].summary["clock"]
+    of_runs["clock"] = compared.runs[0].result.clock
     known = summary.get("conditions", {})
     kept = {_REUSE: known[_REUSE]} if _REUSE in known else {}
     of_runs["conditions"] = {**conditions_of_runs(setups, read_manifest(folder.path)), **kept}
@@ -206,7 +209,7 @@ def study_page(summary: dict[str, Any], folder: StudyFolder) -> Page[Any]:
         ],
         panels=page.panels if summary["runs"] else list,
         conditions=summary.get("conditions", {}),
-        results=[*page.results, Cards(confirmation_tables([summary]), "stacked")],
+        results=[*page.results, Cards(confirmation_tables([summary.get(CONFIRMATION)]), "stacked")],
         points_note=f"The scenarios have seed {seeds[0]}{others}.",
         footer="All runs, one row each:",
         footer_code=folder.rows_file.name,

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
+from deploy.judge.chunks import Chunks
 from deploy.judge.conditions import lacked_grants
+from deploy.judge.findings.loss_reason import LossReason
 from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.stalls import STALL_MS
+from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
+from deploy.judge.result.section import PerJoint
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
-from deploy.reports.runs.run_numbers import margin_place, other_margins, tip_error, worst_lag_ms
+from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
 from deploy.reports.tables import margin_text, number
 from plant_emulator.interfaces.settings import TORQUE
 
@@ -37,25 +41,8 @@ _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
 
 
-class Words(NamedTuple):
-    """A verdict in a report and in a list of results."""
-
-    level: Level
-    headline: str
-    listed: str
-
-
-VERDICTS: Mapping[Verdict, Words] = {
-    Verdict.KEPT: Words("good", "Bounds kept", "bounds kept"),
-    Verdict.LOST: Words("bad", "Bounds not kept", "bounds not kept"),
-    Verdict.UNKNOWN: Words("broken", "Not known whether bounds were kept", "unknown"),
-    Verdict.FAULTED: Words("broken", "Run ended by a fault", "faulted"),
-    Verdict.INTERRUPTED: Words("broken", "Run interrupted", "interrupted"),
-    Verdict.NOTHING: Words("broken", "Nothing was recorded", "incomplete"),
-}
-"""Words of all verdicts."""
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
-"""Who holds up a loop that lacks a setting."""
+"""Programs that delay a loop without a real-time setting, by setting."""
 
 
 @dataclass(frozen=True)
@@ -87,81 +74,82 @@ def verdict_on_run(
         judged: the run.
         manifest: ``manifest.json`` of its folder; empty where there is none.
     """
-    run, summary = judged.data, judged.summary
-    bounds, known = summary["bounds"], known_ticks(run)
-    is_judged = bounds["violation_fraction"] is not None
+    run, result = judged.data, judged.result
+    bounds, known = result.bounds, known_ticks(run)
+    is_judged = bounds.violation_fraction is not None
     reasons = [
-        f"The true error was {_bounds_text(run, summary, known)}."
+        f"The true error was {_bounds_text(run, result, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
-        *_sentences_on_the_tip(summary, run.setup.scenario.metrics.from_s),
-        *_sentences_on_the_robot(run, summary),
+        *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
+        *_sentences_on_the_robot(run, result),
         *(
-            f"The error of {each['joint']} grows by e^({each['rate_per_s']:.3g} t) at"
-            f" {each['frequency_hz']:.3g} Hz over the last half of the run: this loop is unstable."
-            for each in summary.get("growing", ())
+            f"The error of {each.joint} grows by e^({each.rate_per_s:.3g} t) at"
+            f" {each.frequency_hz:.3g} Hz over the last half of the run: this loop is unstable."
+            for each in result.growing
         ),
         *(
-            f"The torque of {each['joint']} swings between its limits at"
-            f" {each['frequency_hz']:.3g} Hz ({100 * each['saturated_fraction']:.2g} % of the ticks"
-            f" saturated, RMS {100 * each['torque_rms_share']:.2g} % of the limit, last half of the"
+            f"The torque of {each.joint} swings between its limits at"
+            f" {each.frequency_hz:.3g} Hz ({100 * each.saturated_fraction:.2g} % of the ticks"
+            f" saturated, RMS {100 * each.torque_rms_share:.2g} % of the limit, last half of the"
             " run): this loop vibrates."
-            for each in summary.get("vibrating", ())
+            for each in result.vibrating
         ),
-        *_sentences_on_chunks(summary.get("chunks")),
-        *_sentences_on_ranges(summary),
-        *_shortcomings(run, summary, known),
-        *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], manifest),
+        *_sentences_on_chunks(result.chunks),
+        *_sentences_on_ranges(result),
+        *_shortcomings(run, result, known),
+        *_sentences_on_a_stall(result.timing.longest_stall_ms, manifest),
     ]
-    level, headline, _ = VERDICTS[judged.verdict]
+    level, headline = judged.verdict.level, judged.verdict.headline
     if is_judged and judged.verdict is Verdict.NOTHING:
         headline = _NO_COMMAND.capitalize()
-    if summary["recording"]["damage"]:
+    if result.recording.damage:
         headline = f"Recording damaged: {headline[0].lower()}{headline[1:]}"
-    if level == "broken" and bounds["violation_fraction"]:
+    if level == "broken" and bounds.violation_fraction:
         headline += ", bounds not kept"
     elif level == "broken" and is_judged:
         headline += ", inside its bounds at all known ticks"
-    return ReportHead(level, headline, reasons, summary["faults"])
+    return ReportHead(level, headline, reasons, result.faults)
 
 
-def _sentences_on_the_tip(summary: Mapping[str, Any], from_s: float) -> list[str]:
-    rms_mm, largest_mm = (tip_error(summary, name) for name in ("rms", "largest"))
+def _sentences_on_the_tip(result: RunResult, from_s: float) -> list[str]:
+    rms_mm, largest_mm = result.tip_error_mm.rms, result.tip_error_mm.largest
     if rms_mm is None or largest_mm is None:
         return []
     most = f"{number(largest_mm)} mm at most"
     return [f"The tip was off by {number(rms_mm)} mm RMS, {most}, from {from_s:g} s on."]
 
 
-def _sentences_on_chunks(chunks: Mapping[str, Any] | None) -> list[str]:
+def _sentences_on_chunks(chunks: Chunks | None) -> list[str]:
     """Return what is worth a look of a slow law's answers: jumps, old observations, no row left."""
-    if chunks is None or not chunks.get("switches"):
+    if chunks is None or not chunks.switches or not chunks.age_ms:
         return []
-    jump_rad, ages = chunks["jump_rad"], chunks["age_ms"]
+    jump_rad, ages = chunks.jump_rad, chunks.age_ms
     jumped = (
         ""
         if jump_rad is None
         else (
-            f", largest jump of a target {number(_MRAD * jump_rad)} mrad ({chunks['jump_joint']} at"
-            f" {chunks['jump_s']:.2f} s; {number(chunks['jump_mm'])} mm at the tip)"
+            f", largest jump of a target {number(_MRAD * jump_rad)} mrad ({chunks.jump_joint} at"
+            f" {chunks.jump_s:.2f} s; {number(chunks.jump_mm)} mm at the tip)"
         )
     )
-    left = f" Nothing was left to send at {100 * chunks['starved_share']:.3g} % of the states."
+    share = 100.0 * (chunks.starved_share or 0.0)
+    left = f" Nothing was left to send at {share:.3g} % of the states."
     return [
-        f"{chunks['switches']} new answers of the law{jumped}. The observation behind an answer in"
+        f"{chunks.switches} new answers of the law{jumped}. The observation behind an answer in"
         f" force was {number(ages['median'])} ms old (median), {number(ages['largest'])} ms at"
-        f" most.{left if chunks['starved_ticks'] else ''}"
+        f" most.{left if share else ''}"
     ]
 
 
-def _sentences_on_the_robot(run: RunData, summary: Mapping[str, Any]) -> list[str]:
+def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     """Return how far a robot that takes targets is behind, and why it stopped by itself."""
     sentences = []
-    for each in summary.get("reflexes", ()):
-        of_joint = "" if each["joint"] is None else f" of {each['joint']}"
-        reflex = f"{each['kind']}{of_joint}"
-        sentences.append(f"The robot stopped at {each['time_s']:.3f} s by its reflex {reflex}.")
-    lag, lags = worst_lag_ms(summary), summary.get("lag_ms") or []
+    for each in result.reflexes:
+        of_joint = "" if each.joint is None else f" of {each.joint}"
+        reflex = f"{each.kind}{of_joint}"
+        sentences.append(f"The robot stopped at {each.time_s:.3f} s by its reflex {reflex}.")
+    lag, lags = worst_lag_ms(result), result.lag_ms
     if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
         joint = run.setup.robot.joint_names[lags.index(lag)]
         way = "behind" if lag >= 0.0 else "ahead of"
@@ -171,12 +159,12 @@ def _sentences_on_the_robot(run: RunData, summary: Mapping[str, Any]) -> list[st
     return sentences
 
 
-def _sentences_on_ranges(summary: Mapping[str, Any]) -> list[str]:
+def _sentences_on_ranges(result: RunResult) -> list[str]:
     """Return a sentence about joints that pass their ranges by much."""
-    if not (found := summary.get("beyond_ranges", ())):
+    if not (found := result.beyond_ranges):
         return []
     named = ", ".join(
-        f"{each['joint']} by {number(each['beyond_rad'])} rad at {each['time_s']:.2f} s"
+        f"{each.joint} by {number(each.beyond_rad)} rad at {each.time_s:.2f} s"
         for each in found[:_NAMED_JOINTS]
     )
     more = f" and {len(found) - _NAMED_JOINTS} more" * (len(found) > _NAMED_JOINTS)
@@ -189,29 +177,29 @@ def damaged(damage: Sequence[str]) -> str:
     return f"The recording is damaged: {'; '.join(damage)}."
 
 
-def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> list[str]:
+def _shortcomings(run: RunData, result: RunResult, known: KnownTicks) -> list[str]:
     """Everything but faults that makes this less than a whole run on an undisturbed machine."""
     found = []
-    if summary["recording"]["damage"]:
-        found.append(damaged(summary["recording"]["damage"]))
+    if result.recording.damage:
+        found.append(damaged(result.recording.damage))
     elif not run.complete:
         found.append(PARTIAL)
     if (found or known.missing) and (counted := plant_count(run).get("outside")):
         found.append(f"The plant itself counted {counted:,} ticks outside its bounds.")
     if known.missing:
-        found += [missing_ticks_sentence(known), *_sentences_on_gaps(summary)]
+        found += [missing_ticks_sentence(known), *_sentences_on_gaps(result)]
     if run.lacks_checksums:
         found.append(UNCHECKED)
     found.extend(f"{note}." for note in run.notes)
-    planned_s, timing = run.setup.scenario.duration_s, summary["timing"]
-    if not summary["completed"] and summary["duration_s"] < planned_s:
-        found.append(f"The data end at {summary['duration_s']:.3f} s of {planned_s:g} s planned.")
+    planned_s, timing = run.setup.scenario.duration_s, result.timing
+    if not result.completed and result.duration_s < planned_s:
+        found.append(f"The data end at {result.duration_s:.3f} s of {planned_s:g} s planned.")
     if run.lost:
         missed = ", ".join(f"{topic} {count:,}" for topic, count in run.lost.items())
         found.append(f"{sum(run.lost.values()):,} messages are missing in the recording: {missed}.")
-    if timing["deadline_misses"] and timing["stolen_ms"]:
+    if timing.deadline_misses and timing.stolen_ms:
         found.append(
-            f"A hypervisor took {timing['stolen_ms']:.0f} ms of CPU time away during the run."
+            f"A hypervisor took {timing.stolen_ms:.0f} ms of CPU time away during the run."
         )
     return found
 
@@ -231,11 +219,11 @@ def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -
     return [f"{sentence}: this run says little about the law."]
 
 
-def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
+def _sentences_on_gaps(result: RunResult) -> list[str]:
     """Explain the effect of missing ticks on numbers that rest on neighbouring ones."""
-    recording = summary["recording"]
-    left_out_s = recording["torque_left_out_s"]
-    pairs = zip(summary["tracking"]["joint_names"], recording["settling_is_latest"], strict=True)
+    recording = result.recording
+    left_out_s = recording.torque_left_out_s
+    pairs = zip(result.tracking.joint_names, recording.settling_is_latest, strict=True)
     names = ", ".join(name for name, is_latest in pairs if is_latest)
     latest = f"Settled at the given time or earlier, because ticks are missing: {names}."
     torques = f"Variation and spectrum of the torques leave out {left_out_s:.3f} s around the gaps."
@@ -250,46 +238,41 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
     )
 
 
-def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) -> str:
+def _bounds_text(run: RunData, result: RunResult, known: KnownTicks) -> str:
     """Describe the error within its bounds, at the ticks that are known."""
-    bounds, damage = summary["bounds"], summary["recording"]["damage"]
+    bounds, damage = result.bounds, result.recording.damage
     is_all = not known.missing and not damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
     where = f"the {known.known:,}{of_all} ticks at which it is known"
-    margin, place = bounds["margin_min"], margin_place(bounds)
-    if not bounds["violation_fraction"]:
+    margin, place = bounds.margin_min, margin_place(bounds)
+    if not bounds.violation_fraction:
         ticks = f"all {known.ticks:,} ticks" if is_all else where
         others = other_margins(bounds, run.setup.scenario.metrics.from_s)
         return f"inside its bounds at {ticks}, smallest margin {margin_text(margin)}{place}{others}"
     times = "an unknown multiple of" if margin is None else f"{number(1.0 - margin)} times"
     return (
-        f"outside its bounds at {number(bounds['violation_fraction'], 100)} % of"
+        f"outside its bounds at {number(bounds.violation_fraction, 100)} % of"
         f" {'the ticks' if is_all else where}, for the first time at"
-        f" {bounds['first_violation_s']:.3f} s{_loss_text(summary.get('loss'))}, and at most"
+        f" {bounds.first_violation_s:.3f} s{_loss_text(result.loss)}, and at most"
         f" {times} its bound{place}"
     )
 
 
-def loss_words(loss: Mapping[str, Any]) -> str:
-    """Return how a joint's error left its funnel, in words.
-
-    Args:
-        loss: `deploy.judge.findings.loss_reason.LossReason` as a mapping.
-    """
-    reason = Reason(loss["reason"])
-    words, hertz, lag_ms = reason.words, loss["frequency_hz"], loss.get("lag_ms")
+def loss_words(loss: LossReason) -> str:
+    """Return how a joint's error left its funnel, in words."""
+    words, hertz, lag_ms = loss.reason.words, loss.frequency_hz, loss.lag_ms
     words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
-    if reason is Reason.UNSTABLE and (rate := loss["rate_per_s"]) is not None:
+    if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:
         words += f" by e^({rate:.3g} t)"
-    if reason in (Reason.UNSTABLE, Reason.GROWING) and loss.get("without_delay"):
+    if loss.reason in (Reason.UNSTABLE, Reason.GROWING) and loss.without_delay:
         words += ", already without a delay"
     return words
 
 
-def _loss_text(loss: Mapping[str, Any] | None) -> str:
+def _loss_text(loss: LossReason | None) -> str:
     """Return the reason why a run left its funnel, as a part of a sentence."""
-    return "" if loss is None else f" ({loss['joint']}, {loss_words(loss)})"
+    return "" if loss is None else f" ({loss.joint}, {loss_words(loss)})"
 
 
 def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
@@ -301,7 +284,7 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
     unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
     head = _head(runs, headline, [*unread, *_ranking(comparison), *settled])
-    faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.summary["faults"]]
+    faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
     return replace(head, printed=[*unread, *settled, *faulted])
 
 
@@ -361,26 +344,26 @@ def _is_sound(run: JudgedRun) -> bool:
 
 def bounds_sentence(run: JudgedRun) -> str:
     """Say whether a law kept its bounds, or how it failed."""
-    faults, known = run.summary["faults"], known_ticks(run.data)
+    faults, known = run.result.faults, known_ticks(run.data)
     if faults:
         return "; ".join(faults[:_SHOWN_FAULTS])
     if run.verdict is Verdict.INTERRUPTED:
         return "did not finish"
     if run.verdict is Verdict.NOTHING:
-        is_judged = run.summary["bounds"]["violation_fraction"] is not None
+        is_judged = run.result.bounds.violation_fraction is not None
         return _NO_COMMAND if is_judged else "has no tick"
-    if run.verdict is Verdict.LOST and not run.summary["bounds"]["violation_fraction"]:
+    if run.verdict is Verdict.LOST and not run.result.bounds.violation_fraction:
         return (
             "left its bounds at ticks that are missing in the recording, by the plant's own count"
         )
-    return _bounds_text(run.data, run.summary, known)
+    return _bounds_text(run.data, run.result, known)
 
 
 def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
     """Describe what the recordings of runs lack, each with its law."""
     found = []
     for run in runs:
-        if damage := run.summary["recording"]["damage"]:
+        if damage := run.result.recording.damage:
             found.append(f"{run.law}: {damaged(damage)}")
         if (known := known_ticks(run.data)).missing:
             found.append(f"{run.law}: {missing_ticks_sentence(known)}")
@@ -391,12 +374,14 @@ def _ranking(comparison: ComparedRuns) -> list[str]:
     """Name the most precise law that kept its bounds, joint by joint, and the smoothest."""
     kept = [run for run in comparison.runs if run.kept_bounds]
     sentences = []
-    for what, section, key in (
-        ("Smallest RMS error", "tracking", "rms_rad"),
-        ("Smallest total variation of torque", "torque", "total_variation_nm_per_s"),
-    ):
-        competing = {run.law: run.summary[section][key] for run in kept}
-        competing = {law: values for law, values in competing.items() if values is not None}
+    numbers: dict[str, dict[str, PerJoint | None]] = {
+        "Smallest RMS error": {run.law: run.result.tracking.rms_rad for run in kept},
+        "Smallest total variation of torque": {
+            run.law: run.result.torque.total_variation_nm_per_s for run in kept
+        },
+    }
+    for what, by_law in numbers.items():
+        competing = {law: values for law, values in by_law.items() if values is not None}
         if len(competing) > 1:
             sentences.append(f"{what}: {_winners(competing, kept)}.")
     return sentences
@@ -404,7 +389,7 @@ def _ranking(comparison: ComparedRuns) -> list[str]:
 
 def _winners(competing: dict[str, list[float]], kept: list[JudgedRun]) -> str:
     """Name the smallest number on each joint, and its distance from the next best."""
-    names = kept[0].summary["tracking"]["joint_names"]
+    names = kept[0].result.tracking.joint_names
     won: dict[str, dict[str, float]] = {}
     for joint, name in enumerate(names):
         first, second = sorted(competing, key=lambda law: competing[law][joint])[:2]

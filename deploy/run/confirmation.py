@@ -15,7 +15,7 @@ import numpy as np
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import judge
 from deploy.judge.run_data import RunData
 from deploy.judge.run_rows import Row, held
 from deploy.judge.run_rows import row as run_row
@@ -91,10 +91,10 @@ def _refuse(setup: Setup, key: str, value: object, allowed: str) -> NoReturn:
 def simulated_otherwise(setup: Setup, path: Path) -> list[str]:
     """Return a sentence if a simulation's digest or verdict differs from this folder's run."""
     try:
-        found = [summarise(load_run(path)[0]), execute(setup).summary]
+        found = [judge(load_run(path)[0]), execute(setup).result]
     except RunFolderError:
         return []  # the command reports it itself
-    recorded, simulated = (f"{one['verdict']}, digest {one['digest'][:16]}" for one in found)
+    recorded, simulated = (f"{one.verdict}, digest {one.digest[:16]}" for one in found)
     if recorded == simulated:
         return []
     return [f"a simulation in one process differs from the run: {simulated}, not {recorded}"]
@@ -127,12 +127,12 @@ def confirmed_row(setup: Setup, run: JudgedRun, how: How | None = None) -> Row:
         run: the run.
         how: as for `execute`.
     """
-    values = run_row(run.summary, setup.scenario.seed)
+    values = run_row(run.result, setup.scenario.seed)
     values |= {name: [] for name in CONFIRMATION_COLUMNS}
     for name, other in other_physics(setup).items():
         end_if_asked()
         again = execute(other, how)
-        found = run_row(again.summary, setup.scenario.seed)
+        found = run_row(again.result, setup.scenario.seed)
         values["confirmed_on"].append(name)
         values["confirmed_kept"].append(held(found))
         values["confirmed_margin_min"].append(found["margin_min"])

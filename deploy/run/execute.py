@@ -15,9 +15,9 @@ from typing import Any, Protocol
 
 from bus_schema.recording.atomic_files import write_json
 from bus_schema.runtime.child import how_it_ended, last_line
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, judge
 from deploy.judge.run_data import RunData
-from deploy.judge.verdict import Verdict, verdict_of
+from deploy.judge.verdict import Verdict
 from deploy.run.fault_record import write_fault_record
 from deploy.run.network.links import free_ports
 from deploy.run.network.real_delay import RealDelay
@@ -37,12 +37,12 @@ OnStart = Callable[[Callable[[], None]], None]
 
 
 class JudgedRun:
-    """A run whose data is read, and whose summary is computed, when first requested.
+    """A run whose data is read, and whose result is computed, when first requested.
 
     Args:
         law: its name, or another label that distinguishes the run from others beside it.
         data: the recorded data, or a function that reads it.
-        summary: content of ``summary.json``; if None, it is computed.
+        result: its result; if None, it is computed.
         path: its folder or MCAP file; None if it was not written.
         outcome: how its processes ended.
     """
@@ -51,13 +51,13 @@ class JudgedRun:
         self,
         law: str,
         data: RunData | Callable[[], RunData],
-        summary: dict[str, Any] | None = None,
+        result: RunResult | None = None,
         path: Path | None = None,
         outcome: RunOutcome | None = None,
     ) -> None:
         self.law, self.path = law, path
         self.outcome = RunOutcome() if outcome is None else outcome
-        self._data, self._summary = data, summary
+        self._data, self._result = data, result
 
     @cached_property
     def data(self) -> RunData:
@@ -71,9 +71,14 @@ class JudgedRun:
         return self._data
 
     @cached_property
+    def result(self) -> RunResult:
+        """Its result; raises the errors of `data`."""
+        return judge(self.data) if self._result is None else self._result
+
+    @property
     def summary(self) -> dict[str, Any]:
         """Content of ``summary.json``; raises the errors of `data`."""
-        return summarise(self.data) if self._summary is None else self._summary
+        return self.result.model_dump()
 
     @property
     def seed(self) -> int:
@@ -82,7 +87,7 @@ class JudgedRun:
     @property
     def verdict(self) -> Verdict:
         """The verdict on the run."""
-        return verdict_of(self.summary)
+        return self.result.verdict
 
     @property
     def kept_bounds(self) -> bool:

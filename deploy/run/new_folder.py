@@ -39,7 +39,7 @@ _FOLDERS = ("rows", "scenarios", "base", "export")
 """Folders of a study, and of `export`."""
 _SHOWN = 5
 _ROOM_BYTES = 10_000_000
-"""What the disk must still take before old results are removed: a report and a short recording."""
+"""Free space, in bytes, without which old results stay: for a report and a short recording."""
 
 
 class FolderLock:

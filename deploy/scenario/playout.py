@@ -42,7 +42,7 @@ _BRIDGE_MS = 200.0
 _EASILY_HELD_NS = 200_000_000
 """That time of an arm that never leaves its bounds while it is held."""
 _GROWS_BY_ON_NETWORK = 0.3
-"""How fast the horizon grows where delays vary at random: a burst may come soon."""
+"""Growth of the horizon where delays vary at random: a burst may come soon."""
 
 
 def resolved_link(setup: Setup) -> LinkConfiguration:

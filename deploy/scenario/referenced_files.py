@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import resources
@@ -22,6 +22,8 @@ from controller.reference_configuration import CsvConfiguration, ReferenceConfig
 from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.checking.explanation import Origin
 from deploy.scenario.definition import ScenarioConfiguration
+from deploy.scenario.xacro_arguments import split_arguments
+from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.jitter import read_delays_ms
 from plant_emulator.channel.trace_file import read_trace
 
@@ -208,3 +210,27 @@ def _value_at(section: Any, key: str) -> Any:
     for name in key.split("."):
         section = getattr(section, name, None)
     return section
+
+
+def named_robot(
+    name: str, joints: Sequence[str] | None = None, include: Iterable[Path] = (),
+    mass_kg: float | None = None,
+) -> RobotDescription:  # fmt: skip
+    """Return an arm by its file, with xacro arguments, or by the name of a shipped robot.
+
+    Args:
+        name: the file or name.
+        joints: names of its driven joints; all by default.
+        include: folders of packages that the file includes.
+        mass_kg: mass of an arm whose file has none.
+
+    Raises:
+        ScenarioError: the file is missing, or cannot be used.
+    """
+    try:
+        file, words = split_arguments(name)
+        urdf, folders = find_urdf(file, Path.cwd()), [folder.resolve() for folder in include]
+        return load_robot(urdf, joints, arguments=words, include=folders, mass_kg=mass_kg)
+    except RobotDescriptionError as error:
+        text = str(error)
+        raise ScenarioError(text if text.startswith("/") else f"{name}: {text}") from error

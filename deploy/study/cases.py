@@ -8,6 +8,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from pydantic import Field
@@ -21,6 +22,7 @@ from deploy.scenario.held_arm import Direction, held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming, override, validated
+from deploy.study.execution.growth import may_be_added, may_change
 from deploy.study.plants import Variant, with_ranges
 from deploy.study.quantities import EXCITATION, Quantity, build_quantity, excitation
 from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
@@ -210,6 +212,11 @@ class StudyOfCases(StudyOfRuns):
         trials: the trial of each variant at each value, by point.
     """
 
+    growth = MappingProxyType({
+        **StudyOfRuns.growth,
+        **dict.fromkeys(("what_helps", "smaller_rotors"), may_change),
+        **dict.fromkeys(("pattern", "disturbances"), may_be_added),
+    })  # fmt: skip
     definition_type: ClassVar[type[CasesDefinition]]
     definition: Any
     cases: list[Case]

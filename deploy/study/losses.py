@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from bus_schema.arrays import Vector
+from deploy.judge.findings.link_delays import share_interval
 from deploy.study.plants import Measured
 
-_Z_95 = 1.959963984540054
 _LEAST_EACH = 3
 """Number of lost, and of kept, plants below which nothing is reported about common properties."""
 _SHUFFLES = 1000
 _SHUFFLE_SEED = 1
 
 
-def wilson(kept: int, total: int) -> tuple[float, float] | None:
-    """Return Wilson's 95 % interval of a share; None for no plants."""
-    if total == 0:
-        return None
-    share, spread = kept / total, _Z_95 * _Z_95 / total
-    middle = (share + 0.5 * spread) / (1.0 + spread)
-    half = math.sqrt(share * (1.0 - share) * spread + 0.25 * spread * spread) / (1.0 + spread)
-    # At the ends of the range they are exact, except for rounding.
-    low = 0.0 if kept == 0 else max(0.0, middle - half)
-    return low, 1.0 if kept == total else min(1.0, middle + half)
-
-
 def share_kept(kept: int, total: int) -> dict[str, Any]:
     """Return a share with its interval, ready for JSON."""
-    interval = wilson(kept, total)
     return {
         "kept": kept,
         "total": total,
         "fraction": kept / total if total else None,
-        "wilson_95": None if interval is None else list(interval),
+        "wilson_95": list(share_interval(kept, total)) if total else None,
     }
 
 

@@ -237,11 +237,11 @@ class Margin(StudyOfCases):
 
     def recall(self, summary: Mapping[str, Any]) -> None:
         """Take over the theory of custom laws, which `report` does not run."""
+        found = [case for case in summary.get("cases", ()) if case.get("theory")]
         for index, tags in enumerate(case.setting.tags for case in self.cases):
-            if is_custom(tags["law"]):
-                for each in summary.get("cases", ()):
-                    if tags.items() <= each.items() and each.get("theory"):
-                        self._recalled[index] = each["theory"]
+            same = [case["theory"] for case in found if tags.items() <= case.items()]
+            if same and is_custom(tags["law"]):
+                self._recalled[index] = same[0]
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         for index, found in enumerate(summary["cases"]):

@@ -35,6 +35,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import find_yaml, override, read_yaml
+from deploy.study.execution.growth import Growth, may_rise
 from deploy.study.execution.provenance import provenance_of
 from deploy.study.statistics import commonest_error, seeds_of
 from plant_emulator.plant_loop import PlantLoop
@@ -110,6 +111,31 @@ def scenario_name(name_or_path: str, folder: Path) -> str:
     return found.stem if found.parent == SHIPPED_SCENARIOS else " ".join([str(found), *words])
 
 
+def study_values(
+    name_or_path: str,
+    more: Mapping[str, Any] = MappingProxyType({}),
+    fixed: Mapping[str, Any] = MappingProxyType({}),
+    fits: Callable[[Path], bool] = lambda _file: True,
+) -> tuple[dict[str, Any], Path]:
+    """Return the definition in a study's file, and the file.
+
+    Args:
+        name_or_path: its path, or the name of a shipped one.
+        more: values that take precedence over the file.
+        fixed: scenario values that take precedence over those of its ``set``.
+        fits: whether a shipped file is of the wanted kind.
+
+    Raises:
+        ScenarioError: it cannot be read.
+    """
+    path = find_yaml(name_or_path, SHIPPED, fits=fits)
+    values = {**read_yaml(path), **more}
+    own = values.get("set") or {}
+    if fixed and isinstance(own, dict):  # or the schema refuses it
+        values["set"] = {**own, **fixed}
+    return values, path
+
+
 def is_sweep(file: Path) -> bool:
     """Whether a study's file is for `sweep`; the others are for `margin`."""
     return "grid" in read_yaml(file)
@@ -166,12 +192,12 @@ def _judged(setup: Setup, run: PlannedRun) -> Row:
 
     with _folder(setup, run) as folder:
         done = execute(setup, InProcess(begin) if run.ends_early and is_ours else None, folder)
-        values = row(done.summary, run.seed)
+        values = row(done.result, run.seed)
         if any(plant.ended_early for plant in plants):
             values = early_row(values)
         if run.confirm:
             values = confirmed_row(setup, done)
-            done.summary[CONFIRMATION] = confirmations([values])
+            done.result = done.result.replaced(confirmation=confirmations([values]))
         if folder is not None:
             done.keep(folder)
     return values
@@ -229,6 +255,8 @@ class StudyOfRuns(ABC):
 
     Attributes:
         kind: ``kind`` of its summary, such as ``sweep`` or ``margin``.
+        growth: how keys of its definition may change in the same folder, where lists may not just
+            get further entries.
         definition: its definition, with scenarios named by `scenario_name`.
         columns: names and Parquet types of varied values.
         bases: the scenarios that it varies.
@@ -239,6 +267,7 @@ class StudyOfRuns(ABC):
     """
 
     kind: ClassVar[str]
+    growth: ClassVar[Mapping[str, Growth]] = MappingProxyType({"plants": may_rise})
     definition: StudyDefinition
     columns: Mapping[str, str]
     bases: list[Setup]

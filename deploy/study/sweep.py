@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, shown
 from deploy.judge.run_rows import Row, held
 from deploy.scenario import study_keys
 from deploy.scenario.referenced_files import data_files
@@ -22,17 +22,15 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
-    find_yaml,
     naming,
     override,
-    read_yaml,
     validated,
 )
+from deploy.study.execution.growth import has_all, lacks
 from deploy.study.losses import share_kept
 from deploy.study.plants import UncertainDefinition, Variant, draw_columns, draw_plants, with_ranges
 from deploy.study.statistics import badness, spread_of_runs, without_effect
 from deploy.study.study import (
-    SHIPPED,
     PlannedRun,
     StudyOfRuns,
     column_type,
@@ -41,8 +39,15 @@ from deploy.study.study import (
     require_different,
     rows_by,
     scenario_name,
+    study_values,
 )
 
+_TYPES = {
+    "bool": "true or false",
+    "double": "numbers",
+    "string": "neither numbers nor true or false",
+}
+"""Kind of a grid's values, by the Parquet type of their column."""
 _MOST_VALUES = 10_000
 _MOST_RUNS = 100_000
 
@@ -86,6 +91,19 @@ class SweepDefinition(UncertainDefinition):
     grid: dict[str, Values]
 
 
+def _grid_growth(key: str, old: Any, new: Any) -> Iterator[str]:
+    """Axes grow by further values of the same type; axes are neither added nor removed."""
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        yield lacks(key, old, new)
+        return
+    for axis in dict.fromkeys((*old, *new)):
+        before, now = old.get(axis), new.get(axis)
+        if before is None or now is None or not has_all(now, before):
+            yield lacks(f"{key}.{axis}", before, now)
+        elif (kind := column_type(before)) != column_type(now):
+            yield f"{key}.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
+
+
 class Sweep(StudyOfRuns):
     """The runs of a sweep.
 
@@ -95,6 +113,7 @@ class Sweep(StudyOfRuns):
     """
 
     kind = "sweep"
+    growth = MappingProxyType({**StudyOfRuns.growth, "grid": _grid_growth})
     definition: SweepDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
@@ -219,12 +238,7 @@ def load_sweep(
     Raises:
         ScenarioError: anything about it is wrong.
     """
-    path = find_yaml(name_or_path, SHIPPED, fits=is_sweep)
-    values = {**read_yaml(path), **more}
-    own = values.get("set") or {}
-    if fixed and isinstance(own, dict):  # or the schema refuses it
-        values["set"] = {**own, **fixed}
-    return Sweep(values, path)
+    return Sweep(*study_values(name_or_path, more, fixed, is_sweep))
 
 
 def _point(index: int, plant: Variant) -> str:

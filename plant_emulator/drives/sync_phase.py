@@ -7,8 +7,8 @@ _COUNTED = 25
 
 _WINDOW, _EARLY = 20, 2
 _MOST_OF_PERIOD = 0.01
-"""What a window may move the clock by: 500 ppm, more than two clocks ever drift apart, and so
-little that no run of samplings read late, and no second master, turns it far."""
+"""Largest correction of the clock by a window: 500 ppm, more than two clocks ever drift apart, and
+so little that no run of samplings read late, and no second master, turns it far."""
 
 
 class SyncPhase:

@@ -17,7 +17,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.recording.mcap_log import McapLog, read_log
 from deploy.bench.bench import show_section
 from deploy.bench.measure import Section, cost_us, interleave, ratio
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import judge
 from deploy.reports.html import write_page
 from deploy.reports.runs.run_pages import run_page
 from deploy.run.execute import JudgedRun
@@ -96,7 +96,7 @@ def measure_finishing(scenario: str, seconds: float, repetitions: int) -> Sectio
     setup = load_setup(scenario, [f"duration_s={seconds}"])
     simulation = simulate(setup)
     data = simulation.data()
-    run = JudgedRun("", data, summarise(data))
+    run = JudgedRun("", data, judge(data))
     with TemporaryDirectory() as folder:
         recording, report = Path(folder) / "run.mcap", Path(folder) / "report.html"
         simulation.write_log(recording)

@@ -104,7 +104,7 @@ _STIFFNESS, _DAMPING = _Number("stiffness_nm_rad", 12, False), _Number("damping_
 _TORQUE = _Number("torque_nm", 12, True)
 _COMMAND = (_POSITION, _VELOCITY, _STIFFNESS, _DAMPING, _TORQUE)
 _STATE = (_POSITION, _VELOCITY, _TORQUE)
-"""What frames hold, the first one in the highest bits."""
+"""Values in frames, the first one in the highest bits."""
 
 
 def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:

@@ -1,4 +1,4 @@
-"""funnel-hil from Python: simulate, compare, sweep, find margins, read and diff recorded runs.
+"""funnel-hil from Python: simulate, compare, sweep, find margins, tune, identify, read runs.
 
     >>> import funnel_hil
     >>> run = funnel_hil.simulate("paper_arm", {"duration_s": 2, "link.uplink.delay_ms": 4})
@@ -13,6 +13,7 @@ it has the methods of `ControlLaw`, gets `Tracking` and a `Dynamics`, and fills 
 from importlib.metadata import version as _version
 
 from funnel_hil import _own_modules  # noqa: F401  (first: it decides what imports find)
+from funnel_hil.answers import Identification, datasheet, identify
 from funnel_hil.results import Comparison, Diff, Run, Study
 from funnel_hil.runs import compare, diff, load_run, simulate
 from funnel_hil.scenarios import (
@@ -24,11 +25,12 @@ from funnel_hil.scenarios import (
     Tracking,
     scenarios,
 )
-from funnel_hil.studies import margin, sweep
+from funnel_hil.studies import benchmark, margin, study, sweep, tune
 
 __version__ = _version("funnel-hil")
 __all__ = [
-    "Comparison", "ControlLaw", "Diagnostics", "Diff", "Dynamics", "InputError", "Run", "Scenario",
-    "Study", "Tracking",
-    "compare", "diff", "load_run", "margin", "scenarios", "simulate", "sweep",
+    "Comparison", "ControlLaw", "Diagnostics", "Diff", "Dynamics", "Identification", "InputError",
+    "Run", "Scenario", "Study", "Tracking",
+    "benchmark", "compare", "datasheet", "diff", "identify", "load_run", "margin", "scenarios",
+    "simulate", "study", "sweep", "tune",
 ]  # fmt: skip

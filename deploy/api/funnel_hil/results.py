@@ -14,7 +14,7 @@ from bus_schema.messages import topics
 from deploy.judge.run_data import RunData, Table
 from deploy.judge.run_rows import Row, row
 from deploy.judge.time_series import SERIES, TRACKING, Columns, series
-from deploy.judge.verdict import Verdict, verdict_of
+from deploy.judge.verdict import Verdict
 from deploy.reports.figures.style import template
 from deploy.reports.page import Panel
 from deploy.reports.results import Results
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class _Drawn:
+class Drawn:
     """Base of results that have the figures of a report.
 
     Args:
@@ -56,7 +56,7 @@ class _Drawn:
         return figure.update_layout(template=template())
 
 
-class _Table(_Drawn):
+class _Table(Drawn):
     """Runs that are rows of a table, with the figures of a report.
 
     Attributes:
@@ -70,7 +70,7 @@ class _Table(_Drawn):
         return _frame(self.rows)
 
 
-class Run(_Drawn):
+class Run(Drawn):
     """One run.
 
     Names end in their unit: ``errors_rad``, ``times_s``, ``torques_nm``. Margins are fractions of
@@ -93,22 +93,22 @@ class Run(_Drawn):
 
     def __init__(self, run: JudgedRun) -> None:
         self.data: RunData = run.data
-        self.summary: dict[str, Any] = run.summary
+        self._result, self.summary = run.result, run.summary
         self.path: Path | None = run.path
-        super().__init__(RUN_PANELS, ComparedRuns([JudgedRun(self.law, run.data, run.summary)]))
+        super().__init__(RUN_PANELS, ComparedRuns([JudgedRun(self.law, run.data, run.result)]))
 
     def __repr__(self) -> str:
-        return f"<Run of {self.summary['scenario']}, {self.law}: {self.verdict}>"
+        return f"<Run of {self._result.scenario}, {self.law}: {self.verdict}>"
 
     @property
     def law(self) -> str:
         """Name of the law."""
-        return str(self.summary["law"])
+        return self._result.law
 
     @property
     def verdict(self) -> str:
         """``kept``, ``lost``, ``unknown``, ``faulted``, ``interrupted`` or ``nothing``."""
-        return verdict_of(self.summary).value
+        return self._result.verdict.value
 
     @property
     def kept(self) -> bool:
@@ -118,19 +118,17 @@ class Run(_Drawn):
     @property
     def margin(self) -> float | None:
         """Smallest ``1 − |e| / bound`` of all joints and ticks; None if nothing was recorded."""
-        smallest: float | None = self.summary["bounds"]["margin_min"]
-        return smallest
+        return self._result.bounds.margin_min
 
     @property
     def steady_margin(self) -> float | None:
         """The same from ``metrics.from_s`` on; None if the run was over before."""
-        smallest: float | None = self.summary["bounds"]["margin_steady"]
-        return smallest
+        return self._result.bounds.margin_steady
 
     @property
     def faults(self) -> list[str]:
         """Faults of the run, a sentence each."""
-        return list(self.summary["faults"])
+        return list(self._result.faults)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -180,7 +178,7 @@ class _SideBySide(_Table):
     def __init__(self, panels: Sequence[Panel[Any]], compared: ComparedRuns) -> None:
         super().__init__(panels, compared)
         self.runs = {run.law: Run(run) for run in compared.runs}
-        self.rows = [row(run.summary, run.seed) for run in compared.runs]
+        self.rows = [row(run.result, run.seed) for run in compared.runs]
 
     def __getitem__(self, name: str) -> Run:
         return self.runs[_known(name, list(self.runs), self._key)]

@@ -23,7 +23,7 @@ from deploy.study.comparison.comparison import ComparedRuns, LawComparison, judg
 from deploy.study.comparison.recorded import KIND, recorded_runs
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
-from funnel_hil.studies import conducted
+from funnel_hil.studies import study_session
 
 
 def simulate(
@@ -89,8 +89,8 @@ def compare(
         return Comparison(ComparedRuns([_judged(each) for each in tried]))
     makers = {name: make for each in tried for name, make in each.makers.items()}
     values = {"laws": [each.law for each in tried]}
-    with laws_given(makers), conducted(
-        base, lambda file: LawComparison({"scenario": str(file), **values}, Path("compare")),
+    with laws_given(makers), study_session(
+        [base], lambda files: LawComparison({"scenario": files[0], **values}, Path("compare")),
         Path(out), overwrite=overwrite,
     ) as (study, folder):  # fmt: skip
         results, compared = comparison_results(folder, judge_rows(study, folder))

@@ -1,4 +1,4 @@
-"""Many runs: sweeps and margins."""
+"""Many runs: sweeps, margins, tunings, benchmarks, and kinds of study that packages add."""
 
 from __future__ import annotations
 
@@ -8,20 +8,25 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from controller.laws import COMPARED_LAWS, torque_laws
 from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
+from deploy.reports.kinds import study_type
 from deploy.reports.results import write_study
 from deploy.run.new_folder import new_folder
-from deploy.study.execution.conduct import conduct
+from deploy.scenario.yaml_files import naming
+from deploy.study.benchmark.benchmark import Benchmark
+from deploy.study.benchmark.cells import BENCHMARK_DELAYS_MS, BENCHMARK_PREDICTORS
 from deploy.study.execution.folder import StudyFolder, here
 from deploy.study.execution.runner import Workers
+from deploy.study.execution.session import open_session
 from deploy.study.robustness import margin_study
 from deploy.study.study import PlannedRun, StudyOfRuns, row_of
 from deploy.study.sweep import Sweep
 from funnel_hil.results import Study
-from funnel_hil.scenarios import Changes, Law, Scenario, ScenarioLike, named_law
+from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike, named_law
 
 OnProgress = Callable[[int, int], None]
 """Is called after each run with how many are done, and how many there will be."""
@@ -62,8 +67,8 @@ def sweep(
     given = Scenario(scenario, changes, law)
     values = {"name": "sweep", "grid": dict(grid or {}), "seeds": _seeds(seeds), **more}
     with given.laws():
-        return _conducted(
-            given, lambda file: Sweep({**values, "scenario": str(file)}, Path("sweep")),
+        return _result_of(
+            [given], lambda files: Sweep({**values, "scenario": files[0]}, Path("sweep")),
             workers, scheduler, out, progress,
         )  # fmt: skip
 
@@ -103,14 +108,131 @@ def margin(
     values: dict[str, Any] = {"seeds": _seeds(seeds), **more}
     makers: dict[str, Maker] = {}
     if laws is not None:
-        named = [named_law(law) for law in laws]
-        values["laws"] = [name for name, _ in named]
-        makers = {name: make for _, own in named for name, make in own.items()}
+        values["laws"], makers = _named_laws(laws)
     with given.laws(), laws_given(makers):
-        return _conducted(
-            given, lambda file: margin_study({**values, "scenarios": [str(file)]}, Path("margin")),
+        return _result_of(
+            [given], lambda files: margin_study({**values, "scenarios": files}, Path("margin")),
             workers, scheduler, out, progress,
         )  # fmt: skip
+
+
+def tune(
+    scenario: ScenarioLike = "paper_arm",
+    changes: Changes | None = None,
+    *,
+    laws: Sequence[str] = COMPARED_LAWS,
+    goal: Literal["rms", "margin"] = "rms",
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: OnProgress | None = None,
+    **more: Any,
+) -> Study:
+    """Search for the gains of laws: the same search, budget and runs for each of them.
+
+    Args:
+        scenario: as for `simulate`.
+        changes: as for `simulate`.
+        laws: names of laws.
+        goal: ``rms`` for a small error with a smooth torque, ``margin`` for a large delay.
+        workers: as for `sweep`.
+        scheduler: as for `sweep`.
+        out: as for `sweep`; also gets a scenario with the gains of each law.
+        progress: as for `sweep`.
+        more: what else a tuning may say: ``budget``, ``search_seed``, ``duration_s``,
+            ``delays_ms``, ``travel_limit_per_s``, ``ranges``, ``plants``, ``uncertainty``.
+
+    Raises:
+        InputError: something about it is wrong.
+    """
+    values = {"laws": list(laws), "goal": goal, **more}
+    return study(
+        "tune", scenario, changes, workers=workers, scheduler=scheduler, out=out,
+        progress=progress, **values,
+    )  # fmt: skip
+
+
+def benchmark(
+    scenarios: Sequence[ScenarioLike] = ("paper_arm",),
+    *,
+    laws: Sequence[Law] | None = None,
+    predictors: Sequence[str] = BENCHMARK_PREDICTORS,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: OnProgress | None = None,
+    **more: Any,
+) -> Study:
+    """Run laws and predictors alike: rising delays, patterns, networks and uncertain plants.
+
+    Args:
+        scenarios: each as for `simulate`.
+        laws: names, classes or laws; all shipped ones of torques by default.
+        predictors: ``none`` and names of predictors.
+        workers: as for `sweep`.
+        scheduler: as for `sweep`.
+        out: as for `sweep`.
+        progress: as for `sweep`.
+        more: what else a benchmark may say: ``delays_ms``, ``networks``, ``windows``,
+            ``duration_s``, ``gains``, ``plants``, ``seeds``.
+
+    Raises:
+        InputError: something about it is wrong.
+    """
+    names, makers = _named_laws(list(torque_laws()) if laws is None else laws)
+    values = {
+        "laws": names, "predictors": list(predictors), "delays_ms": list(BENCHMARK_DELAYS_MS),
+        "networks": [], **more,
+    }  # fmt: skip
+    with laws_given(makers):
+        return _result_of(
+            [Scenario(each) for each in scenarios],
+            lambda files: Benchmark({"scenarios": files, **values}, Path("benchmark")),
+            workers, scheduler, out, progress,
+        )  # fmt: skip
+
+
+def study(
+    kind: str,
+    scenario: ScenarioLike = "paper_arm",
+    changes: Changes | None = None,
+    *,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: OnProgress | None = None,
+    **definition: Any,
+) -> Study:
+    """Run a study of any kind of one scenario, also of a kind that an installed package adds.
+
+    Args:
+        kind: its name, the command of its command line.
+        scenario: as for `simulate`.
+        changes: as for `simulate`.
+        workers: as for `sweep`.
+        scheduler: as for `sweep`.
+        out: as for `sweep`.
+        progress: as for `sweep`.
+        definition: what its file says.
+
+    Raises:
+        InputError: something about it is wrong.
+    """
+    with naming(Path("study")):
+        made = study_type(kind)
+    given = Scenario(scenario, changes)
+    values = {"name": kind, **definition}
+    with given.laws():
+        return _result_of(
+            [given], lambda files: made({**values, "scenario": files[0]}, Path(kind)),
+            workers, scheduler, out, progress,
+        )  # fmt: skip
+
+
+def _named_laws(laws: Sequence[Law]) -> tuple[list[str], dict[str, Maker]]:
+    """Return the names of laws, and what makes those that are given as more than a name."""
+    named = [named_law(law) for law in laws]
+    return [name for name, _ in named], {n: make for _, own in named for n, make in own.items()}
 
 
 def _seeds(seeds: int | Sequence[int]) -> int | list[int]:
@@ -134,18 +256,18 @@ class _Here:
         return run, row_of(run)
 
 
-def _conducted(
-    given: Scenario,
-    build: Callable[[Path], StudyOfRuns],
+def _result_of(
+    given: Sequence[Scenario],
+    build: Callable[[list[str]], StudyOfRuns],
     workers: int | None,
     scheduler: str | None,
     out: str | Path | None,
     on_progress: OnProgress | None,
 ) -> Study:
-    """Conduct a study, and judge it."""
+    """Run a study, and judge it."""
     with ExitStack() as stack:
         place = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else out
-        with conducted(given, build, Path(place), workers, scheduler, on_progress) as (
+        with study_session(given, build, Path(place), workers, scheduler, on_progress) as (
             study,
             folder,
         ):
@@ -153,9 +275,9 @@ def _conducted(
 
 
 @contextmanager
-def conducted(
-    given: Scenario,
-    build: Callable[[Path], StudyOfRuns],
+def study_session(
+    given: Sequence[Scenario],
+    build: Callable[[list[str]], StudyOfRuns],
     out: Path,
     workers: int | None = 0,
     scheduler: str | None = None,
@@ -163,25 +285,50 @@ def conducted(
     *,
     overwrite: bool = False,
 ) -> Iterator[tuple[StudyOfRuns, StudyFolder]]:
-    """Conduct a study of a scenario; yield it and its folder, which is locked meanwhile.
+    """Run a study of scenarios; yield it and its folder, which is locked meanwhile.
 
-    The scenario is written to a file, from which every run reads it.
+    Each scenario is written to a file, from which every run reads it; `build` gets these files.
     """
+    place = out.resolve()
+    if overwrite:
+        new_folder(given[0].name, place, overwrite=True)
+    study = build(written_scenarios(given, place))
+    with session_of(study, place, workers, scheduler, on_progress) as folder:
+        yield study, folder
+
+
+def written_scenarios(given: Sequence[Scenario], folder: Path) -> list[str]:
+    """Write scenarios below a folder, unless they are there; return their files.
+
+    Raises:
+        InputError: two have the same name.
+    """
+    (folder / "base").mkdir(parents=True, exist_ok=True)
+    files = {str(folder / "base" / f"{each.name}.yaml"): each.to_yaml() for each in given}
+    if len(files) < len(given):
+        names = ", ".join(each.name for each in given)
+        raise InputError(f"scenarios: must have different names: {names}")
+    for name, text in files.items():
+        file = Path(name)
+        if not file.is_file() or file.read_text(encoding="utf-8") != text:
+            file.write_text(text, encoding="utf-8")
+    return list(files)
+
+
+@contextmanager
+def session_of(
+    study: StudyOfRuns,
+    out: Path,
+    workers: int | None,
+    scheduler: str | None,
+    on_progress: OnProgress | None,
+) -> Iterator[StudyFolder]:
+    """Do the runs that a study's folder lacks; yield the folder, which is locked meanwhile."""
     done = itertools.count(1)
 
     def progress(_row: Row, expected: int, _before: bool) -> None:
         if on_progress is not None:
             on_progress(next(done), expected)
-
-    place = out.resolve()
-    if overwrite:
-        new_folder(given.name, place, overwrite=True)
-    place.mkdir(parents=True, exist_ok=True)
-    file, text = place / "base" / f"{given.name}.yaml", given.to_yaml()
-    if not file.is_file() or file.read_text(encoding="utf-8") != text:
-        file.parent.mkdir(exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-    study = build(file)
 
     def team() -> AbstractContextManager[Workers]:
         if workers == 0 and scheduler is None:
@@ -190,9 +337,9 @@ def conducted(
 
         return DaskWorkers(workers or None, scheduler, study.laws)
 
-    with conduct(
-        study, team, place, nullcontext(progress), is_elsewhere=scheduler is not None
+    with open_session(
+        study, team, out, nullcontext(progress), is_elsewhere=scheduler is not None
     ) as ended:
         if ended.lost is not None:
             raise ended.lost
-        yield study, ended.folder
+        yield ended.folder

@@ -10,14 +10,14 @@ from typing import Annotated, Any
 import typer
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import ResultGate, conclude, leave, parse_laws, say_oddities
+from deploy.cli.common import ResultGate, leave, parse_laws, say_warnings, show_results
 from deploy.cli.options import GateOptions, InterfaceOption, ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study
-from deploy.reports.studies.data_sheet_results import sheet_folder, write_data_sheet, written_window
+from deploy.reports.studies.data_sheet_results import sheet_folder, sheet_parts, write_data_sheet
 from deploy.reports.studies.robot_sheet_results import KIND, write_robot_sheet
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
@@ -25,7 +25,7 @@ from deploy.run.run_folder import ResultFolder, provenance
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.interface_choice import has_controller
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.data_sheet import DataSheet, any_pattern_ms
+from deploy.study.data_sheet import DataSheet
 from deploy.study.robot_sheet import RobotSheet, driven
 from deploy.study.study import StudyOfRuns
 
@@ -74,19 +74,20 @@ def datasheet(options: DatasheetOptions) -> None:
     gate = ResultGate(options, "datasheet", "ms", tested, "datasheet")
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
-    say_oddities(*margin.bases, *(() if windows is None else windows.bases))
-    parts = {"margin": _made(margin, options, out / "margin", console, stop)}
-    rows: list[Row] = []
-    if windows is not None:
-        parts["network"] = _made(windows, options, out / "network", console, stop, rows)
-    plants = sheet.of_plants(any_pattern_ms(parts["margin"]["cases"][-1]) or 0.0)
-    if plants is not None:
-        parts["plants"] = _made(plants, options, out / "plants", console, stop)
-    window = written_window(windows, rows, out)
+    say_warnings(*margin.bases, *(() if windows is None else windows.bases))
+    parts, window = sheet_parts(
+        sheet,
+        margin,
+        windows,
+        out,
+        lambda study, folder: _made(study, options, folder, console, stop),
+    )
     _leave_if_stopped(stop, console)
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
-        results = conclude(console, folder, lambda: write_data_sheet(folder, sheet, parts, window))
+        results = show_results(
+            console, folder, lambda: write_data_sheet(folder, sheet, parts, window)
+        )
     kept = gate.is_passed(results.summary, console)
     leave(interrupted=False, whole=True, kept=kept)
 
@@ -102,8 +103,8 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
     gate = ResultGate(options, "datasheet", "ms", margin.tested_with, KIND)
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
-    say_oddities(planned[0][2])
-    found = _made(margin, options, out / "margin", console, stop)
+    say_warnings(planned[0][2])
+    found, _ = _made(margin, options, out / "margin", console, stop)
     rows = []
     on_stop(stop.set)
     with CommandProgress(console, "robot", len(planned), "runs") as progress:
@@ -113,20 +114,20 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
             rows.append(driven(*run))
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
-        results = conclude(console, folder, lambda: write_robot_sheet(folder, sheet, found, rows))
+        results = show_results(
+            console, folder, lambda: write_robot_sheet(folder, sheet, found, rows)
+        )
     leave(interrupted=False, whole=True, kept=gate.is_passed(results.summary, console))
 
 
 def _made(
     study: StudyOfRuns, options: DatasheetOptions, out: Path, console: Console,
-    stop: threading.Event, rows: list[Row] | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Do a part of the data sheet; return its summary, and its rows in `rows`."""
+    stop: threading.Event,
+) -> tuple[dict[str, Any], list[Row]]:  # fmt: skip
+    """Do a part of the data sheet; return its summary, and its rows."""
     own = replace(options, out=out, overwrite=False)
     with carried_out(study, own, console, stop) as done:
-        summary = write_study(study, done.folder).summary
-        if rows is not None:
-            rows += done.folder.rows
+        summary, rows = write_study(study, done.folder).summary, done.folder.rows
     _leave_if_stopped(stop, console)
     if summary["runs_failed"] == summary["runs"]:
         console.print(f"every run failed: {summary['commonest_error']}", markup=False)
@@ -134,7 +135,7 @@ def _made(
     if not summary["completed"]:
         console.print(f"{done.lost or 'not complete'}: repeat the same command to continue.")
         raise typer.Exit(FAULT)
-    return summary
+    return summary, rows
 
 
 def _leave_if_stopped(stop: threading.Event, console: Console) -> None:

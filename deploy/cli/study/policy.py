@@ -11,7 +11,7 @@ import typer
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from controller.chunks.configuration import CHUNK_MERGES
-from deploy.cli.common import leave, parse_laws, say_oddities
+from deploy.cli.common import leave, parse_laws, say_warnings
 from deploy.cli.options import ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
 from deploy.cli.study.studies import carried_out
@@ -60,7 +60,7 @@ def policy(options: PolicyOptions) -> None:
     console, stop = Console(), threading.Event()
     studies = {merge: sheet.margin(merge) for merge in sheet.merges}  # refuses before any run
     setups = [sheet.setup(merge) for merge in sheet.merges]
-    say_oddities(setups[0])
+    say_warnings(setups[0])
     name = f"policy-{setups[0].scenario.name}"
     out = resolved_out(options.out or Path("runs", name))
     rows = []

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import is_custom
-from deploy.cli.common import conclude
+from deploy.cli.common import show_results
 from deploy.cli.options import NoReport, Out, Overwrite
 from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.bounds import all_damage
@@ -54,7 +54,7 @@ def diff(
     with ResultFolder(new_folder(DIFF, out, overwrite=overwrite)).lock() as folder:
         write_json(folder.manifest, provenance())
         results = diff_results(compared)
-        conclude(
+        show_results(
             Console(), folder, lambda: write_results(folder, results, draws_report=not no_report)
         )
 
@@ -70,7 +70,7 @@ def report(
     """
     folder, judge = evaluated_again(run_dir)
     with folder.lock():
-        results = conclude(Console(), folder, judge)
+        results = show_results(Console(), folder, judge)
     raise typer.Exit(FAULT if results.is_damaged else FINISHED)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from deploy.cli.common import ResultGate, conclude, leave, say_oddities
+from deploy.cli.common import ResultGate, leave, say_warnings, show_results
 from deploy.cli.options import GateOptions, taking
 from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.cli.study.margin_options import (
@@ -34,8 +34,8 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.benchmark.benchmark import Benchmark
 from deploy.study.comparison.comparison import LawComparison
-from deploy.study.execution.conduct import Conducted, conduct
 from deploy.study.execution.runner import Progress, Workers
+from deploy.study.execution.session import Session, open_session
 from deploy.study.robustness import margin_study
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
@@ -60,7 +60,7 @@ def sweep(options: SweepOptions) -> None:
     With --plants, each point runs with that many uncertain plants. After an interruption or a kill,
     the same command continues.
     """
-    _conduct(load_sweep(options.sweep, options.definition(), options.fixed()), options)
+    run_study(load_sweep(options.sweep, options.definition(), options.fixed()), options)
 
 
 @taking(MarginOptions)
@@ -75,7 +75,7 @@ def margin(options: MarginOptions) -> None:
     if options.study is not None:
         path = find_yaml(options.study, SHIPPED, fits=lambda file: not is_sweep(file))
         values = read_yaml(path)
-    _conduct(margin_study(definition_with(options, values), path), options)
+    run_study(margin_study(definition_with(options, values), path), options)
 
 
 @taking(TuneOptions)
@@ -86,7 +86,7 @@ def tune(options: TuneOptions) -> None:
     plants, and written to a scenario for each law. After an interruption or a kill, the same
     command continues; so does one with a larger --budget.
     """
-    _conduct(Tuning(options.definition(), Path("tune")), options)
+    run_study(Tuning(options.definition(), Path("tune")), options)
 
 
 @taking(BenchmarkOptions)
@@ -97,7 +97,7 @@ def benchmark(options: BenchmarkOptions) -> None:
     kill, the same command continues; with more laws (also your own), arms, predictors or plants, it
     adds their rows to those of the others.
     """
-    _conduct(Benchmark(options.definition(), Path("benchmark")), options)
+    run_study(Benchmark(options.definition(), Path("benchmark")), options)
 
 
 @taking(CompareOptions)
@@ -106,7 +106,7 @@ def compare(options: CompareOptions) -> None:
 
     After an interruption or a kill, the same command continues. With more laws, it adds them.
     """
-    _conduct(
+    run_study(
         LawComparison(options.definition(), Path("compare")), options,
         require_bounds=options.require_bounds,
     )  # fmt: skip
@@ -131,8 +131,14 @@ class RunCounter:
         self._progress.update(self._done, total=expected, note=note)
 
 
-def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool = False) -> None:
-    """Run or continue a study, show its results, and end with its exit code."""
+def run_study(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool = False) -> None:
+    """Run or continue a study, show its results, and end with its exit code.
+
+    Args:
+        study: the study.
+        options: workers, folder and gate.
+        require_bounds: whether each run must keep its bounds.
+    """
     quantity, pattern = (getattr(study.definition, key, None) for key in ("quantity", "pattern"))
     console = Console()
     gate = None
@@ -141,9 +147,9 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
             options, study.definition.name, study.unit, study.tested_with, study.kind, quantity,
             patterns=pattern is not None,
         )  # fmt: skip
-    say_oddities(*study.bases)
+    say_warnings(*study.bases)
     with carried_out(study, options, console, threading.Event()) as done:
-        results = conclude(console, done.folder, lambda: write_study(study, done.folder))
+        results = show_results(console, done.folder, lambda: write_study(study, done.folder))
     if not results.summary["completed"]:
         console.print(_GOES_ON.format(done.lost or "stopped"), markup=False)
         raise typer.Exit(INTERRUPTED if done.is_interrupted else FAULT)
@@ -157,9 +163,9 @@ def _conduct(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool
 @contextlib.contextmanager
 def carried_out(
     study: StudyOfRuns, options: WorkerOptions, console: Console, stop: threading.Event
-) -> Iterator[Conducted]:
+) -> Iterator[Session]:
     """Do the runs that the folder of a study lacks, with progress; it is locked meanwhile."""
-    with conduct(
+    with open_session(
         study, _workers(study, options), options.out, _progress(console, study, options, stop),
         overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
     ) as done:  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.recorded_ticks import longest_run
 from deploy.judge.run_data import RunData, stamps_s
+
+_Z_95 = 1.959963984540054
 
 
 class MeasuredDelays(NamedTuple):
@@ -118,7 +121,10 @@ def playout_sentence(playout: dict[str, Any]) -> str:
 
 
 def share_interval(count: int, of: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval of a share, after Wilson."""
-    z2 = 1.96**2
-    centre, spread = count + z2 / 2, 1.96 * (count * (of - count) / of + z2 / 4) ** 0.5
-    return max(0.0, (centre - spread) / (of + z2)), min(1.0, (centre + spread) / (of + z2))
+    """Return Wilson's 95 % confidence interval of a share, of one or more."""
+    share, spread = count / of, _Z_95 * _Z_95 / of
+    middle = (share + 0.5 * spread) / (1.0 + spread)
+    half = math.sqrt(share * (1.0 - share) * spread + 0.25 * spread * spread) / (1.0 + spread)
+    # At the ends of the range they are exact, except for rounding.
+    low = 0.0 if count == 0 else max(0.0, middle - half)
+    return low, 1.0 if count == of else min(1.0, middle + half)

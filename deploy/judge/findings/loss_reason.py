@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.vibration import at_limits
 from deploy.judge.recorded_ticks import rows_after_gaps
+from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import RunData, Table
 
 _BEFORE_S = 1.0
@@ -39,21 +40,21 @@ _PERIODS_WITHOUT_DELAY = 1.5
 """A command acts one period after the measurement where nothing delays it."""
 
 
-class LossReason(NamedTuple):
+class LossReason(Section):
     """Reason why a run left its funnel.
 
     Attributes:
-        reason: see `Reason`.
-        joint: the first one outside.
-        time_s: when.
-        rate_per_s: of an error that grew as e^(rate t); None for none.
-        frequency_hz: of an oscillation; None for none.
-        lag_ms: the time by which the arm followed its reference late; None for no constant time.
-        without_delay: whether commands acted without a delay, so that none is the cause.
+        reason: why the run left its funnel ([table](#why-a-run-was-lost))
+        joint: the joint that left it first
+        time_s: time of that
+        rate_per_s: of an error that grew as e^(rate t); null for none
+        frequency_hz: of an oscillation; null for none
+        lag_ms: the time by which the arm followed its reference late; null for no constant time
+        without_delay: whether commands acted without a delay, so that none is the cause
     """
 
-    reason: Reason
-    joint: str
+    reason: Annotated[Reason, Column(of_any_part=True)]
+    joint: Annotated[str, Column(of_any_part=True)]
     time_s: float
     rate_per_s: float | None = None
     frequency_hz: float | None = None
@@ -73,7 +74,7 @@ def loss_reason(run: RunData) -> LossReason | None:
     acting = np.flatnonzero(truth["command_age_ns"][: tick + 1] >= 0)
     if not acting.size:
         name = run.setup.robot.joint_names[joint]
-        return LossReason(Reason.START, name, float(times_s[tick]))
+        return LossReason(reason=Reason.START, joint=name, time_s=float(times_s[tick]))
     return _Loss(run, joint, int(acting[0]), tick).reason()
 
 
@@ -132,12 +133,20 @@ class _Loss:
             or self._oscillation() or self._late() or self._at_limits()
             or self._because(Reason.SLOW)
         )  # fmt: skip
-        return found._replace(without_delay=self.is_without_delay)
+        return found.model_copy(update={"without_delay": self.is_without_delay})
 
-    def _because(self, reason: Reason, growth: Growth | None = None) -> LossReason:
-        rate, hertz = (None, None) if growth is None else (growth.rate_per_s, growth.frequency_hz)
-        joint = self.run.setup.robot.joint_names[self.joint]
-        return LossReason(reason, joint, float(self.times_s[self.tick]), rate, hertz or None)
+    def _because(
+        self, reason: Reason, growth: Growth | None = None, hertz: float | None = None,
+        lag_ms: float | None = None,
+    ) -> LossReason:  # fmt: skip
+        return LossReason(
+            reason=reason,
+            joint=self.run.setup.robot.joint_names[self.joint],
+            time_s=float(self.times_s[self.tick]),
+            rate_per_s=None if growth is None else growth.rate_per_s,
+            frequency_hz=hertz if growth is None else growth.frequency_hz or None,
+            lag_ms=lag_ms,
+        )
 
     def _ran_out(self) -> LossReason | None:
         """Whether the law had nothing left to send for most of the time in which the error rose."""
@@ -211,7 +220,7 @@ class _Loss:
         swings_s = self._swings_s(slice(self.first, self.end))
         if len(swings_s) >= _SWUNG_BACK:
             hertz = 0.5 * (len(swings_s) - 1) / float(np.ptp(swings_s))
-            return self._because(Reason.VIBRATION)._replace(frequency_hz=hertz)
+            return self._because(Reason.VIBRATION, hertz=hertz)
         after = slice(self.tick, self.end)
         outwards = self.sides[after] * np.sign(self.errors_rad[after]) > 0.0
         if self.is_without_delay and outwards.mean() > _MOSTLY:
@@ -227,7 +236,7 @@ class _Loss:
             return None
         wanted = self.truth["position"][before, self.joint] - errors
         lag = lag_s(errors, np.gradient(wanted, period_s), len(errors) * period_s)
-        return None if lag is None else self._because(Reason.LAG)._replace(lag_ms=1e3 * lag)
+        return None if lag is None else self._because(Reason.LAG, lag_ms=1e3 * lag)
 
 
 def _growing_swings(times_s: Vector, errors_rad: Vector) -> Growth | None:

@@ -56,7 +56,7 @@ def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
 
     None where the delay was always the same and the bounds were kept.
     """
-    run, lost_s = runs.runs[0].data, runs.runs[0].summary["bounds"]["first_violation_s"]
+    run, lost_s = runs.runs[0].data, runs.runs[0].result.bounds.first_violation_s
     delays_ns = run.tables[topics.PLANT_STATUS.name]["command_delay_ns"]
     given = run.tables[topics.PLANT_STATUS.name]["command_sequence"] > 0
     times_s, delays_ms = run.times_s(topics.PLANT_STATUS)[given], 1e-6 * delays_ns[given]

@@ -24,9 +24,9 @@ def joint_bars(comparison: ComparedRuns, quantity: JointQuantity) -> go.Figure |
     """One number of every joint in every run, as bars on a logarithmic scale."""
     figure = style.new_figure(420, y_title=quantity.column.title)
     for run in comparison.runs:
-        heights = [value or None for value in quantity.of_joints(run.summary)]
+        heights = [value or None for value in quantity.of_joints(run.result)]
         figure.add_bar(
-            x=[style.plain(name) for name in run.summary["tracking"]["joint_names"]],
+            x=[style.plain(name) for name in run.result.tracking.joint_names],
             y=heights, name=style.plain(run.law), hovertemplate="%{y:.3g}",
             marker={"color": colour_of(comparison, run.law), "line": {"width": 0}},
         )  # fmt: skip
@@ -92,11 +92,11 @@ def settling(comparison: ComparedRuns) -> go.Figure | None:
         return None
     figure.update_yaxes(type="linear")
     for run in comparison.runs:
-        bounds = SETTLING_BOUND.of_joints(run.summary)
+        bounds = SETTLING_BOUND.of_joints(run.result)
         if any(bound is not None for bound in bounds):
             colour = colour_of(comparison, run.law)
             figure.add_scatter(
-                x=[style.plain(name) for name in run.summary["tracking"]["joint_names"]], y=bounds,
+                x=[style.plain(name) for name in run.result.tracking.joint_names], y=bounds,
                 name=f"bound of {style.plain(run.law)}", mode="markers", showlegend=False,
                 marker={"symbol": "line-ew-open", "size": 40, "color": colour, "line_width": 2},
             )  # fmt: skip

@@ -37,7 +37,7 @@ MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
 """A limit, in all figures."""
 SHOULD_BE = {"color": "rgba(123,135,148,0.55)", "width": 4.5}
-"""What another line should lie on."""
+"""Style of the line on which another one should lie."""
 _AXIS = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
 _OURS = {
     "margin": {"l": 62, "r": 14, "t": TOP_PX, "b": BOTTOM_PX},

@@ -16,7 +16,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode, mode_in
-from deploy.judge.metrics import times_us
+from deploy.judge.result.timing import times_us
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
 from deploy.reports.figures.several_runs import colour_of

@@ -22,7 +22,7 @@ _CLOCKS = {
     "lockstep": "run in lockstep",
     "virtual": "simulated in virtual time",
 }
-"""What kept time, by the name it has in recordings: what a run was, not what its scenario says."""
+"""Words for the clock of a run, by its name in the recording."""
 
 
 def verdict_table(comparison: ComparedRuns) -> Table:
@@ -30,7 +30,7 @@ def verdict_table(comparison: ComparedRuns) -> Table:
     scenario = comparison.runs[0].data.setup.scenario
     shown = run_numbers.OF_LAWS
     rows = [
-        [Cell(run.law), status_cell(run), *(Cell(of(run.summary)) for _, of, _ in shown)]
+        [Cell(run.law), status_cell(run), *(Cell(of(run.result)) for _, of, _ in shown)]
         for run in comparison.runs
     ]
     ranked = (place for place, (*_, is_ranked) in enumerate(shown, start=2) if is_ranked)
@@ -49,9 +49,9 @@ def verdict_table(comparison: ComparedRuns) -> Table:
 def law_table(comparison: ComparedRuns, quantity: JointQuantity) -> Table:
     """One number of every joint, a row per law, the smallest of each joint set off."""
     runs = comparison.runs
-    names = runs[0].summary["tracking"]["joint_names"]
+    names = runs[0].result.tracking.joint_names
     from_s = runs[0].data.setup.scenario.metrics.from_s
-    rows = [[Cell(run.law), *map(Cell, quantity.of_joints(run.summary))] for run in runs]
+    rows = [[Cell(run.law), *map(Cell, quantity.of_joints(run.result))] for run in runs]
     _mark_best(runs, rows, range(1, len(names) + 1))
     briefs = short_names(names)
     columns = [Column(name, brief=brief) for name, brief in zip(names, briefs, strict=True)]
@@ -70,16 +70,16 @@ def status_cell(run: JudgedRun) -> Cell:
 
 def recorded_table(compared: RecordedRuns) -> Table:
     """Return the table of recorded runs: settings and outcome of each."""
-    runs, summaries = compared.runs, [run.summary for run in compared.runs]
+    runs, results = compared.runs, [run.result for run in compared.runs]
     rows: list[Row] = [
-        [key.capitalize(), *(summary[key] for summary in summaries)]
+        [key.capitalize(), *(getattr(result, key) for result in results)]
         for key in ("scenario", "law", "link")
     ]
     rows += [["Clock", *(_CLOCKS.get(run.data.clock, run.data.clock) for run in runs)]]
-    rows += [["Duration (s)", *(summary["duration_s"] for summary in summaries)]]
+    rows += [["Duration (s)", *(result.duration_s for result in results)]]
     rows += [["Bounds", *map(status_cell, runs)]]
-    rows += number_rows(run_numbers.BOUND_NUMBERS, summaries)
-    digest, *others = (summary["digest"] for summary in summaries)
+    rows += number_rows(run_numbers.BOUND_NUMBERS, results)
+    digest, *others = (result.digest for result in results)
     same = (Cell("same", "good") if each == digest else "differs" for each in others)
     rows.append(["Digest, compared with the first run", ABSENT, *same])
     partings = compared.partings[1:]
@@ -106,7 +106,7 @@ def recorded_counts(compared: RecordedRuns) -> Table:
     rows: list[Row] = [
         [key.capitalize(), *(each[key] for each in conditions)] for key in ("version", "date")
     ]
-    rows += number_rows(run_numbers.RUN_COUNTS, [run.summary for run in compared.runs])
+    rows += number_rows(run_numbers.RUN_COUNTS, [run.result for run in compared.runs])
     return Table("Counts", _columns(compared, "Run"), rows)
 
 
@@ -126,9 +126,9 @@ def recorded_joint_tables(compared: RecordedRuns) -> list[Table]:
     usage = [_worst_usage(run) for run in runs]
     each_from = "Each run from its own scenario's metrics.from_s on."
     return [
-        _joints(compared, rms.column, [rms.of_joints(run.summary) for run in runs], each_from),
+        _joints(compared, rms.column, [rms.of_joints(run.result) for run in runs], each_from),
         _joints(compared, Column("Worst error in % of its bound"), usage),
-        _joints(compared, travel.column, [travel.of_joints(run.summary) for run in runs]),
+        _joints(compared, travel.column, [travel.of_joints(run.result) for run in runs]),
     ]
 
 
@@ -146,7 +146,7 @@ def recorded_timing_table(compared: RecordedRuns) -> Table:
     rows: list[Row] = []
     for key, name in run_numbers.TIMES.items():
         for percentile, title in PERCENTILE_NAMES.items():
-            values = [run.summary["timing"][key][percentile] for run in compared.runs]
+            values = [getattr(run.result.timing, key)[percentile] for run in compared.runs]
             if any(values):
                 rows.append([f"{name}, {title}", *values, *_ratio(values)])
     return Table("Timing (µs)", _columns(compared, "Time", ratio=True), rows, WALL_TIME)

@@ -1,15 +1,14 @@
-"""The numbers of a summary that tables and figures show: what they are called, and their units."""
+"""The numbers of a result that tables and figures show: what they are called, and their units."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
+from deploy.judge.bounds import Bounds
+from deploy.judge.metrics import RunResult
 from deploy.reports.tables import Column, Value, margin_percent, margin_text, percent, scaled
 from deploy.study.statistics import worst
-
-Summary = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -19,17 +18,15 @@ class JointQuantity:
     Attributes:
         heading: what it is.
         unit: in which it is shown.
-        section: of ``summary.json``.
-        key: in that section; its value is a list by joint, one number for all joints, or null.
-        factor: from the unit of the summary to `unit`.
+        given: returns it from a result: a value for each joint, one for all of them, or None.
+        factor: from the unit of the result to `unit`.
         brief: heading in a terminal.
         late: whether only the time from ``metrics.from_s`` on counts.
     """
 
     heading: str
     unit: str
-    section: str
-    key: str
+    given: Callable[[RunResult], Sequence[float | None] | float | None]
     factor: float = 1.0
     brief: str = ""
     late: bool = False
@@ -38,30 +35,34 @@ class JointQuantity:
     def column(self) -> Column:
         return Column(self.heading, self.unit, self.brief)
 
-    def of_joints(self, summary: Summary) -> list[float | None]:
+    def of_joints(self, result: RunResult) -> list[float | None]:
         """Its values, shape (joints,), in `unit`; None where it is unknown."""
-        given, joints = summary[self.section][self.key], len(summary["tracking"]["joint_names"])
-        values = given if isinstance(given, list) else [given] * joints
+        given, joints = self.given(result), len(result.tracking.joint_names)
+        values = given if isinstance(given, Sequence) else [given] * joints
         return [scaled(value, self.factor) for value in values]
 
-    def of_worst_joint(self, summary: Summary) -> float | None:
+    def of_worst_joint(self, result: RunResult) -> float | None:
         """The largest of all joints; None if one of them has none."""
-        return worst(self.of_joints(summary))
+        return worst(self.of_joints(result))
 
 
-RMS_ERROR = JointQuantity("RMS error", "mrad", "tracking", "rms_rad", 1e3, "RMS", late=True)
+RMS_ERROR = JointQuantity("RMS error", "mrad", lambda r: r.tracking.rms_rad, 1e3, "RMS", late=True)
 LARGEST_ERROR = JointQuantity(
-    "Largest error", "mrad", "tracking", "max_abs_rad", 1e3, "Largest", late=True
+    "Largest error", "mrad", lambda r: r.tracking.max_abs_rad, 1e3, "Largest", late=True
 )
-SETTLING_TIME = JointQuantity("Settling time", "s", "tracking", "settling_time_s", brief="Settled")
-SETTLING_BOUND = JointQuantity("Settling bound", "s", "tracking", "settling_bound_s", brief="Bound")
-RMS_TORQUE = JointQuantity("RMS torque", "N m", "torque", "rms_nm", brief="Torque\nRMS")
-PEAK_TORQUE = JointQuantity("Peak torque", "N m", "torque", "peak_nm", brief="Torque\npeak")
+SETTLING_TIME = JointQuantity(
+    "Settling time", "s", lambda r: r.tracking.settling_time_s, brief="Settled"
+)
+SETTLING_BOUND = JointQuantity(
+    "Settling bound", "s", lambda r: r.tracking.settling_bound_s, brief="Bound"
+)
+RMS_TORQUE = JointQuantity("RMS torque", "N m", lambda r: r.torque.rms_nm, brief="Torque\nRMS")
+PEAK_TORQUE = JointQuantity("Peak torque", "N m", lambda r: r.torque.peak_nm, brief="Torque\npeak")
 TOTAL_VARIATION = JointQuantity(
-    "Total variation of torque", "N m/s", "torque", "total_variation_nm_per_s", brief="Σ|Δτ|"
+    "Total variation of torque", "N m/s", lambda r: r.torque.total_variation_nm_per_s, brief="Σ|Δτ|"
 )
 SHARE_ABOVE_50_HZ = JointQuantity(
-    "Torque energy above 50 Hz", "%", "torque", "share_above_50_hz", 100.0, "> 50 Hz"
+    "Torque energy above 50 Hz", "%", lambda r: r.torque.share_above_50_hz, 100.0, "> 50 Hz"
 )
 
 OF_ONE_RUN = (RMS_ERROR, LARGEST_ERROR, SETTLING_TIME, SETTLING_BOUND, RMS_TORQUE, PEAK_TORQUE,
@@ -75,72 +76,65 @@ TIMES = {
     "control_step_us": "Control step",
     "wakeup_lateness_us": "Wake-up lateness",
 }
-"""Names of the times of ``timing`` in a summary."""
+"""Names of the times of `Timing`."""
 SETTLED = "A joint has settled when its error stays within the final bounds."
 DEADLINES_MET = "Deadlines met"
 
 
-def margin_place(bounds: Mapping[str, Any]) -> str:
+def margin_place(bounds: Bounds) -> str:
     """At which joint and when the smallest margin was."""
-    joint, at_s = bounds["margin_min_joint"], bounds["margin_min_s"]
+    joint, at_s = bounds.margin_min_joint, bounds.margin_min_s
     return "" if at_s is None else f" ({joint} at {at_s:.3f} s)"
 
 
-def other_margins(bounds: Mapping[str, Any], from_s: float) -> str:
+def other_margins(bounds: Bounds, from_s: float) -> str:
     """Return the margins at the start, after the initial offset, and once bounds have narrowed."""
     margins = {
-        "at the start": bounds["margin_start"],
-        f"from {from_s:g} s on": bounds["margin_steady"],
+        "at the start": bounds.margin_start,
+        f"from {from_s:g} s on": bounds.margin_steady,
     }
     return "".join(f", {margin_text(it)} {when}" for when, it in margins.items() if it is not None)
 
 
-def tip_error(summary: Mapping[str, Any], name: str) -> float | None:
-    """RMS or largest distance of the tip from its reference, mm; older summaries have none."""
-    value: float | None = (summary.get("tip_error_mm") or {}).get(name)
-    return value
-
-
-def worst_lag_ms(summary: Mapping[str, Any]) -> float | None:
-    """Time by which the joint farthest behind, or ahead, is so, ms; older summaries have none."""
-    known = [each for each in summary.get("lag_ms") or () if each is not None]
+def worst_lag_ms(result: RunResult) -> float | None:
+    """Time by which the joint farthest behind, or ahead, is so, ms; None if all references rest."""
+    known = [each for each in result.lag_ms if each is not None]
     return max(known, key=abs, default=None)
 
 
-BOUND_NUMBERS: dict[str, Callable[[Summary], Value]] = {
-    "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
-    "Smallest margin, where": lambda s: margin_place(s["bounds"]).strip(" ()") or None,
-    "Margin at the start (%)": lambda s: margin_percent(s["bounds"]["margin_start"]),
-    "Steady margin": lambda s: margin_text(s["bounds"]["margin_steady"]),
-    "Tip error, RMS (mm)": lambda s: tip_error(s, "rms"),
-    "Tip error, largest (mm)": lambda s: tip_error(s, "largest"),
-    "Lag of a joint, largest (ms)": lambda s: worst_lag_ms(s),
-    "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),
-    "First outside (s)": lambda s: s["bounds"]["first_violation_s"],
+BOUND_NUMBERS: dict[str, Callable[[RunResult], Value]] = {
+    "Smallest margin (%)": lambda s: margin_percent(s.bounds.margin_min),
+    "Smallest margin, where": lambda s: margin_place(s.bounds).strip(" ()") or None,
+    "Margin at the start (%)": lambda s: margin_percent(s.bounds.margin_start),
+    "Steady margin": lambda s: margin_text(s.bounds.margin_steady),
+    "Tip error, RMS (mm)": lambda s: s.tip_error_mm.rms,
+    "Tip error, largest (mm)": lambda s: s.tip_error_mm.largest,
+    "Lag of a joint, largest (ms)": worst_lag_ms,
+    "Ticks outside (%)": lambda s: scaled(s.bounds.violation_fraction, 100.0),
+    "First outside (s)": lambda s: s.bounds.first_violation_s,
 }
-RUN_COUNTS: dict[str, Callable[[Summary], Value]] = {
-    "Faults": lambda s: len(s["faults"]),
+RUN_COUNTS: dict[str, Callable[[RunResult], Value]] = {
+    "Faults": lambda s: len(s.faults),
     "Reflexes of the robot": lambda s: (
-        ", ".join(f"{each['kind']} at {each['time_s']:.3f} s" for each in s.get("reflexes", ()))
-        or None
+        ", ".join(f"{each.kind} at {each.time_s:.3f} s" for each in s.reflexes) or None
     ),
-    DEADLINES_MET: lambda s: percent(s["timing"]["success_rate"]),
-    "Deadlines missed": lambda s: s["timing"]["deadline_misses"],
-    "Longest run of misses (ticks)": lambda s: s["timing"]["deadline_miss_longest_run"],
-    "Saturated ticks (%)": lambda s: scaled(s["torque"]["saturated_fraction"], 100.0),
-    "Real-time factor": lambda s: s["real_time_factor"],
-    "CPU time taken by a hypervisor (ms)": lambda s: s["timing"]["stolen_ms"],
-    "Longest stall of a loop (ms)": lambda s: s["timing"]["longest_stall_ms"],
-    "Messages recorded": lambda s: s["recorder"]["messages"],
-    "Messages lost by the recorder": lambda s: s["recorder"]["lost"],
-    "Commands lost": lambda s: s["transport"]["downlink"]["lost"],
-    "Digest": lambda s: s["digest"][:12],
+    DEADLINES_MET: lambda s: percent(s.timing.success_rate),
+    "Deadlines missed": lambda s: s.timing.deadline_misses,
+    "Longest run of misses (ticks)": lambda s: s.timing.deadline_miss_longest_run,
+    "Saturated ticks (%)": lambda s: scaled(s.torque.saturated_fraction, 100.0),
+    "Real-time factor": lambda s: s.real_time_factor,
+    "CPU time taken by a hypervisor (ms)": lambda s: s.timing.stolen_ms,
+    "Longest stall of a loop (ms)": lambda s: s.timing.longest_stall_ms,
+    "Messages recorded": lambda s: s.recorder.messages,
+    "Messages lost by the recorder": lambda s: s.recorder.lost,
+    "Commands lost": lambda s: s.transport.downlink.lost,
+    "Digest": lambda s: s.digest[:12],
 }
 RUN_NUMBERS = BOUND_NUMBERS | RUN_COUNTS
-"""What a summary has of a run as a whole, by its heading in tables of one run and of several."""
-OF_LAWS: list[tuple[Column, Callable[[Summary], Value], bool]] = [
+"""Numbers of a run as a whole, by its heading in tables of one run and of several."""
+OF_LAWS: list[tuple[Column, Callable[[RunResult], Value], bool]] = [
     (Column("Ticks outside", "%", "Outside"), RUN_NUMBERS["Ticks outside (%)"], False),
-    (Column("Smallest margin", brief=None), lambda s: margin_text(s["bounds"]["margin_min"]),
+    (Column("Smallest margin", brief=None), lambda s: margin_text(s.bounds.margin_min),
      False),
     (Column("Steady margin", brief="Steady\nmargin"), RUN_NUMBERS["Steady margin"], False),
     (replace(RMS_ERROR.column, brief=None), RMS_ERROR.of_worst_joint, True),

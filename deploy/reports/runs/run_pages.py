@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from deploy.judge.conditions import Conditions, conditions_of_recording
 from deploy.judge.findings.link_delays import link_sentence, playout_sentence
+from deploy.judge.metrics import RunResult
+from deploy.judge.result.transport import Channel
 from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.runs import comparison_tables as of_runs
 from deploy.reports.runs import run_numbers
@@ -35,70 +37,71 @@ def run_page(
         run: the run.
         manifest: ``manifest.json`` of its folder; empty where there is none.
     """
-    summary = run.summary
-    from_s, bounds = run.data.setup.scenario.metrics.from_s, summary["bounds"]
+    result = run.result
+    from_s, bounds = run.data.setup.scenario.metrics.from_s, result.bounds
     return Page(
         "report of a run",
-        f"{summary['scenario']} · {summary['law']}",
+        f"{result.scenario} · {result.law}",
         verdict_on_run(run, manifest),
         [
-            *(Fact(key.capitalize(), summary[key]) for key in ("scenario", "law", "clock", "link")),
-            Fact("Duration", f"{summary['duration_s']:g} s"),
-            Fact("Smallest margin", margin_text(bounds["margin_min"]) + margin_place(bounds),
+            Fact("Scenario", result.scenario), Fact("Law", result.law),
+            Fact("Clock", result.clock), Fact("Link", result.link),
+            Fact("Duration", f"{result.duration_s:g} s"),
+            Fact("Smallest margin", margin_text(bounds.margin_min) + margin_place(bounds),
                  "1 − |e| / bound; negative outside the bounds"),
-            Fact("Steady margin", margin_text(bounds["margin_steady"]),
+            Fact("Steady margin", margin_text(bounds.margin_steady),
                  f"the smallest from {from_s:g} s on, when the bounds have narrowed"),
-            Fact(run_numbers.DEADLINES_MET, percent(summary["timing"]["success_rate"]),
+            Fact(run_numbers.DEADLINES_MET, percent(result.timing.success_rate),
                  "share of the ticks that met their deadline"),
-            Fact("Digest", summary["digest"][:12], summary["digest"]),
+            Fact("Digest", result.digest[:12], result.digest),
         ],
         partial(_panels, "RUN_PANELS"),
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
-        heading=f"{summary['scenario']} · {summary['law']} · {summary['clock']}",
+        heading=f"{result.scenario} · {result.law} · {result.clock}",
         results=[
-            Cards([of_run.joint_table(summary, from_s)]),
-            Cards(of_run.confirmation_tables([summary])),
+            Cards([of_run.joint_table(result, from_s)]),
+            Cards(of_run.confirmation_tables([result.confirmation])),
         ],
-        folded=(_folded_title([summary]), [
-            Cards([of_run.timing_table(summary), of_run.health_table(summary),
-                   of_run.transport_table(summary)], "three"),
+        folded=(_folded_title([result]), [
+            Cards([of_run.timing_table(result), of_run.health_table(result),
+                   of_run.transport_table(result)], "three"),
             Cards([of_run.event_table(run.data)]),
         ]),
-        lines=_run_lines(summary),
-        end_s=summary["duration_s"],
+        lines=_run_lines(result),
+        end_s=result.duration_s,
         footer="Digest of the delivered joint states and commands (SHA-256):",
-        footer_code=summary["digest"],
+        footer_code=result.digest,
     )  # fmt: skip
 
 
-def _folded_title(summaries: Sequence[Mapping[str, Any]]) -> str:
+def _folded_title(results: Sequence[RunResult]) -> str:
     """Return the title of what is only read where something is odd in a run, and what is."""
-    ways = [each["transport"][way] for each in summaries for way in ("uplink", "downlink")]
+    ways = [way for each in results for way in (each.transport.uplink, each.transport.downlink)]
     counts = {
-        "deadlines missed": sum(each["timing"]["deadline_misses"] or 0 for each in summaries),
-        "messages lost": sum(way["lost"] or 0 for way in ways),
-        "messages rejected": sum(sum(way["rejected"].values()) for way in ways),
-        "faults": sum(len(each["faults"]) for each in summaries),
-        "messages lost by the recorder": sum(each["recorder"]["lost"] or 0 for each in summaries),
+        "deadlines missed": sum(each.timing.deadline_misses or 0 for each in results),
+        "messages lost": sum(way.lost or 0 for way in ways),
+        "messages rejected": sum(sum(way.rejected.values()) for way in ways),
+        "faults": sum(len(each.faults) for each in results),
+        "messages lost by the recorder": sum(each.recorder.lost or 0 for each in results),
     }
     odd = [f"{count:,} {what}" for what, count in counts.items() if count]
     mark = f" ⚠ {', '.join(odd)}" if odd else ""
     return f"Timing, messages and events{mark}"
 
 
-def _run_lines(summary: Mapping[str, Any]) -> list[str]:
+def _run_lines(result: RunResult) -> list[str]:
     """Return what tables and facts of a report say, for a terminal."""
-    factor, rate = summary["real_time_factor"], summary["timing"]["success_rate"]
+    factor, rate = result.real_time_factor, result.timing.success_rate
     counts = [
-        f"{summary['ticks']:,} ticks",
+        f"{result.ticks:,} ticks",
         *([f"deadlines met {percent(rate)}"] if rate is not None else []),
         *([f"real-time factor {factor:.2f}"] if factor is not None else []),
-        f"digest {summary['digest'][:16]}",
+        f"digest {result.digest[:16]}",
     ]
-    lines = [*(_link_lines(summary) if summary["ticks"] else []), ", ".join(counts)]
-    if skipped := summary["recording"]["ticks_skipped"]:
-        sent = number(summary["transport"]["uplink"]["sent"])
+    lines = [*(_link_lines(result) if result.ticks else []), ", ".join(counts)]
+    if skipped := result.recording.ticks_skipped:
+        sent = number(result.transport.uplink.sent)
         lines.append(
             f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped because the plant was"
             f" late; states sent: {sent}"
@@ -106,20 +109,20 @@ def _run_lines(summary: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _link_lines(summary: Mapping[str, Any]) -> list[str]:
+def _link_lines(result: RunResult) -> list[str]:
     """Return a sentence for each direction of a link that delayed or lost messages."""
     lines = []
     for way in ("downlink", "uplink"):
-        channel = summary["transport"][way]
-        measured, emulated = channel["measured_ms"], channel["delay_ms"]
+        channel: Channel = getattr(result.transport, way)
+        measured, emulated = channel.measured_ms, channel.delay_ms or {}
         delays_ms = emulated if measured["max"] is None else measured
-        if channel["sent"] and (channel["lost"] or delays_ms["max"]):
+        if channel.sent and (channel.lost or delays_ms.get("max")):
             link_text = link_sentence(
-                channel["sent"], summary["duration_s"], channel["lost"],
-                (channel["loss_burst"] or {}).get("longest"), delays_ms, channel["reordered"],
+                channel.sent, result.duration_s, channel.lost or 0,
+                (channel.loss_burst or {}).get("longest"), delays_ms, channel.reordered,
             )  # fmt: skip
             lines.append(f"{way}: {link_text}")
-    playout = summary["transport"].get("playout")
+    playout = result.transport.playout
     if playout and playout["late"] is not None and playout["arrival_ms"]["max"] is not None:
         lines.append(playout_sentence(playout))
     return lines
@@ -127,11 +130,11 @@ def _link_lines(summary: Mapping[str, Any]) -> list[str]:
 
 def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[ComparedRuns]:
     """Return the page of a comparison with at least one run."""
-    scenario, summary = comparison.runs[0].data.setup.scenario, comparison.runs[0].summary
-    confirmed = of_run.confirmation_tables([run.summary for run in comparison.runs])
+    scenario, result = comparison.runs[0].data.setup.scenario, comparison.runs[0].result
+    confirmed = of_run.confirmation_tables(run.result.confirmation for run in comparison.runs)
     return Page(
         "comparison of control laws",
-        summary["scenario"],
+        result.scenario,
         verdict_on_laws(comparison),
         [
             Fact("Scenario", scenario.name),
@@ -141,7 +144,7 @@ def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[Compared
             Fact("Seed", str(scenario.seed), "the same for all laws, like all other conditions"),
             Fact("Nominal model", f"× {scenario.controller.model_scale:g}",
                  "factor on masses and inertias of the nominal model"),
-            Fact("Clock", summary["clock"]),
+            Fact("Clock", result.clock),
         ],
         partial(_panels, "LAW_PANELS"),
         comparison,
@@ -150,8 +153,8 @@ def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[Compared
             Cards([of_runs.verdict_table(comparison)]), Cards(confirmed),
             Cards([of_runs.law_table(comparison, each) for each in run_numbers.BY_LAW], "three"),
         ],
-        folded=(_folded_title([run.summary for run in comparison.runs]), []),
-        end_s=max(run.summary["duration_s"] for run in comparison.runs),
+        folded=(_folded_title([run.result for run in comparison.runs]), []),
+        end_s=max(run.result.duration_s for run in comparison.runs),
         footer=("Each law has its own folder beside this report, with its recording. This command"
                " writes the report of that run alone:"),
         footer_code="funnel-hil report",
@@ -175,7 +178,7 @@ def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRu
             Cards([of_runs.recorded_table(compared), *differences], "stacked"),
             Cards(of_runs.recorded_joint_tables(compared), "three"),
         ],
-        folded=(_folded_title([run.summary for run in compared.runs]), [
+        folded=(_folded_title([run.result for run in compared.runs]), [
             Cards([of_runs.recorded_timing_table(compared), of_runs.recorded_counts(compared)],
                   "stacked"),
         ]),

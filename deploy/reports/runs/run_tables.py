@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
 from bus_schema.arrays import PERCENTILES
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.judge.findings.stalls import STALL_MS
+from deploy.judge.metrics import RunResult
 from deploy.judge.run_data import RunData
 from deploy.reports.runs import run_numbers
 from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, scaled, table_of
-from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
+from deploy.run.confirmation import NEAR_ZERO
 from deploy.run.processes.status import in_words
 
 Row = list[Cell | Value]
@@ -44,36 +45,36 @@ _TRANSPORT = {
 }
 
 
-def joint_table(summary: dict[str, Any], from_s: float) -> Table:
+def joint_table(result: RunResult, from_s: float) -> Table:
     """Errors (from `from_s` on) and torques of a run, a row per joint."""
     shown = [
-        (quantity.column, quantity.of_joints(summary))
+        (quantity.column, quantity.of_joints(result))
         for quantity in run_numbers.OF_ONE_RUN
-        if quantity is not run_numbers.SETTLING_BOUND or summary[quantity.section][quantity.key]
+        if quantity is not run_numbers.SETTLING_BOUND or quantity.given(result)
     ]
-    names = summary["tracking"]["joint_names"]
+    names = result.tracking.joint_names
     return Table(
         f"Joints, errors from {from_s:g} s on",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],
         list(zip(names, *(values for _, values in shown), strict=True)),
         run_numbers.SETTLED,
-        None if summary["ticks"] else 0,
+        None if result.ticks else 0,
     )
 
 
-def timing_table(summary: dict[str, Any]) -> Table:
+def timing_table(result: RunResult) -> Table:
     """Percentiles of every timing quantity; the longest stall too, where it was a long one.
 
     Quantities that were always 0, as in virtual time, are named in the note.
     """
-    stall_ms = summary["timing"]["longest_stall_ms"]
+    stall_ms = result.timing.longest_stall_ms
     stalls: list[list[Value]] = (
         [["Longest stall", *[None] * (len(PERCENTILES) - 1), 1e3 * stall_ms]]
         if stall_ms is not None and stall_ms > STALL_MS
         else []
     )
     times = {
-        title: [summary["timing"][key][name] for name in PERCENTILE_NAMES]
+        title: [getattr(result.timing, key)[name] for name in PERCENTILE_NAMES]
         for key, title in run_numbers.TIMES.items()
     }
     always_0 = [title for title, values in times.items() if not any(v != 0 for v in values)]
@@ -86,18 +87,18 @@ def timing_table(summary: dict[str, Any]) -> Table:
         ],
         [[title, *values] for title, values in times.items() if title not in always_0] + stalls,
         WALL_TIME + always,
-        None if summary["ticks"] else 0,
+        None if result.ticks else 0,
     )
 
 
-def health_table(summary: dict[str, Any]) -> Table:
+def health_table(result: RunResult) -> Table:
     """Every number of a run as a whole."""
-    skipped = summary["recording"]["ticks_skipped"]
+    skipped = result.recording.ticks_skipped
     rows: list[Row] = []
     if skipped:
-        rows += [["Ticks", summary["ticks"]], ["Ticks skipped by a late plant", skipped]]
-    rows += number_rows(run_numbers.RUN_NUMBERS, [summary])
-    lost = summary["recorder"]["lost_by_topic"] or {}
+        rows += [["Ticks", result.ticks], ["Ticks skipped by a late plant", skipped]]
+    rows += number_rows(run_numbers.RUN_NUMBERS, [result])
+    lost = result.recorder.lost_by_topic or {}
     rows += [[f"Lost of {topic}", count] for topic, count in lost.items()]
     return Table("Health", [Column("Run", is_text=True), Column("")], rows, most_printed=0)
 
@@ -113,23 +114,23 @@ _PLAYOUT = {
 }
 
 
-def transport_table(summary: dict[str, Any]) -> Table:
+def transport_table(result: RunResult) -> Table:
     """Return the table of messages, a column per direction."""
-    channels = [summary["transport"][name] for name in ("uplink", "downlink")]
+    channels = [result.transport.uplink, result.transport.downlink]
     rows: list[list[Value]] = [
-        [title, *(_value(channel, key) for channel in channels)]
+        [title, *(_value(channel.model_dump(), key) for channel in channels)]
         for key, title in _TRANSPORT.items()
-        if key != _RESENT or any(key in channel for channel in channels)
+        if key != _RESENT or any(channel.resent is not None for channel in channels)
     ]
-    for reason in sorted({reason for channel in channels for reason in channel["rejected"]}):
-        counts = (channel["rejected"].get(reason, 0) for channel in channels)
+    for reason in sorted({reason for channel in channels for reason in channel.rejected}):
+        counts = (channel.rejected.get(reason, 0) for channel in channels)
         rows.append([f"Rejected: {reason.replace('_', ' ')}", *counts])
-    if not any(channel["rejected"] for channel in channels):
-        rows.append(["Rejected", *(0 if channel["sent"] else None for channel in channels)])
-    playout = summary["transport"].get("playout") or {}
+    if not any(channel.rejected for channel in channels):
+        rows.append(["Rejected", *(0 if channel.sent else None for channel in channels)])
+    playout = result.transport.playout or {}
     rows += [[title, None, _value(playout, key)] for key, title in _PLAYOUT.items() if playout]
     columns = (Column("Messages", is_text=True), Column("Uplink (states)"))
-    note = _REJECTED if any(channel["rejected"] for channel in channels) else ""
+    note = _REJECTED if any(channel.rejected for channel in channels) else ""
     return Table("Transport", [*columns, Column("Downlink (commands)")], rows, note, 0)
 
 
@@ -150,9 +151,13 @@ def event_table(run: RunData) -> Table:
     return Table("Events", columns, rows, most_printed=0)
 
 
-def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The table of all confirmations in some summaries; none where there is no confirmation."""
-    found = [each for summary in summaries for each in summary.get(CONFIRMATION) or ()]
+def confirmation_tables(confirmations: Iterable[Any]) -> list[Table]:
+    """Return the table of all confirmations of some results; none where there is no confirmation.
+
+    Args:
+        confirmations: ``confirmation`` of each result; None for none.
+    """
+    found = [each for some in confirmations for each in some or ()]
     if not found:
         return []
     columns: list[tuple[Column, Callable[[Mapping[str, Any]], Cell | Value]]] = [
@@ -180,10 +185,10 @@ def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 def number_rows(
-    numbers: Mapping[str, Callable[[dict[str, Any]], Value]], summaries: Sequence[dict[str, Any]]
+    numbers: Mapping[str, Callable[[RunResult], Value]], results: Sequence[RunResult]
 ) -> list[Row]:
     """A row for each number, such as `run_numbers.RUN_NUMBERS`, with a value for each run."""
-    return [[heading, *map(of, summaries)] for heading, of in numbers.items()]
+    return [[heading, *map(of, results)] for heading, of in numbers.items()]
 
 
 def _value(values: dict[str, Any], dotted_key: str) -> float | None:

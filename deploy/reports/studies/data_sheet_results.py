@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,16 @@ from deploy.run.run_folder import ResultFolder, RunFolder, load_run, read_summar
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
-from deploy.study.data_sheet import DataSheet, worst_window
+from deploy.study.data_sheet import DataSheet, any_pattern_ms, worst_window
 from deploy.study.robot_sheet import RobotSheet
 from deploy.study.study import StudyOfRuns, digest_of
 
 FILE = "datasheet.yaml"
 _PARTS = ("margin", "network", "plants")
 _WINDOW = "worst_window"
+
+DoPart = Callable[[StudyOfRuns, Path], tuple[dict[str, Any], list[Row]]]
+"""Runs a study in a folder; returns its summary and rows."""
 
 
 def sheet_folder(sheet: DataSheet | RobotSheet, out: Path | None, *, overwrite: bool) -> Path:
@@ -67,7 +70,29 @@ def sheet_again(path: Path) -> Again:
     return folder, lambda: write_data_sheet(folder, sheet, parts, run)
 
 
-def written_window(study: StudyOfRuns | None, rows: list[Row], folder: Path) -> JudgedRun | None:
+def sheet_parts(
+    sheet: DataSheet, margin: StudyOfRuns, windows: StudyOfRuns | None, out: Path, do: DoPart
+) -> tuple[dict[str, Any], JudgedRun | None]:
+    """Run the studies of a data sheet; return their summaries by name, and the worst window.
+
+    Args:
+        sheet: the data sheet.
+        margin: its search for margins.
+        windows: its runs on a network; None without a network.
+        out: its folder.
+        do: runs one of its studies.
+    """
+    rows: list[Row] = []
+    parts = {"margin": do(margin, out / "margin")[0]}
+    if windows is not None:
+        parts["network"], rows = do(windows, out / "network")
+    plants = sheet.of_plants(any_pattern_ms(parts["margin"]["cases"][-1]) or 0.0)
+    if plants is not None:
+        parts["plants"] = do(plants, out / "plants")[0]
+    return parts, _written_window(windows, rows, out)
+
+
+def _written_window(study: StudyOfRuns | None, rows: list[Row], folder: Path) -> JudgedRun | None:
     """Run the worst window of a network again, recorded, with a report; None without a network."""
     if study is None or not rows:
         return None

@@ -196,7 +196,7 @@ _FLAWS = {
     "runs_growing": "an error grows exponentially in {} of {} runs: this loop is unstable",
     "runs_vibrating": "a torque swings between its limits in {} of {} runs: this loop vibrates",
 }
-"""What is said of runs that do not hold although they kept their bounds."""
+"""Words for runs that do not hold although they kept their bounds."""
 
 
 def _flawed(summary: Summary) -> list[str]:

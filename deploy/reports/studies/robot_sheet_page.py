@@ -12,7 +12,7 @@ from deploy.reports.studies import study_tables as tables
 from deploy.reports.studies import study_texts as texts
 from deploy.reports.studies.theory_sentences import theory_sentences
 from deploy.reports.tables import ABSENT, Cell, Column, Table, number, table_of
-from deploy.reports.verdict_texts import VERDICTS, ReportHead
+from deploy.reports.verdict_texts import ReportHead
 from deploy.study.robot_sheet import NO_NETWORK, SHOWN_MS
 from deploy.study.study import rows_by
 
@@ -210,7 +210,7 @@ def _ways_table(summary: Summary) -> Table:
 
 def _runs_table(summary: Summary) -> Table:
     def verdict(run: Summary) -> Cell:
-        return Cell(VERDICTS[Verdict(run["verdict"])].listed, "good" if run["kept"] else "bad")
+        return Cell(Verdict(run["verdict"]).listed, "good" if run["kept"] else "bad")
 
     def reflexes(run: Summary) -> str:
         names = (f"{each['kind']} at {each['time_s']:.3f} s" for each in run["reflexes"][:1])

@@ -19,7 +19,7 @@ Summary = dict[str, Any]
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
 QUANTITIES = [study_figures.TICKS_OUTSIDE, study_figures.WORST_RMS]
-"""What is drawn of every sweep; another one is another entry."""
+"""Quantities that the page of every sweep draws."""
 
 
 def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:

@@ -29,7 +29,7 @@ from plant_emulator.channel.opening import DOWNLINK, UPLINK, answer_ns, open_cha
 
 Address = tuple[str, int]
 _LOOK_UP_NS = 100_000_000
-"""How often the relay looks whether it is to stop."""
+"""Interval at which the relay checks for a request to stop."""
 _MOST_PEERS = 200
 """`select` takes no more than 1024 sockets."""
 _AT_ONCE = 64

@@ -33,7 +33,7 @@ _LARGEST_BACKLOG_BYTES = 1 << 27
 """A minute or more of both loops' messages at 1 kHz."""
 _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
-"""How long the recorder still writes its backlog after a stop request."""
+"""Time for which the recorder still writes its backlog after a stop request."""
 _MOST_COMMANDS = 1 << 40
 _FROZEN_S, _RETURN_S = 2.0, 12.0
 """A recorder that stood still for this long gives its peers time to connect again."""

@@ -17,7 +17,7 @@ _PROGRESS_EVERY_S = 5.0
 _FOR_THE_JUDGE = ("kernel", "start_s", "newest_cycle_s")
 """Values that tell people nothing: identity of a clock, and times on it."""
 _FLAGS = {"seed_used": ("random numbers drawn", "no random numbers drawn")}
-"""What flags mean whose names do not read as words."""
+"""Words for flags whose names are no words."""
 
 
 class StatusMessage(NamedTuple):

@@ -39,7 +39,7 @@ _MUST: Mapping[str, str] = {
     "too_long": "have at most {max_length} items, not {actual_length}",
     "too_short": "have {min_length} or more items, not {actual_length}",
 }
-"""What is allowed, by pydantic's type of error, with the values of its context."""
+"""Allowed values in words, by pydantic's type of error, with the values of its context."""
 _NOT_A_MAPPING = ("model_type", "model_attributes_type", "named_tuple_type", "dict_type")
 _ITEMS: dict[Any, str] = {str: "strings", int: "whole numbers", float: "numbers"}
 _LONGEST_ALLOWED = 1000

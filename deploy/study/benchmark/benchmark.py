@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, shown
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, held, tolerated
 from deploy.scenario import study_keys
@@ -36,6 +37,16 @@ from deploy.study.tuning.places import DELAYS
 _CELLS_FILE = "cells.csv"
 
 
+def _gains_growth(key: str, old: Any, new: Any) -> Iterator[str]:
+    """Gains of further laws and arms may be added; the others stay."""
+    for arm, laws in (old or {}).items():
+        for law, before in laws.items():
+            now = (new or {}).get(arm, {}).get(law)
+            if now != before:
+                where = f"{key} of {law} on {arm}"
+                yield f"{where} = {shown(now)}: must be {shown(before)}, as before"
+
+
 class Benchmark(StudyOfRuns):
     """The runs of a benchmark.
 
@@ -43,6 +54,7 @@ class Benchmark(StudyOfRuns):
     """
 
     kind = "benchmark"
+    growth = MappingProxyType({**StudyOfRuns.growth, "gains": _gains_growth})
     definition: BenchmarkDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:

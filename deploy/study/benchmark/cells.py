@@ -29,13 +29,13 @@ NO_PREDICTOR = "none"
 BENCHMARK_ARMS = ("paper_arm", "panda_motors", "ur10e_motors", "iiwa_motors")
 BENCHMARK_PREDICTORS = (NO_PREDICTOR, ADAPTIVE, "smith", COMMUNICATION_DISTURBANCE_OBSERVER)
 BENCHMARK_DELAYS_MS = (1.0, 4.0, 8.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0)
-"""What a benchmark has by default."""
+"""Default predictors and delays of a benchmark."""
 PREDICTOR = "controller.delay_compensation.predictor"
 _TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _PATTERNS = ("link.uplink.pattern", "link.downlink.pattern")
 GIVEN, TUNED = "given", "tuned"
 CONSTANT, PATTERN, NETWORK, PLANTS = "constant", "pattern", "network", "plants"
-"""Where a cell is run: with constant delays, the same as patterns, on networks, as other plants."""
+"""Conditions of a cell: constant delays, the same as patterns, networks, and other plants."""
 
 
 class BenchmarkDefinition(UncertainDefinition):

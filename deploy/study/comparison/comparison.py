@@ -13,6 +13,7 @@ from pydantic import Field
 
 from bus_schema.messages import topics
 from deploy.judge.conditions import Conditions, conditions_of_runs
+from deploy.judge.metrics import judge
 from deploy.judge.run_rows import Row, row
 from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION
@@ -203,7 +204,7 @@ def rows_again(compared: ComparedRuns, before: Sequence[Row]) -> list[Row]:
     starts = [each for each in before if each.get("offset_rad") is not None]
     of_law = {each["law"]: each for each in before if each not in starts}
     rows = [
-        {**of_law.get(run.law, {}), **row(run.summary, run.seed), "point": f"{index:03d}",
+        {**of_law.get(run.law, {}), **row(run.result, run.seed), "point": f"{index:03d}",
          "offset_rad": None}
         for index, run in enumerate(compared.runs)
     ]  # fmt: skip
@@ -222,6 +223,5 @@ def judged_again(name: str, path: Path) -> JudgedRun:
         RunFolderError: it cannot be read.
     """
     data, _ = run_folder.load_run(path)
-    run, before = JudgedRun(name, data, path=path), run_folder.read_summary(path)
-    run.summary.update({CONFIRMATION: before[CONFIRMATION]} if CONFIRMATION in before else {})
-    return run
+    confirmed = run_folder.read_summary(path).get(CONFIRMATION)
+    return JudgedRun(name, data, judge(data).replaced(confirmation=confirmed), path)

@@ -81,7 +81,7 @@ class RecordedRuns(ComparedRuns):
         return {
             run.law: sentence
             for run, manifest in zip(self.runs[1:], manifests, strict=True)
-            if run.summary["digest"] != self.runs[0].summary["digest"]
+            if run.result.digest != self.runs[0].result.digest
             and (sentence := difference_of_arithmetic(first, manifest))
         }
 
@@ -167,7 +167,7 @@ def _parting(first: JudgedRun, other: JudgedRun) -> Parting | None:
         pair = ours[field][here], theirs[field][there]
         differs |= ~np.equal(*pair).reshape(len(here), -1).all(axis=1)
     grids = [run.data.setup.grid.period_ns for run in (first, other)]
-    has_same_ticks = grids[0] == grids[1] and first.summary["ticks"] == other.summary["ticks"]
+    has_same_ticks = grids[0] == grids[1] and first.result.ticks == other.result.ticks
     if len(here) and has_same_ticks and not differs.any():
         return None
     numbers = tick_numbers(first.data)[here]

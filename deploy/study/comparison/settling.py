@@ -13,7 +13,7 @@ from deploy.scenario.setup import Setup
 
 OFFSETS_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
 LONGEST_S = 8.0
-"""How long each start is followed, unless the scenario ends earlier."""
+"""Duration of the run from each start, unless the scenario ends earlier."""
 
 
 @dataclass(frozen=True)

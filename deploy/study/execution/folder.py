@@ -282,7 +282,7 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
     file = path / STUDY_FILE
     if not is_file(file):
         return None
-    why = hindrances(read_yaml(file), wanted, _digests(study))
+    why = hindrances(read_yaml(file), wanted, _digests(study), study.growth)
     if why:
         raise ScenarioError(
             f"--out {path}: has another study, which this one does not extend; see {file}:"

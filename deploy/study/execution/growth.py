@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 from bus_schema.configuration import shown
 from controller.laws import COMPARED_LAWS
-from deploy.study.study import column_type
 
-_TYPES = {
-    "bool": "true or false",
-    "double": "numbers",
-    "string": "neither numbers nor true or false",
-}
-"""Kind of a grid's values, by the Parquet type of their column."""
-_ADDS_FINDINGS = ("what_helps", "smaller_rotors")
-"""Keys that only ask for more runs, or for fewer."""
-_ADDS_RUNS = (("pattern", None), ("disturbances", None))
-"""Keys and earlier values with which all earlier runs are still those of the study."""
+Growth = Callable[[str, Any, Any], Iterable[str]]
+"""Explains, from a key of a definition and its value in both, why a study does not extend another:
+a sentence each."""
 
 
 def hindrances(
-    found: Mapping[str, Any], wanted: Mapping[str, Any], digests: Collection[tuple[str, str]]
+    found: Mapping[str, Any],
+    wanted: Mapping[str, Any],
+    digests: Collection[tuple[str, str]],
+    growth: Mapping[str, Growth],
 ) -> list[str]:
     """Explain, a sentence per key, why a study does not extend another; [] if it does.
 
@@ -30,6 +25,7 @@ def hindrances(
         found: the other study, in the form of ``study.yaml``.
         wanted: the study, in the same form.
         digests: name and digest of each scenario of the study, in every setting.
+        growth: how keys of this kind of study may change, if not as usual.
     """
     if found.get("kind") != wanted["kind"]:
         return list(_of_key("kind", found.get("kind"), wanted["kind"]))
@@ -41,7 +37,7 @@ def hindrances(
     sentences = [
         sentence
         for key in dict.fromkeys((*old, *new))
-        for sentence in _of_key(key, old.get(key), new.get(key))
+        for sentence in growth.get(key, _of_key)(key, old.get(key), new.get(key))
     ]
     return sentences or changes(found, wanted, digests)
 
@@ -60,38 +56,38 @@ def changes(
 
 
 def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
-    if key == "grid" and isinstance(old, dict) and isinstance(new, dict):
-        for axis in dict.fromkeys((*old, *new)):
-            before, now = old.get(axis), new.get(axis)
-            if not _has_all(now, before):
-                yield _lacks(f"grid.{axis}", before, now)
-            elif (kind := column_type(old[axis])) != column_type(new[axis]):
-                yield f"grid.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
-    elif key == "gains" and isinstance(old, dict) and isinstance(new, dict):
-        yield from _of_gains(old, new)
-    elif key in ("plants", "budget") and isinstance(old, int) and isinstance(new, int):
-        if new < old:
-            yield _lacks(key, old, new)
-    elif isinstance(old, list) and (isinstance(new, list) or key == "laws"):  # tried in turn
-        if not _has_all(COMPARED_LAWS if new is None else new, old):
-            yield _lacks(key, old, new)
-    elif old != new and key not in _ADDS_FINDINGS and (key, old) not in _ADDS_RUNS:
+    """Lists grow by further entries; anything else stays."""
+    if isinstance(old, list) and (isinstance(new, list) or key == "laws"):  # tried in turn
+        if not has_all(COMPARED_LAWS if new is None else new, old):
+            yield lacks(key, old, new)
+    elif old != new:
         yield f"{key} = {shown(new)}: must be {shown(old)}"
 
 
-def _of_gains(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    """Explain which gains of a law on an arm have changed; further ones are welcome."""
-    for arm, laws in old.items():
-        for law, before in laws.items():
-            now = new.get(arm, {}).get(law)
-            if now != before:
-                yield f"gains of {law} on {arm} = {shown(now)}: must be {shown(before)}, as before"
+def may_rise(key: str, old: Any, new: Any) -> Iterator[str]:
+    """A number may become larger."""
+    if not (isinstance(old, int) and isinstance(new, int)):
+        yield from _of_key(key, old, new)
+    elif new < old:
+        yield lacks(key, old, new)
 
 
-def _has_all(new: Any, old: Any) -> bool:
+def may_change(_key: str, _old: Any, _new: Any) -> Iterator[str]:
+    """The key only asks for more runs, or for fewer."""
+    return iter(())
+
+
+def may_be_added(key: str, old: Any, new: Any) -> Iterator[str]:
+    """All earlier runs are still those of the study, if the key was left out."""
+    return iter(()) if old is None else _of_key(key, old, new)
+
+
+def has_all(new: Any, old: Any) -> bool:
+    """Whether a list has all entries of another."""
     return isinstance(new, list) and isinstance(old, list) and all(each in new for each in old)
 
 
-def _lacks(key: str, old: Any, new: Any) -> str:
+def lacks(key: str, old: Any, new: Any) -> str:
+    """Explain that a key lacks earlier values."""
     allowed = "be left out" if old is None else f"have all of {shown(old)}"
     return f"{key} = {shown(new)}: must {allowed}"

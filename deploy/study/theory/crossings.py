@@ -30,7 +30,7 @@ _FIRST_FRACTIONS, _TRIED_FRACTIONS = 4, 64
 _NARROWEST = 1e-3
 """Distance of fractions f that is not halved any more."""
 _ALIKE = 0.05
-"""How far phase and angle of a crossing, rad, may be from what is expected at the next f."""
+"""Largest distance, rad, of phase and angle of a crossing from what is expected at the next f."""
 _ROUNDS = 8
 _NEWTON_STEPS, _SMALL = 6, 1e-7
 _NEAR = 0.25

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, plain, validated
+from deploy.study.execution.growth import may_rise
 from deploy.study.plants import draw_columns, with_ranges
 from deploy.study.study import PlannedRun, StudyOfRuns, scenario_name
 from deploy.study.tuning.costs import UNFINISHED, delay_cost, error_cost
@@ -65,6 +67,7 @@ class Tuning(StudyOfRuns):
     """
 
     kind = "tune"
+    growth = MappingProxyType({**StudyOfRuns.growth, "budget": may_rise})
     definition: TuneDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:

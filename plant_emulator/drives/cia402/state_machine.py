@@ -118,7 +118,7 @@ _COMMAND_WITHOUT = {
     Controlword.SWITCH_ON: ControlCommand.SHUTDOWN,
     Controlword.ENABLE_OPERATION: ControlCommand.SWITCH_ON,
 }
-"""What a controlword asks for by the first of these bits that it lacks."""
+"""Request of a controlword, by the first of these bits that it lacks."""
 
 _COMMAND_BITS = sum(_COMMAND_WITHOUT)
 _COMMANDS = [

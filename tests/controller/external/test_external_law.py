@@ -51,7 +51,7 @@ def test_the_examples_in_c_and_in_python_are_the_same_law_to_the_last_bit(c_exam
     runs = [simulated(command, "duration_s=1") for command in (c_example, PYTHON_EXAMPLE)]
     efforts = [run.tables["joint_commands"]["effort"] for run in runs]
     np.testing.assert_array_equal(*efforts)
-    assert judge_bounds(runs[0])["violation_fraction"] == 0.0
+    assert judge_bounds(runs[0]).violation_fraction == 0.0
 
 
 def program(tmp_path, body, timeout_s=HANG_S):

@@ -9,7 +9,7 @@ import pytest
 
 from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, Topic
 from deploy.judge.findings.chattering import chatter_shares
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
@@ -60,7 +60,7 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     assert tracking["settling_time_s"] == pytest.approx([0.010] * 3)
     assert summary["recording"]["settling_is_latest"] == [True] * 3
     assert tracking["rms_rad"] == pytest.approx([np.sqrt(5 / 8) * 0.1] * 3)
-    text = " ".join(verdict_on_run(JudgedRun("", run, summary)).reasons)
+    text = " ".join(verdict_on_run(JudgedRun("", run, RunResult(**summary))).reasons)
     assert "known at 7 of 12 ticks" in text
     assert "because ticks are missing: base_yaw, shoulder, elbow." in text
     assert "leave out 0.006 s around the gaps" in text
@@ -102,7 +102,9 @@ def test_nothing_is_left_out_where_nothing_is_missing() -> None:
     assert summary["recording"]["torque_left_out_s"] == 0.0
     assert summary["torque"]["total_variation_nm_per_s"] == pytest.approx([1000.0] * 3)
     assert summary["recording"]["settling_is_latest"] == [False] * 3
-    assert "latest" not in " ".join(verdict_on_run(JudgedRun("", run, summary)).reasons)
+    assert "latest" not in " ".join(
+        verdict_on_run(JudgedRun("", run, RunResult(**summary))).reasons
+    )
 
 
 def test_a_jump_over_a_gap_is_no_chatter() -> None:

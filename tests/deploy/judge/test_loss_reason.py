@@ -7,7 +7,7 @@ import pytest
 
 from controller.control_law import Diagnostics
 from deploy.judge.findings.lag import lag_s
-from deploy.judge.findings.loss_reason import loss_reason
+from deploy.judge.findings.loss_reason import LossReason, loss_reason
 from deploy.judge.findings.reasons import Reason
 from deploy.judge.metrics import summarise
 from deploy.reports.verdict_texts import loss_words
@@ -53,7 +53,8 @@ def test_positions_that_are_no_numbers_are_a_loss_with_a_reason(error):
     truth = data.tables["plant_truth"].copy()
     truth["position"][100:] = error
     found = loss_reason(replace(data, tables={**data.tables, "plant_truth": truth}))
-    assert found == (Reason.SLOW, "base_yaw", pytest.approx(0.1), None, None, None, False)
+    assert found.time_s == pytest.approx(0.1)
+    assert found == LossReason(reason=Reason.SLOW, joint="base_yaw", time_s=found.time_s)
 
 
 def test_the_frequency_is_that_of_the_oscillation():
@@ -81,7 +82,7 @@ def test_a_wrong_sign_is_unstable_with_the_pole_of_the_loop(tmp_path, stiffness,
     assert found["frequency_hz"] == (
         pytest.approx(abs(pole.imag) / (2.0 * np.pi), rel=0.01) if pole.imag else None
     )
-    assert "already without a delay" in loss_words(found)
+    assert "already without a delay" in loss_words(LossReason(**found))
     assert theory_of(setup)["unstable_without_delay"]["rate_per_s"] == pytest.approx(
         found["rate_per_s"], rel=0.02
     )
@@ -120,7 +121,7 @@ def test_a_delay_makes_a_loop_swing_that_is_stable_without_it(tmp_path):
     late = pd_setup(tmp_path, INERTIA_KG_M2, 200.0, 8.0, "link.uplink.delay_ms=60", offset_rad=0.01)
     found = loss_of(late)
     assert (found["reason"], found["without_delay"]) == ("growing", False)
-    assert "without a delay" not in loss_words(found)
+    assert "without a delay" not in loss_words(LossReason(**found))
     assert loss_of(pd_setup(tmp_path, INERTIA_KG_M2, 200.0, 8.0, offset_rad=0.01)) is None
 
 
@@ -140,7 +141,7 @@ def test_a_transport_delay_is_a_lag_of_its_length(tmp_path):
     found = loss_of(policy_setup(tmp_path, "link.downlink.delay_ms=80"))
     assert found["reason"] == "lag"
     assert found["lag_ms"] == pytest.approx(80.0 + 20.0, rel=0.05)
-    assert loss_words(found) == (
+    assert loss_words(LossReason(**found)) == (
         f"{found['lag_ms']:.0f} ms behind the reference, in proportion to its speed"
     )
     assert loss_of(policy_setup(tmp_path)) is None
@@ -168,7 +169,7 @@ def test_a_chunk_that_ran_out_has_nothing_left_to_send(tmp_path):
     found = loss_of(policy_setup(tmp_path, rows=40, every=200))
     assert found["reason"] == "chunk ran out"
     assert found["frequency_hz"] is None
-    assert loss_words(found) == "with nothing left to send"
+    assert loss_words(LossReason(**found)) == "with nothing left to send"
     assert loss_of(policy_setup(tmp_path, rows=300, every=200)) is None
 
 

@@ -25,7 +25,8 @@ from bus_schema.messages.topics import (
     RUN_EVENTS,
 )
 from deploy.judge.findings.link_delays import measured_link
-from deploy.judge.metrics import settling_times_s, summarise
+from deploy.judge.metrics import RunResult, summarise
+from deploy.judge.result.tracking import settling_times_s
 from deploy.judge.run_data import build_run_data, digest
 from deploy.judge.run_rows import row
 from deploy.reports.verdict_texts import verdict_on_run
@@ -125,7 +126,7 @@ def test_where_the_arm_stood_before_any_tick_is_not_judged(setup: Setup) -> None
         assert summary["ticks"] == 0
         assert summary["bounds"]["kept"] is False
         assert summary["bounds"]["violation_fraction"] is None
-        verdict = verdict_on_run(JudgedRun("", run, summary))
+        verdict = verdict_on_run(JudgedRun("", run, RunResult(**summary)))
         assert verdict.headline == "Run ended by a fault"
         assert verdict.reasons[0] == "No tick was recorded, so there is no verdict on the bounds."
 
@@ -169,7 +170,7 @@ def test_tip_error_is_the_distance_that_the_joints_make(setup: Setup) -> None:
 def test_tip_error_is_unknown_without_positions(setup: Setup, ticks) -> None:
     found = judged(setup, ticks)
     assert found["tip_error_mm"] == {"rms": None, "largest": None}
-    assert row(found, 1)["tip_largest_mm"] is None
+    assert row(RunResult(**found), 1)["tip_largest_mm"] is None
 
 
 def test_tip_error_is_unknown_where_no_joint_moves_the_tip(setup: Setup) -> None:

@@ -18,7 +18,7 @@ from deploy.api.funnel_hil.results import Run
 from deploy.cli.common import finish
 from deploy.cli.options import OneRunOptions
 from deploy.judge.bounds import plant_count
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_rows import held, row
 from deploy.judge.verdict import verdict_of
 from deploy.reports.run_index import results_in
@@ -128,7 +128,7 @@ def test_a_whole_run_inside_its_bounds_is_kept(run):
     counted = plant_count(run)
     assert (counted["ticks"], counted["outside"]) == (TICKS + 1, 0)
     assert counted["margin_min"] == summary["bounds"]["margin_min"]
-    assert held(row(summary, 1))
+    assert held(row(RunResult(**summary), 1))
     assert Run(JudgedRun("", run)).kept
 
 
@@ -137,13 +137,13 @@ def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_pat
     summary = summarise(run)
     assert (summary["verdict"], summary["bounds"]["kept"]) == (expected, False)
     assert not (summary["completed"] and expected in ("faulted", "interrupted", "nothing"))
-    head = verdict_on_run(JudgedRun("", run, summary))
+    head = verdict_on_run(JudgedRun("", run, RunResult(**summary)))
     assert head.level != "good"
     assert not head.headline.startswith("Bounds kept")
     law_run = JudgedRun("law", run)
     assert status_cell(law_run).text == expected
     assert verdict_on_laws(ComparedRuns([law_run])).level != "good"
-    values = row(summary, 1)
+    values = row(RunResult(**summary), 1)
     assert not held(values)
     assert spread_of_runs([{**values, "point": "p"}])["runs_kept"] == 0
     assert not Run(law_run).kept
@@ -205,5 +205,5 @@ def test_run_in_which_no_command_acted_shows_nothing(delay_ms, verdict):
     assert (summary["verdict"], summary["completed"], summary["bounds"]["kept"]) == (
         verdict, True, verdict == "kept",
     )  # fmt: skip
-    head = verdict_on_run(JudgedRun("", run, summary))
+    head = verdict_on_run(JudgedRun("", run, RunResult(**summary)))
     assert head.headline.startswith("No command ever acted") is (verdict == "nothing")

@@ -7,7 +7,7 @@ import pytest
 
 from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.vibration import vibrations
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_rows import reason_of, row, tolerated
 from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.verdict_texts import verdict_on_run
@@ -72,13 +72,13 @@ def test_an_unstable_loop_that_its_limits_keep_within_bounds_does_not_hold(
     """Windows of the exact loop: from 2.17 to 2.97 ms, and from 8.4 ms on."""
     data = resonant(delay_ms)
     summary = summarise(data)
-    values = row(summary, 0)
+    values = row(RunResult(**summary), 0)
     assert (summary["verdict"], values["vibrating"]) == ("kept", is_unstable)
     assert tolerated(values) is not is_unstable
     assert reason_of(values) == (Reason.VIBRATION if is_unstable else None)
     warned = any(
         "this loop vibrates" in each
-        for each in verdict_on_run(JudgedRun("pid", data, summary)).reasons
+        for each in verdict_on_run(JudgedRun("pid", data, RunResult(**summary))).reasons
     )
     assert warned is is_unstable
     for found in summary["vibrating"]:

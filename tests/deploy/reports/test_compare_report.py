@@ -5,16 +5,16 @@ from functools import partial
 import pytest
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult
 from deploy.judge.run_data import build_run_data
-from deploy.judge.verdict import Verdict, with_verdict
+from deploy.judge.verdict import Verdict
 from deploy.reports.figures.joints import error_envelopes, error_in_funnel, torque_spectra
 from deploy.reports.figures.several_runs import joint_bars, settling, settling_from_afar
 from deploy.reports.figures.space import tip_path
 from deploy.reports.html import write_page
 from deploy.reports.runs import run_panels
 from deploy.reports.runs.comparison_tables import law_table, verdict_table
-from deploy.reports.runs.run_numbers import BY_LAW, RMS_ERROR
+from deploy.reports.runs.run_numbers import BY_LAW, RMS_ERROR, SETTLING_TIME
 from deploy.reports.runs.run_pages import laws_page
 from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
@@ -34,7 +34,7 @@ def law_run(law):
     data = simulate(
         load_setup("paper_arm", ["duration_s=1.2", "metrics.from_s=0.5", f"controller.law={law}"])
     ).data()
-    return JudgedRun(law, data, summarise(data))
+    return JudgedRun(law, data)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def page_of(tmp_path_factory):
 
 
 def with_summary(run, summary):
-    return JudgedRun(run.law, run.data, summary)
+    return JudgedRun(run.law, run.data, RunResult(**summary))
 
 
 def with_bounds(run, *, kept, margin=-1.0):
@@ -74,12 +74,13 @@ def with_bounds(run, *, kept, margin=-1.0):
               "first_violation_s": None if kept else 0.125,
               "margin_min": 0.5 if kept else margin}  # fmt: skip
     summary = {**run.summary, "bounds": bounds}
-    return with_summary(run, with_verdict(summary, Verdict.KEPT if kept else Verdict.LOST))
+    verdict = Verdict.KEPT if kept else Verdict.LOST
+    return JudgedRun(run.law, run.data, RunResult(**summary).with_verdict(verdict))
 
 
 def faulted(run):
     summary = {**run.summary, "faults": ["it broke"]}
-    return with_summary(run, with_verdict(summary, Verdict.FAULTED))
+    return JudgedRun(run.law, run.data, RunResult(**summary).with_verdict(Verdict.FAULTED))
 
 
 def empty(run):
@@ -87,7 +88,7 @@ def empty(run):
     data = build_run_data(
         run.data.setup, {"run_events": [event.encode()]}, clock="virtual", link="in_process"
     )
-    return JudgedRun(run.law, data, summarise(data))
+    return JudgedRun(run.law, data)
 
 
 def test_a_report_has_every_figure_with_a_caption(comparison, page_of):
@@ -219,14 +220,15 @@ def test_starts_from_near_and_far_are_drawn_against_the_bound_of_the_law_that_ha
 
 
 def test_texts_from_a_run_are_shown_and_never_executed(comparison, page_of):
-    runs = [JudgedRun(run.law + HOSTILE, run.data, faulted(run).summary) for run in comparison.runs]
+    runs = [JudgedRun(run.law + HOSTILE, run.data, faulted(run).result) for run in comparison.runs]
     page = page_of(ComparedRuns(runs))
     assert "<script>alert" not in page
 
 
 @pytest.mark.parametrize(
-    ("values", "largest"), [([1e-3, 3e-3, 2e-3], 3.0), ([1e-3, None], None), (None, None)]
+    ("values", "largest"), [([1.0, 3.0, 2.0], 3.0), ([1.0, None, 2.0], None), ([None] * 3, None)]
 )
-def test_the_largest_of_all_joints_is_unknown_if_one_is(values, largest):
-    summary = {"tracking": {"rms_rad": values, "joint_names": ["a", "b", "c"]}}
-    assert RMS_ERROR.of_worst_joint(summary) == largest
+def test_the_largest_of_all_joints_is_unknown_if_one_is(comparison, values, largest):
+    tracking = comparison.runs[0].result.tracking.model_copy(update={"settling_time_s": values})
+    result = comparison.runs[0].result.replaced(tracking=tracking)
+    assert SETTLING_TIME.of_worst_joint(result) == largest

@@ -15,7 +15,6 @@ from plotly.offline import get_plotlyjs
 
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.judge.metrics import summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.figures.space import arm_motion, tip_path
 from deploy.reports.figures.style import figure_json
@@ -91,7 +90,7 @@ def test_the_space_stands_still_and_holds_the_arm_wherever_it_goes(run):
 @pytest.mark.parametrize("scenario", ["paper_arm", "panda"])
 def test_the_whole_space_around_arm_and_path_is_in_the_picture(scenario):
     short = simulate(load_setup(scenario, ["duration_s=0.2"])).data()
-    for figure in (arm_motion(short).figure, tip_path(ComparedRuns([JudgedRun("law", short, {})]))):
+    for figure in (arm_motion(short).figure, tip_path(ComparedRuns([JudgedRun("law", short)]))):
         scene = figure.layout.scene
         ranges = np.array([scene[f"{name}axis"].range for name in "xyz"])
         points = np.hstack([[trace.x, trace.y, trace.z] for trace in figure.data]).T
@@ -144,7 +143,7 @@ def test_a_report_alone_has_the_library_inside_and_is_small(page):
 
 
 def test_a_comparison_shares_the_library_with_the_reports_of_its_laws(run, tmp_path):
-    comparison = ComparedRuns([JudgedRun("fixed_time_neural", run, summarise(run))], [])
+    comparison = ComparedRuns([JudgedRun("fixed_time_neural", run)], [])
     folder = new_folder("x", tmp_path / "study")
     law = folder / "fixed_time_neural"
     law.mkdir()

@@ -12,7 +12,7 @@ from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.robot_description import load_robot
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, judge, summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.figures import style
 from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
@@ -66,7 +66,7 @@ def page_of(tmp_path_factory):
         for subject, page in pages:
             if subject is run and summary is None:
                 return page
-        write_page(path, run_page(JudgedRun("", run, summary)))
+        write_page(path, run_page(JudgedRun("", run, summary and RunResult(**summary))))
         page = path.read_text(encoding="utf-8")
         assert page.count(packed_library()) == 1
         page = page.replace(packed_library(), "")
@@ -153,7 +153,7 @@ def test_the_verdict_on_a_run_that_kept_its_bounds(run, page_of):
 def test_the_verdict_on_a_run_that_left_its_bounds(run):
     summary = summarise(run) | {"verdict": "lost"}
     summary["bounds"] |= {"kept": False, "violation_fraction": 0.25, "first_violation_s": 0.125}
-    verdict = verdict_on_run(JudgedRun("", run, summary))
+    verdict = verdict_on_run(JudgedRun("", run, RunResult(**summary)))
     assert verdict.headline == "Bounds not kept"
     assert (
         "outside its bounds at 25 % of the ticks, for the first time at 0.125 s"
@@ -220,7 +220,7 @@ def test_events_are_in_the_order_of_their_time_and_in_words():
 
 
 def test_times_that_are_always_0_take_no_row(run):
-    table = timing_table(summarise(run))
+    table = timing_table(judge(run))
     assert [row[0] for row in table.rows] == ["Command age", "Control step"]
     assert table.note.endswith("All samples are 0: round trip, state age, wake-up lateness.")
 
@@ -304,13 +304,13 @@ def test_hundreds_of_faults_are_one_shape_in_each_row():
     run = run_of(f"faults={json.dumps(faults)}", "duration_s=0.6", "metrics.from_s=0.1")
     spans = fault_spans_s(run)
     assert len(spans) == len(faults)
-    alone = ComparedRuns([JudgedRun("law", run, {})])
+    alone = ComparedRuns([JudgedRun("law", run)])
     plain, shaded = error_in_funnel(alone), with_faults(error_in_funnel)(alone)
     shapes = shaded.layout.shapes[len(plain.layout.shapes) :]
     assert len({(shape.xref, shape.yref) for shape in shapes}) == len(shapes)
     assert len(shapes) == len(list(shaded.select_yaxes()))
     other = replace(run, setup=load_setup("paper_arm", ["duration_s=0.6"]))
-    mixed = ComparedRuns([*alone.runs, JudgedRun("without faults", other, {})])
+    mixed = ComparedRuns([*alone.runs, JudgedRun("without faults", other)])
     assert len(with_faults(error_in_funnel)(mixed).layout.shapes) == len(plain.layout.shapes)
     for shape in shapes:
         assert shape.path.count("M") == len(faults)

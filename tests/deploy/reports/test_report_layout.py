@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, summarise
 from deploy.reports.html import write_page
 from deploy.reports.results import study_page
 from deploy.reports.runs.run_pages import run_page
@@ -72,7 +72,7 @@ def report(tmp_path_factory):
     ).data()  # fmt: skip
     summary = summarise(run)
     assert len(summary["bounds"]["margin_min_joint"]) > 50
-    page = run_page(JudgedRun("", run, summary), {"set": ["x" * 300]})
+    page = run_page(JudgedRun("", run, RunResult(**summary)), {"set": ["x" * 300]})
     write_page(folder / "report.html", page)
     return folder / "report.html"
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from bus_schema.messages import topics
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import judge, summarise
 from deploy.judge.run_data import RunData
 from deploy.reports.runs.run_pages import run_page
 from deploy.reports.runs.run_tables import health_table
@@ -87,10 +87,10 @@ def test_ticks_skipped_by_a_late_plant_are_shown(run):
     assert "7 ticks skipped because the plant was late; states sent: 100" in shown(skipped)
     truth["timing.skipped"][60:] = 1
     assert "1 tick skipped because the plant" in shown(skipped)
-    rows = dict(health_table(summarise(skipped)).rows)
+    rows = dict(health_table(judge(skipped)).rows)
     assert (rows["Ticks"], rows["Ticks skipped by a late plant"]) == (100, 1)
     assert "skipped" not in shown(run)
-    assert not any("skipped" in name for name, _ in health_table(summarise(run)).rows)
+    assert not any("skipped" in name for name, _ in health_table(judge(run)).rows)
 
 
 def test_timing_messages_and_events_are_folded_and_marked_where_something_is_odd(run):
@@ -119,7 +119,7 @@ def test_a_terminal_shows_the_verdict_first_and_the_main_conditions_on_one_line(
 def test_folded_part_names_what_is_odd_in_it(run):
     judged = JudgedRun("", run)
     assert "⚠" not in run_page(judged).folded[0]
-    judged.summary["transport"]["uplink"]["rejected"] = {"stale": 2, "invalid": 1}
+    judged.result.transport.uplink.rejected.update(stale=2, invalid=1)
     assert run_page(judged).folded[0].endswith("⚠ 3 messages rejected")
 
 

@@ -66,7 +66,7 @@ def lost_in_the_middle(folder):
     short_run(
         "duration_s=0.7", "robot.initial_offset_rad=0", f"plant.disturbance.terms=[{push}]"
     ).write_log(file)
-    assert judge_bounds(load_run(file)[0])["violation_fraction"] > 0.0
+    assert judge_bounds(load_run(file)[0]).violation_fraction > 0.0
     damage_at(file, 25 * 10**7)
     return folder
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bus_schema.recording.mcap_log import read_log
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import RunResult, summarise
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import InProcesses, JudgedRun, execute, lockstep_setup
 from deploy.run.replay import replay
@@ -204,7 +204,7 @@ def test_franka_survives_19_lost_packets_and_stops_at_20(file, law):
     data = run(file, *common, LOSES.format(0.020))
     summary = summarise(data)
     faults, reflexes = summary["faults"], summary["reflexes"]
-    reasons = " ".join(verdict_on_run(JudgedRun("run", data, summary)).reasons)
+    reasons = " ".join(verdict_on_run(JudgedRun("run", data, RunResult(**summary))).reasons)
     assert "s by its reflex communication_constraints_violation." in reasons
     assert [(each["kind"], each["joint"]) for each in reflexes] == [
         ("communication_constraints_violation", None)
@@ -282,7 +282,7 @@ def test_lag_is_a_time_per_joint_and_none_at_rest(file, tmp_path):
     common = (STREAMING, NO_PREVIEW, KIND.format("servoj"), *ROBOTS["servoj"], "duration_s=4")
     data = run(file, *common, *moving(tmp_path), "link.downlink.delay_ms=24")
     moves = summarise(data)
-    reasons = verdict_on_run(JudgedRun("run", data, moves)).reasons
+    reasons = verdict_on_run(JudgedRun("run", data, RunResult(**moves))).reasons
     assert "Joints were behind their reference by 54 ms at most (j0)." in reasons
     # 30 ms in the robot, of which a cycle is the wait; 24 on the way.
     assert moves["lag_ms"] == [pytest.approx(54.0, abs=1.0)]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.study.losses import rank_losses, share_kept, wilson
+from deploy.judge.findings.link_delays import share_interval
+from deploy.study.losses import rank_losses, share_kept
 from deploy.study.plants import Measured
 from deploy.study.statistics import commonest_error
 
@@ -15,10 +16,10 @@ RANDOM = np.random.default_rng(1)
 
 def test_wilsons_interval_is_that_of_the_textbook():
     # Newcombe (1998): 81 of 263 is 0.2553 to 0.3662; 0 of 20 is 0 to 0.1611.
-    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
-    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
-    assert wilson(20, 20) == pytest.approx((0.8389, 1.0), abs=1e-4)
-    assert wilson(0, 0) is None
+    assert share_interval(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert share_interval(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+    assert share_interval(20, 20) == pytest.approx((0.8389, 1.0), abs=1e-4)
+    assert share_kept(0, 0)["wilson_95"] is None
 
 
 def test_a_share_says_how_sure_it_is():

@@ -12,7 +12,7 @@ CENTRE_RAD = np.array([0.0, -1.2, 1.4, -1.8, -1.57, 0.0])
 AMPLITUDE_RAD = np.array([0.5, 0.3, 0.4, 0.4, 0.5, 0.6])
 FREQUENCY_RAD_S = np.array([0.8, 0.6, 0.7, 0.9, 1.0, 1.1])
 LEAD_S = 0.03
-"""How far ahead its demonstrations were, which makes up for the robot's own lag."""
+"""Lead of its demonstrations, s, which makes up for the robot's own lag."""
 
 
 class Policy:

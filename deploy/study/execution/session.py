@@ -1,4 +1,4 @@
-"""Conduct of a study: find or create its folder, do the runs that it lacks, keep it locked."""
+"""One session of work on a study: find or create its folder, do the runs that it lacks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deploy.study.study import StudyOfRuns
 
 
 @dataclass
-class Conducted:
+class Session:
     """Outcome of the runs of a study.
 
     Attributes:
@@ -29,7 +29,7 @@ class Conducted:
 
 
 @contextmanager
-def conduct(
+def open_session(
     study: StudyOfRuns,
     team: Callable[[], AbstractContextManager[Workers]],
     out: Path | None,
@@ -38,7 +38,7 @@ def conduct(
     overwrite: bool = False,
     is_elsewhere: bool = False,
     stop: threading.Event | None = None,
-) -> Iterator[Conducted]:
+) -> Iterator[Session]:
     """Do the runs that the folder of a study lacks; the folder is locked within the context.
 
     Args:
@@ -63,7 +63,7 @@ def conduct(
         if is_elsewhere:
             require_same_provenance(study, path, workers.current)
             folder = open_.enter_context(opened(study, path, out, overwrite=overwrite))
-        done = Conducted(folder)
+        done = Session(folder)
         with on_row as progress:
             try:
                 carry_out(study, workers, folder, stop, progress)
