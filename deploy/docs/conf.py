@@ -1,10 +1,11 @@
 """Settings of Sphinx for the site; `scripts/docs` builds it."""
 
-import sys
 from importlib.metadata import version as version_of
-from pathlib import Path
+from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))  # generated_reference
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
 
 project = "funnel-hil"
 author = "the funnel-hil authors"
@@ -15,7 +16,6 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "generated_reference",
 ]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
 myst_heading_anchors = 3
@@ -27,7 +27,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 napoleon_use_ivar = True
 
-html_math_renderer = "mathml"  # of generated_reference
+html_math_renderer = "mathml"  # of `setup`
 smartquotes = False  # "--out" stays as it is
 
 html_theme = "furo"
@@ -38,3 +38,15 @@ html_copy_source = False
 html_show_sphinx = False
 html_show_copyright = False
 html_theme_options = {"navigation_with_keys": True}
+
+
+def _write_math(writer: Any, node: nodes.math | nodes.math_block) -> None:
+    """Formulas as MathML: browsers show it without scripts, and offline."""
+    is_block = isinstance(node, nodes.math_block)
+    writer.body.append(tex2mathml(node.astext(), as_block=is_block))
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.add_html_math_renderer("mathml", (_write_math, None), (_write_math, None))

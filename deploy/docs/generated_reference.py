@@ -1,7 +1,10 @@
-"""A Sphinx directive whose content comes from the code when the site is built.
+"""Write the tables of the reference from the code: keys, commands, results and topics.
 
-``{generated} NAME`` in a page stands for the Markdown that a function of `TABLES` returns. So the
-reference cannot name a key, an option or a column that does not exist, and cannot forget one.
+The text between ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->`` in a page is what a
+function of `TABLES` returns. Git has the result, so that it can be read without building the site.
+`meanings.yaml` must explain each key of a real ``summary.json`` and nothing else.
+
+    .venv/bin/python -m deploy.docs.generated_reference
 """
 
 from __future__ import annotations
@@ -18,11 +21,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 import typer
 import yaml
-from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
 from pydantic import BaseModel
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
 from bus_schema.configuration import Sections
 from bus_schema.foreign_text import markdown_table
@@ -112,7 +111,7 @@ def uncertainty() -> str:
     """The keys of a range."""
     from deploy.scenario.uncertainty import Draw
 
-    return "\n".join(_section(Draw, "uncertainty.<key>", {}))
+    return "\n".join(_section(Draw, "uncertainty.KEY", {}))
 
 
 def _section(section: type, path: str, seen: dict[type, str]) -> Iterator[str]:
@@ -135,7 +134,7 @@ def _section(section: type, path: str, seen: dict[type, str]) -> Iterator[str]:
             )
         meaning = words[name] if not links else attributes_of(section).get(name, "")
         rows.append([f"`{key}`", ", ".join(filter(None, kinds)), _default(section, name), meaning])
-    yield f"({_anchor(path)})=\n## {path or 'The file itself'}\n"
+    yield f"## {path or 'The file itself'}\n"
     about = inspect.cleandoc(section.__doc__ or "").partition("Attributes:")[0]
     if about and "(" not in about.partition("\n")[0].partition(" ")[0]:  # not NamedTuple's own
         yield about.replace("``", "`") + "\n"
@@ -155,8 +154,9 @@ def _kind(place: str) -> str:
     return re.sub(r"[^(]*\((\w+)\)$", r"\1", place)
 
 
-def _anchor(path: str) -> str:
-    return "key-" + re.sub(r"\W+", "-", path).strip("-")
+def _anchor(heading: str) -> str:
+    """Return the anchor that GitHub and the site give a heading."""
+    return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")
 
 
 def _default(section: type, name: str) -> str:
@@ -187,12 +187,42 @@ def _command(command: Any, name: str) -> Iterator[str]:
     context = typer.Context(command, info_name=f"funnel-hil {name}")
     yield f"## funnel-hil {name}\n"
     yield inspect.cleandoc(command.help or "") + "\n"
-    records = (each.get_help_record(context) for each in command.get_params(context))
-    rows = [[f"`{name}`", text] for name, text in filter(None, records) if not STANDARD & {name}]
+    rows = [
+        [f"`{_usage(each)}`", _help(each)]
+        for each in command.get_params(context)
+        if not (STANDARD & set(each.opts) or getattr(each, "hidden", False))
+    ]
     if rows:
         yield table(["argument or option", "meaning"], rows)
     for inner, each in getattr(command, "commands", {}).items():
         yield from _command(each, f"{name} {inner}")
+
+
+def _usage(parameter: Any) -> str:
+    """Return how to write an argument or option; the same with every version of typer."""
+    word = parameter.metavar or parameter.name.upper()
+    if parameter.param_type_name == "argument":
+        return str(word)
+    names = " / ".join([*parameter.opts, *parameter.secondary_opts])
+    return names if parameter.is_flag else f"{names} {word}"
+
+
+def _help(parameter: Any) -> str:
+    """Return the help of an argument or option, with its range and default."""
+    kind, default = getattr(parameter, "type", parameter), parameter.default
+    ends = [("≥", getattr(kind, "min", None)), ("≤", getattr(kind, "max", None))]
+    notes = [f"{sign} {limit:g}" for sign, limit in ends if limit is not None]
+    if isinstance(parameter.show_default, str):
+        notes.append(f"default: {parameter.show_default}")
+    elif parameter.show_default and not (
+        default is None or isinstance(default, bool) or default in ("", [])
+    ):
+        is_float = isinstance(default, float)
+        notes.append(f"default: {default:g}" if is_float else f"default: {default}")
+    if parameter.required:
+        notes.append("needed")
+    text = (parameter.help or "").replace("\\[", "[")  # Rich's escape
+    return " ".join(filter(None, [text, f"[{', '.join(notes)}]" if notes else ""]))
 
 
 @cache
@@ -283,26 +313,29 @@ TABLES = {
 }
 
 
-class Generated(SphinxDirective):
-    """The directive."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        text = TABLES[self.arguments[0]]()
-        found: list[nodes.Node] = self.parse_text_to_nodes(text, allow_section_headings=True)
-        return found
+REFERENCE = Path(__file__).with_name("reference")
+_GENERATED = re.compile(r"(<!-- generated: (\w+) -->\n).*?(<!-- end: \2 -->)", re.DOTALL)
 
 
-def _write_math(writer: Any, node: nodes.math | nodes.math_block) -> None:
-    """Formulas as MathML: browsers show it without scripts, and offline."""
-    is_block = isinstance(node, nodes.math_block)
-    writer.body.append(tex2mathml(node.astext(), as_block=is_block))
-    raise nodes.SkipNode
+def up_to_date(page: str) -> str:
+    """Return a page with its generated parts made again."""
+
+    def made_again(found: re.Match[str]) -> str:
+        lines = TABLES[found[2]]().splitlines()
+        text = "\n".join(line.rstrip() for line in lines).strip()
+        return f"{found[1]}\n{text}\n\n{found[3]}"
+
+    return _GENERATED.sub(made_again, page)
 
 
-def setup(app: Sphinx) -> dict[str, bool]:
-    """Called by Sphinx."""
-    app.add_directive("generated", Generated)
-    app.add_html_math_renderer("mathml", (_write_math, None), (_write_math, None))
-    return {"parallel_read_safe": True}
+def main() -> None:
+    """Bring the pages of the reference up to date."""
+    for page in sorted(REFERENCE.glob("*.md")):
+        before = page.read_text(encoding="utf-8")
+        if (text := up_to_date(before)) != before:
+            page.write_text(text, encoding="utf-8")
+            print(f"wrote {page}")
+
+
+if __name__ == "__main__":
+    main()

@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
-from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.bounds import plant_count
 from deploy.judge.chunks import Chunks
-from deploy.judge.conditions import lacked_grants
 from deploy.judge.findings.loss_reason import LossReason
 from deploy.judge.findings.reasons import Reason
-from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.result.section import PerJoint
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
+from deploy.reports.runs.host_sentences import sentences_on_the_host
 from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
 from deploy.reports.tables import margin_text, number
 from plant_emulator.interfaces.settings import TORQUE
@@ -39,10 +37,6 @@ _NO_COMMAND = "no command ever acted on the arm"
 _MRAD = 1e3
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
-
-
-_GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
-"""Programs that delay a loop without a real-time setting, by setting."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +75,7 @@ def verdict_on_run(
         f"The true error was {_bounds_text(run, result, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
+        *sentences_on_the_host(judged, manifest),
         *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
         *_sentences_on_the_robot(run, result),
         *(
@@ -98,7 +93,6 @@ def verdict_on_run(
         *_sentences_on_chunks(result.chunks),
         *_sentences_on_ranges(result),
         *_shortcomings(run, result, known),
-        *_sentences_on_a_stall(result.timing.longest_stall_ms, manifest),
     ]
     level, headline = judged.verdict.level, judged.verdict.headline
     if is_judged and judged.verdict is Verdict.NOTHING:
@@ -191,32 +185,13 @@ def _shortcomings(run: RunData, result: RunResult, known: KnownTicks) -> list[st
     if run.lacks_checksums:
         found.append(UNCHECKED)
     found.extend(f"{note}." for note in run.notes)
-    planned_s, timing = run.setup.scenario.duration_s, result.timing
+    planned_s = run.setup.scenario.duration_s
     if not result.completed and result.duration_s < planned_s:
         found.append(f"The data end at {result.duration_s:.3f} s of {planned_s:g} s planned.")
     if run.lost:
         missed = ", ".join(f"{topic} {count:,}" for topic, count in run.lost.items())
         found.append(f"{sum(run.lost.values()):,} messages are missing in the recording: {missed}.")
-    if timing.deadline_misses and timing.stolen_ms:
-        found.append(
-            f"A hypervisor took {timing.stolen_ms:.0f} ms of CPU time away during the run."
-        )
     return found
-
-
-def _sentences_on_a_stall(stall_ms: float | None, manifest: Mapping[str, Any]) -> list[str]:
-    """Return a sentence about a long stall of a loop, with its most likely cause."""
-    if stall_ms is None or stall_ms <= STALL_MS:
-        return []
-    lacked = lacked_grants(manifest)
-    if lacked:
-        who = " or ".join(_GOES_FIRST[name] for name in lacked)
-        cause = f"most likely by {who}, as a loop of this run had no {' and no '.join(lacked)}"
-    else:
-        is_known = lacked is not None
-        cause = "most likely by the host" if is_known else "by the host or by other processes"
-    sentence = f"A loop could not run for {stall_ms:.0f} ms, {cause}"
-    return [f"{sentence}: this run says little about the law."]
 
 
 def _sentences_on_gaps(result: RunResult) -> list[str]:

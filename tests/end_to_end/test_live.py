@@ -17,6 +17,7 @@ import pytest
 from running import ENDLESS, assert_as_simulated, processes_of, settings, started
 
 from tests.deploy.live.watched import Events, get, place
+from tests.security import issued_keys
 from tests.waiting import HANG_S, await_true
 from tests.warm_process import WarmProcess
 
@@ -72,7 +73,11 @@ def test_flood_of_packets_and_frozen_viewer_change_nothing(tmp_path: Path) -> No
 
 @LINUX
 def test_a_run_under_way_is_seen_from_outside_and_goes_on_when_the_viewer_is_gone(tmp_path):
-    with started("run", "iiwa", "--live", *LONG_OF_IIWA, out=tmp_path / "run") as run:
+    """Over TLS: `view` prints its address there too, by endpoint and by folder."""
+    keys = issued_keys(tmp_path / "keys")
+    secured = settings(link__security__enabled=True, link__security__folder=str(keys.path))
+    arguments = [*LONG_OF_IIWA, *secured]
+    with started("run", "iiwa", "--live", *arguments, out=tmp_path / "run") as run:
         page, endpoint = page_of(run.process), run.plant_endpoint()
         assert len(first_frame(page)["error"]) == 7
         source = json.loads(get(place(page, "run.json"))[2])["source"]

@@ -66,18 +66,18 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
 
 
 def headline(summary: Summary) -> list[str]:
-    """Return the answer to what was asked with the worst that is known, then the rest.
+    """Return the answer in one sentence, then its conditions and the rest.
 
-    Asked with a network, that comes first. Then comes the number to quote, with what is not known
-    of the arm at its worst; the exact arm is the best case.
+    The answer is the network's verdict, or without a network the number to quote. That number has
+    what is not known of the arm at its worst; the exact arm is the best case.
     """
     parts = summary["parts"]
     margin, plants = parts["margin"], parts.get("plants")
     cases = {case["compensation"]: case for case in margin["cases"]}
     sentences = []
     if (network := parts.get("network")) is not None:
-        sentences.append(_network_sentence(summary, network["points"]))
-    sentences += [_quoted_sentence(summary, margin), _best_case_sentence(margin, cases[True])]
+        sentences += _network_sentences(summary, network["points"])
+    sentences += [*_quoted_sentences(summary, margin), _best_case_sentence(margin, cases[True])]
     doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
     sentences += [f"Not tested: {each}" for each in doubts]
     if plants is not None:
@@ -91,19 +91,19 @@ def headline(summary: Summary) -> list[str]:
     return [*sentences, *theory_sentences({**margin, "cases": [cases[False]]})]
 
 
-def _quoted_sentence(summary: Summary, margin: Summary) -> str:
-    """The number to quote, of the better of both settings, and that of the other."""
+def _quoted_sentences(summary: Summary, margin: Summary) -> list[str]:
+    """The number to quote, of the better of both settings; then both, and what decided them."""
     best = texts.furthest_case(margin["cases"])
     (other,) = (case for case in margin["cases"] if case is not best)
     numbers = [
         f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}"
         for case in (best, other)
     ]
-    unknown = texts.unknowns_text(margin)
-    return (
-        f"{summary['arm']} under {summary['law']}: quote a round trip of {'; '.join(numbers)}"
-        f"{unknown}."
-    )
+    quote = f"{texts.quoted_text(best, margin)} {texts.setting_text(best)}"
+    return [
+        f"{summary['arm']} under {summary['law']}: quote a round trip of {quote}.",
+        f"Round trips: {'; '.join(numbers)}{texts.unknowns_text(margin)}.",
+    ]
 
 
 def _best_case_sentence(margin: Summary, on: Summary) -> str:
@@ -113,7 +113,7 @@ def _best_case_sentence(margin: Summary, on: Summary) -> str:
         return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
     or_more = " or more" if on["first_failure"] is None else ""
     d_ms = on.get("guaranteed_d_ms")
-    playout = "" if d_ms is None else f", with a play-out of {d_ms:.9g} ms"
+    playout = "" if d_ms is None else f", commands acting {d_ms:.9g} ms after their states"
     return (
         f"Best case{model_text([on])}: with compensation any delay up to {any_ms:g}"
         f" ms{or_more} (messages in order, none lost{playout}), constant"
@@ -121,8 +121,8 @@ def _best_case_sentence(margin: Summary, on: Summary) -> str:
     )
 
 
-def _network_sentence(summary: Summary, points: list[Summary]) -> str:
-    """Count the lost windows of the network, and name the equipment that keeps more."""
+def _network_sentences(summary: Summary, points: list[Summary]) -> list[str]:
+    """Count the lost windows of the network; then their conditions, and what keeps more."""
 
     def kept(one: Summary) -> str:
         return f"{one['runs_kept']} of {one['runs']}"
@@ -133,15 +133,15 @@ def _network_sentence(summary: Summary, points: list[Summary]) -> str:
     lost, name = own["runs"] - own["runs_kept"], Path(summary["network"]).name
     interval = texts.interval_text(share_kept(own["runs_kept"], own["runs"]))
     verdict = f"lost in {lost} of {own['runs']}" if lost else f"kept in {kept(own)}"
-    better = ""
+    sentences = [
+        f"{name}: {verdict} windows {texts.equipment_text(own)}.",
+        f"Windows of {summary['duration_s']:g} s; 95 % interval of the kept share: {interval}.",
+    ]
     if best["runs_kept"] > own["runs_kept"]:
-        better = (
-            f"; kept in {kept(best)} {texts.equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true"
+        sentences.append(
+            f"Kept in {kept(best)} {texts.equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true."
         )
-    return (
-        f"{name}: {verdict} windows of {summary['duration_s']:g} s"
-        f" {texts.equipment_text(own)} (kept: 95 % interval {interval}){better}."
-    )
+    return sentences
 
 
 def _by_equipment(points: list[Summary]) -> list[Summary]:

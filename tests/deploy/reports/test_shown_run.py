@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import shlex
 from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from bus_schema.messages import topics
+from deploy.cli.commands import LazyCommand
 from deploy.judge.metrics import judge, summarise
 from deploy.judge.run_data import RunData
 from deploy.reports.runs.run_pages import run_page
@@ -16,6 +18,7 @@ from deploy.reports.runs.run_tables import health_table
 from deploy.reports.terminal import print_conditions, print_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
+from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
 
 GRANTED = {"granted": True, "detail": "in force"}
@@ -68,11 +71,71 @@ def test_cause_of_a_delay_follows_from_missing_settings(held_up, affinity, sched
     )
     assert "A loop could not run for 102 ms" in text
     assert cause in text
-    assert ("the host" in text) == (affinity is scheduler is GRANTED)
+    assert ("by the host" in text) == (affinity is scheduler is GRANTED)
 
 
 def test_unknown_settings_do_not_blame_the_host_alone(held_up):
     assert "could not run for 102 ms, by the host or by other processes:" in shown(held_up)
+
+
+def missing(run: RunData, ticks: slice, *, clock: str = "realtime") -> RunData:
+    """A run that missed its deadline at these ticks."""
+    truth = run.tables[topics.PLANT_TRUTH.name].copy()
+    truth["deadline_met"] = 1
+    truth["deadline_met"][ticks] = 0
+    return replace(run, clock=clock, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
+
+
+def test_late_host_is_named_after_the_verdict_with_its_share_and_longest_run(run):
+    page = run_page(JudgedRun("", missing(run, slice(10, 14))))
+    assert page.verdict.headline == "Bounds kept"  # the law's; the host is no part of it
+    first, second, *others = page.verdict.reasons
+    assert first.startswith("The true error was inside its bounds")
+    assert second == (  # 0.1 s at 1 kHz
+        "The host was late: 4 of 100 ticks (4 %) missed their deadline, at most 4 in a row (4 ms)."
+    )
+    assert "late" not in " ".join(others)
+
+
+def test_misses_in_virtual_time_are_not_the_host(run):
+    assert "was late" not in shown(missing(run, slice(10, 14), clock="lockstep"))
+    assert "was late" not in shown(missing(run, slice(0, 0)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "who"),
+    [
+        (["link.uplink.delay_ms=2"], "The host was late"),
+        (["link.uplink.delay_ms=2", "link.deadline_ms=2"], "The host or the emulated link was"),
+        (["link.uplink.jitter_ms=3"], "The host or the emulated link was late"),
+        (["link.downlink.loss=0.3"], "The host or the emulated link was late"),
+        (
+            ["faults=[{kind: link_cut, direction: uplink, at_s: 0.05, for_s: 0.01}]"],
+            "The host or the emulated link or a fault was late",
+        ),
+    ],
+)
+def test_host_alone_is_blamed_only_where_the_link_cannot_be_late(settings, who):
+    data = simulate(load_setup("paper_arm", ["duration_s=0.1", *settings])).data()
+    assert who in shown(missing(data, slice(50, 53)))
+
+
+def test_one_command_repeats_a_late_run_in_lockstep(run, tmp_path):
+    folder = tmp_path / "late run"
+    folder.mkdir()
+    late = missing(run, slice(10, 14))
+    write_scenario(run.setup, folder / "scenario.yaml")
+    *_, command = [
+        text for text in run_page(JudgedRun("", late, path=folder)).verdict.reasons if "run" in text
+    ]
+    program, name, *arguments = shlex.split(command.partition(": ")[2])
+    assert (program, name) == ("funnel-hil", "run")
+    context = LazyCommand("run").load().make_context("run", arguments)
+    repeated = load_setup(context.params["scenario"], context.params["overrides"])
+    assert repeated.scenario.clock == "lockstep"
+    assert repeated.scenario.link == run.setup.scenario.link
+    real_delay = run_page(JudgedRun("", late, path=folder), {"real_delay": {}})
+    assert "lockstep" not in " ".join(real_delay.verdict.reasons)  # it would have no delay
 
 
 def test_time_range_of_the_errors_is_shown(run):

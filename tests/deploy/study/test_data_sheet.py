@@ -45,13 +45,18 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     guaranteed = cases[True]["guaranteed"]
     # Asked with a network, that comes first: 4 ms are no trouble; Wilson's interval of 4 of 4
     # begins at 51 %. The worst stretch of a constant delay is its beginning, as of another window.
-    network, quoted, best, *_ = summary["headline"]
-    assert network.startswith("calm.csv: kept in 4 of 4 windows of 0.4 s with compensation")
-    assert "(kept: 95 % interval 51–100 %)" in network
+    network, windows, quote, quoted, best, *_ = summary["headline"]
+    assert network == (
+        "calm.csv: kept in 4 of 4 windows with compensation, without drive feedback."
+    )
+    assert windows == "Windows of 0.4 s; 95 % interval of the kept share: 51–100 %."
     # Then the worst of what is not known of the arm, and only then the best case.
     numbers = {on: case["quoted"] for on, case in cases.items()}
     assert numbers[True] < cases[True]["margin"]
-    assert f"quote a round trip of {numbers[True]:g} ms with compensation" in quoted
+    assert quote == (
+        f"paper_arm under smc: quote a round trip of {numbers[True]:g} ms with compensation."
+    )
+    assert quoted.startswith(f"Round trips: {numbers[True]:g} ms with compensation")
     assert f"; {numbers[False]:g} ms without compensation" in quoted
     assert "the worst of the exact arm, model masses × 0.8, model masses × 1.25" in quoted
     # The model of paper_arm errs by design, so that nothing is claimed of an exact one.
@@ -109,7 +114,7 @@ def test_the_headline_names_estimated_rotors_that_decide(made):
         kept_ms = None if case["compensation"] else 0.5
         case["smaller_rotors"] = {**case, "margin": kept_ms, "first_failure": 1.0}
         case |= quoted(case)
-    (sentence,) = (each for each in headline(summary) if "quote" in each)
+    (sentence,) = (each for each in headline(summary) if each.startswith("Round trips: "))
     assert "0.5 ms without compensation (with a tenth of the estimated rotors)" in sentence
     assert "none with compensation (with a tenth of the estimated rotors)" in sentence
 
@@ -119,10 +124,23 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     summary = summary_of(out)
     for point in summary["parts"]["network"]["points"]:
         point["runs_kept"] = int(point["values"][3])  # with feedback at the drives alone
-    assert headline(summary)[0].startswith(
-        "calm.csv: lost in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
-        " (kept: 95 % interval 0–49 %); kept in 4 of 4 with compensation, with drive feedback: add"
-        " --set controller.drive_feedback.enabled=true."
+    assert headline(summary)[:3] == [
+        "calm.csv: lost in 4 of 4 windows with compensation, without drive feedback.",
+        "Windows of 0.4 s; 95 % interval of the kept share: 0–49 %.",
+        "Kept in 4 of 4 with compensation, with drive feedback: add"
+        " --set controller.drive_feedback.enabled=true.",
+    ]
+
+
+def test_without_a_network_the_headline_is_the_number_to_quote_alone(made):
+    out, _, _ = made
+    summary = summary_of(out)
+    del summary["parts"]["network"]
+    cases = summary["parts"]["margin"]["cases"]
+    best = max(cases, key=lambda case: case["quoted"])
+    setting = "with" if best["compensation"] else "without"
+    assert headline(summary)[0] == (
+        f"paper_arm under smc: quote a round trip of {best['quoted']:g} ms {setting} compensation."
     )
 
 

@@ -1,0 +1,79 @@
+"""The tables of the reference: complete, up to date, and readable without building the site."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from deploy.docs import generated_reference
+from deploy.scenario.definition import ScenarioConfiguration
+from tests.deploy.docs.pages import DOCS, PAGES
+from tests.deploy.docs.test_pages import keys_of
+from tests.warm_process import ROOT
+
+REFERENCE = sorted(
+    page for page in (DOCS / "reference").glob("*.md") if "<!-- generated:" in page.read_text()
+)
+
+
+@pytest.mark.parametrize("page", REFERENCE, ids=lambda page: page.stem)
+def test_tables_in_git_are_what_the_code_says(page):
+    command = "python -m deploy.docs.generated_reference"
+    text = page.read_text()
+    assert generated_reference.up_to_date(text) == text, f"{page.name} is old: run {command}"
+
+
+def test_each_table_is_on_one_page():
+    found = [
+        name for page in REFERENCE for name in re.findall(r"generated: (\w+)", page.read_text())
+    ]
+    assert sorted(found) == sorted(generated_reference.TABLES)
+
+
+def test_changed_table_is_noticed():
+    page = DOCS / "reference" / "results.md"
+    edited = page.read_text().replace("`tracking.settling_bound_s`", "`tracking.settling_s`")
+    assert generated_reference.up_to_date(edited) == page.read_text() != edited
+
+
+def test_reference_has_each_key_of_a_scenario():
+    text = (DOCS / "reference" / "scenario.md").read_text()
+    for key in keys_of(ScenarioConfiguration):
+        assert f"| `{key.rpartition('.')[2]}` |" in text, key
+
+
+@pytest.mark.parametrize(
+    ("page", "content"),
+    [
+        ("commands", "--require-bounds"),
+        ("commands", "funnel-hil keys init"),
+        ("results", "tracking.settling_bound_s"),
+        ("results", "uplink_delay_p99_9_ms"),
+        ("topics", "float64[] sliding_variable"),
+        ("topics", "robot_description"),
+        ("uncertainty", "log_uniform"),
+    ],
+)
+def test_reference_is_readable_in_the_repository(page, content):
+    assert content in (DOCS / "reference" / f"{page}.md").read_text()
+
+
+def test_no_table_depends_on_this_machine():
+    for page in REFERENCE:
+        assert str(ROOT) not in page.read_text()
+
+
+def headings(text):
+    """Anchors of headings by GitHub's rule: no punctuation, lower case, dashes for spaces."""
+    for heading in re.findall(r"^#+ (.*)", text, re.MULTILINE):
+        yield re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_to_headings_of_the_reference(page):
+    links = re.findall(r"\]\(([\w./-]*)#([^)]+)\)", page.read_text())
+    for target, anchor in links:
+        file = (page.parent / target).resolve() if target else page
+        if file in REFERENCE:
+            assert anchor in headings(file.read_text()), f"{target}#{anchor}"
