@@ -316,8 +316,14 @@ def _times(frame_id: str) -> tuple[int, int]:
     """Return when a command acts by its frame_id, ns after its stamp, and the ticks of a row.
 
     A command that does not say so acts on arrival (0), and has a row for each tick (1).
+
+    Raises:
+        InvalidMessageError: it says so in another form.
     """
     found = _TIMES.fullmatch(frame_id)
+    if found is None and frame_id.startswith(_ACTS_AFTER):
+        allowed = f"{_ACTS_AFTER}, 1 to {_DIGITS} digits, and perhaps{_ROW_TICKS}1 to 9999"
+        raise InvalidMessageError("malformed", f"frame_id is {frame_id[:80]!r}, expected {allowed}")
     return (int(found[1]), int(found[2] or 1)) if found else (0, 1)
 
 

@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
-from bus_schema.link.channel_configuration import Outage
 from bus_schema.link.configuration import AUTO, LinkConfiguration
 from controller.compensation.command_timeline import (
     GROWS_BY,
@@ -19,6 +18,8 @@ from deploy.scenario.held_arm import held_arm_ceiling_ms
 from plant_emulator.channel.delay_range import (
     configured_delays_ns,
     largest_delay_ns,
+    loses,
+    loses_in_a_row,
     round_trip_ns,
     spare_at_start_ns,
 )
@@ -80,6 +81,7 @@ def horizon_settings(setup: Setup) -> HorizonSettings:
     actuator_ns = actuator.delay_steps(1e-9 * _grain_ns(setup)) * _grain_ns(setup)
     return of_link._replace(
         row_ticks=_row_ticks(setup, of_link),
+        most_ns=min(of_link.most_ns + actuator_ns, LONGEST_HORIZON_NS),
         least_ns=of_link.least_ns + actuator_ns,
         first_ns=of_link.first_ns + actuator_ns,
         wanted_ns=of_link.wanted_ns + actuator_ns,
@@ -140,25 +142,27 @@ def levels(setup: Setup) -> bool:
 
 
 def _levels(setup: Setup, horizon: HorizonSettings) -> bool:
-    up_ns, down_ns = map(largest_delay_ns, (setup.link.uplink, setup.link.downlink))
-    if up_ns is None or down_ns is None:
+    sides = setup.link.uplink, setup.link.downlink
+    up_ns, down_ns = map(largest_delay_ns, sides)
+    is_resent = setup.link.transport == "tcp" and any(map(loses, sides))
+    if up_ns is None or down_ns is None or is_resent:
         return False
     first_ns, later_ns = _range_ns(setup, horizon)
     spare_ns = 0
     if later_ns > first_ns:
-        spare_ns = spare_at_start_ns((setup.link.uplink, setup.link.downlink), GROWS_BY)
+        spare_ns = spare_at_start_ns(sides, GROWS_BY)
     return min(first_ns + spare_ns, later_ns) >= up_ns + down_ns
 
 
 def _may_be_late(setup: Setup, horizon: HorizonSettings) -> bool:
-    """Whether commands may come too late, or not at all for a while."""
+    """Whether commands may come too late, or several in a row not at all."""
     sides = setup.link.uplink, setup.link.downlink
     is_emulated = any(largest_delay_ns(side) != 0 for side in sides)
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     if expected_ms is not None and not is_emulated:
         return True  # the delay of a real link, which may vary
-    has_outage = any(isinstance(each, Outage) for side in sides for each in side.schedule)
-    return has_outage or not _levels(setup, horizon)
+    is_cut = any(fault.kind == "link_cut" for fault in setup.scenario.faults)
+    return is_cut or any(map(loses_in_a_row, sides)) or not _levels(setup, horizon)
 
 
 def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
@@ -173,6 +177,8 @@ def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
         bridge_ms = given
     elif horizon.is_announced and compensation.learns_model and _may_be_late(setup, horizon):
         bridge_ms = min(_BRIDGE_MS, setup.scenario.plant.command_timeout_ms)
+        piece_ms = 1e-6 * PIECES * setup.grid.period_ns
+        bridge_ms -= bridge_ms % piece_ms  # to whole ticks, and not beyond the time-out
     if bridge_ms and not horizon.is_announced:
         allowed = (
             f"must be 0 unless delay_compensation.enabled is true, with link.playout_ms {AUTO}"

@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.link.channel_configuration import ChannelConfiguration, Ramp, Step
+from bus_schema.link.channel_configuration import ChannelConfiguration, Outage, Ramp, Step
 from plant_emulator.channel.jitter import quantile_of
 from plant_emulator.channel.trace_file import read_trace
 
@@ -65,6 +65,17 @@ def largest_delay_ns(configuration: ChannelConfiguration) -> int | None:
     if is_random or any(stage.jitter_ms or stage.rate_kbit_s for stage in stages):
         return None
     return int(configured_delays_ns(configuration)[-1])
+
+
+def loses(configuration: ChannelConfiguration) -> bool:
+    """Whether a direction loses messages at any time."""
+    return loses_in_a_row(configuration) or any(each.loss for each in _stages(configuration))
+
+
+def loses_in_a_row(configuration: ChannelConfiguration) -> bool:
+    """Whether a direction has bursts of loss or outages."""
+    has_outage = any(isinstance(each, Outage) for each in configuration.schedule)
+    return has_outage or any(each.burst_loss is not None for each in _stages(configuration))
 
 
 def _stages(configuration: ChannelConfiguration) -> list[ChannelConfiguration | Step | Ramp]:

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_COMMANDS, layout
+from bus_schema.messages.types import TYPESTORE
 from plant_emulator.command_gate import CommandGate
 from tests.joint_states import joint_state
 
@@ -244,3 +245,39 @@ def test_rows_for_the_following_ticks_come_in_the_order_of_the_plants_joints():
     assert bench.admit(foreign(NAMES, (1.0, 2.0, 3.0), 6)).rows is None
     assert bench.admit(foreign(NAMES, numbers, 7, numbers[:3], numbers)) is None
     assert bench.rejected == {"wrong_size": 1}
+
+
+def with_times(times: str, rows: int) -> bytes:
+    """A command with rows and this frame_id, which says when it acts."""
+    of_rows = layout(JOINT_COMMANDS, NAMES, has_acting_time=True, rows=rows)
+    message = TYPESTORE.deserialize_cdr(of_rows.template, of_rows.type_name)
+    message.header.frame_id = times
+    message.header.stamp.nanosec = 5
+    return bytes(TYPESTORE.serialize_cdr(message, of_rows.type_name))
+
+
+@pytest.mark.parametrize(
+    ("times", "acts_after_ns", "ticks"),
+    [
+        ("acts_after_ns=0048000000 row_ticks=50", 48_000_000, 50),
+        ("acts_after_ns=7", 7, 1),
+        ("base_link", 0, 1),
+    ],
+)
+def test_a_command_says_when_it_acts_and_how_far_its_rows_are_apart(times, acts_after_ns, ticks):
+    gate = CommandGate(NAMES, takes_acting_time=True)
+    command = gate.admit(CommandArrival(with_times(times, 3), 1, b"sender", 0), NEWEST_NS)
+    assert command.acts_after_ns == acts_after_ns
+    assert command.rows.ticks == ticks
+
+
+@pytest.mark.parametrize(
+    "times",
+    ["acts_after_ns=12345678901", "acts_after_ns=-5", "acts_after_ns=5 row_ticks=0",
+     "acts_after_ns=5 row_ticks=10000", "acts_after_ns=5 row_ticks=2 "],
+)  # fmt: skip
+def test_a_command_with_other_times_does_not_act_at_once(times):
+    gate = CommandGate(NAMES, takes_acting_time=True)
+    arrival = CommandArrival(with_times(times, 3), 1, b"sender", 0)
+    assert gate.admit(arrival, NEWEST_NS) is None
+    assert gate.rejections.counts == {"malformed": 1}
