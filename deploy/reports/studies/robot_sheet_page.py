@@ -6,8 +6,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import plotly.graph_objects as go
+
 from deploy.judge.verdict import Verdict
-from deploy.reports.page import Cards, Fact, Page
+from deploy.reports.figures import style
+from deploy.reports.page import Cards, Fact, Page, Panel
 from deploy.reports.studies import study_tables as tables
 from deploy.reports.studies import study_texts as texts
 from deploy.reports.studies.theory_sentences import theory_sentences
@@ -18,6 +21,7 @@ from deploy.study.study import rows_by
 
 Summary = dict[str, Any]
 _WITH = {False: "without", True: "with"}
+_HEIGHT_PX = 380
 _OPTIONS = ("preview", "limiter", "compensation")
 
 
@@ -34,7 +38,10 @@ def robot_sheet_page(summary: Summary) -> Page[Summary]:
             Fact("Network", summary["network"] or "none given"),
             Fact("Runs", f"{summary['runs']}"),
         ],
-        panels=list,
+        panels=lambda: [
+            Panel("Tip", "tip-error", "Largest distance of the tip from the reference", _tip_errors,
+                  "One bar for each run; runs that a fault ended have none.", is_clickable=True)
+        ],
         subject=summary,
         conditions=summary["conditions"],
         results=[Cards([_ways_table(summary), tables.margin_table(summary["margin"])], "stacked"),
@@ -202,10 +209,23 @@ def _ways_table(summary: Summary) -> Table:
         (Column("Behind", "ms"), lambda way: way["lag_ms"]),
         (Column("Reflexes", is_text=True),
          lambda way: ", ".join(f"{n} × {kind}" for kind, n in way["reflexes"].items()) or ABSENT),
-        (Column("The worst", brief=None, is_text=True), lambda way: way["command"]),
     ]  # fmt: skip
     note = "The worst of the runs of each way; errors are those of runs that no fault ended."
     return table_of(f"Ways to drive {summary['interface']}", columns, summary["ways"], note)
+
+
+def _tip_errors(summary: Summary) -> go.Figure:
+    """Draw the largest distance of the tip over the links, for each way to drive the robot."""
+    figure = style.new_figure(_HEIGHT_PX, summary["network"] or "round trip", "mm")
+    for index, (way, runs) in enumerate(rows_by(summary["runs_of_robot"], way_text).items()):
+        ended = [run for run in runs if not run["faults"]]
+        figure.add_bar(
+            x=[run["link"] for run in ended], y=[run["tip_largest_mm"] for run in ended],
+            customdata=[run["command"] for run in ended],
+            name=way, marker_color=style.palette(index),
+        )  # fmt: skip
+    figure.update_layout(barmode="group", showlegend=True, legend_orientation="h", legend_y=1.15)
+    return figure.update_yaxes(type="log", dtick=1)
 
 
 def _runs_table(summary: Summary) -> Table:
