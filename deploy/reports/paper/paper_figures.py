@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -40,7 +40,7 @@ _STYLE: Any = {
 _NO_DATE: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 _DASHES = {"dot": ":", "dash": "--", "dashdot": "-.", "solid": "-"}
 _MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "x": "X"}
-_OWN_MARKERS = ("", "o", "s", "^", "D", "v", "P", "X", "<", ">")
+_OWN_MARKERS = ("", "s", "^", "D", "v", "P", "X", "<", ">")
 _HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "++++", "oo", "**")
 """Of colours in their order, so that they differ in grey too."""
 _MARKED_POINTS = 8
@@ -91,7 +91,7 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
             for at in places[len(row) :]:
                 at.set_visible(False)
         _share_labels(drawn, axes, is_folded)
-        _put_legend(drawn, axes.flat)
+        _put_legend(drawn, axes.flat, titles)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
 
 
@@ -145,10 +145,10 @@ def _axis(figure: go.Figure, name: str) -> Any:
 def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
     traces = [trace for trace in figure.data if (trace.yaxis or "y") == row]
     _draw_bars([trace for trace in traces if trace.type == "bar"], figure.layout.bargap, at)
-    lines, colours = [trace for trace in traces if trace.type != "bar"], _line_colours(figure)
+    lines = [trace for trace in traces if trace.type != "bar"]
+    places = _marker_places(figure.data) if len(_marker_places(lines)) > 1 else {}
     for before, trace in zip([None, *lines], lines, strict=False):
-        place = colours.index(_line_colour(trace)) if _line_colour(trace) in colours else 0
-        _draw_line(trace, before, at, place % len(_OWN_MARKERS))
+        _draw_line(trace, before, at, places.get(_line_colour(trace), 0))
     across, along = _axis(figure, row), _axis(figure, traces[0].xaxis or "x")
     for axis, scale, limit, label in (
         (along, at.set_xscale, at.set_xlim, at.set_xlabel),
@@ -173,11 +173,12 @@ def _line_colour(trace: Any) -> Any:
     return _colour(trace.line.color or own)
 
 
-def _line_colours(figure: go.Figure) -> list[Any]:
-    """Return the colours that tell named lines of a figure from each other, in their order."""
-    named = [each for each in figure.data if each.type != "bar" and each.name
-             and each.showlegend is not False and (each.mode or "lines") != "markers"]  # fmt: skip
-    return list(dict.fromkeys(_line_colour(each) for each in named))
+def _marker_places(traces: Iterable[Any]) -> dict[Any, int]:
+    """Return the marker of each colour that tells named lines from each other, by its place."""
+    named = [each for each in traces if each.type != "bar" and each.name
+             and (each.mode or "lines") != "markers"]  # fmt: skip
+    colours = dict.fromkeys(map(_line_colour, named))
+    return {colour: place % len(_OWN_MARKERS) for place, colour in enumerate(colours)}
 
 
 def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
@@ -253,12 +254,13 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     )  # fmt: skip
 
 
-def _put_legend(drawn: Figure, axes: Iterable[Axes]) -> None:
-    """Put one legend over all rows, with each name once; none where there is a single name."""
+def _put_legend(drawn: Figure, axes: Iterable[Axes], titles: Collection[str]) -> None:
+    """Put one legend over all rows, with each name once; none where titles or one name say it."""
     entries: dict[str, Any] = {}
     for at in axes:
         for handle, label in zip(*at.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
+            if label not in titles:
+                entries.setdefault(label, handle)
     if len(entries) < 2:
         return
     for columns in (3, 2, 1):
