@@ -19,6 +19,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deploy.reports.figures.style import palette
+
 WIDTHS_MM = {1: 88.0, 2: 181.0}
 """Width of a figure over one column and over two, as in IEEE's journals."""
 _ROW_MM, _FRAME_MM, _HIGHEST_MM = 24.0, 26.0, 76.0
@@ -174,11 +176,18 @@ def _line_colour(trace: Any) -> Any:
 
 
 def _marker_places(traces: Iterable[Any]) -> dict[Any, int]:
-    """Return the marker of each colour that tells named lines from each other, by its place."""
+    """Return the place of the marker of each colour that named lines have.
+
+    A law's colour has the same marker in every figure; other colours follow in their order.
+    """
     named = [each for each in traces if each.type != "bar" and each.name
              and (each.mode or "lines") != "markers"]  # fmt: skip
     colours = dict.fromkeys(map(_line_colour, named))
-    return {colour: place % len(_OWN_MARKERS) for place, colour in enumerate(colours)}
+    laws = [palette(number) for number in range(len(_OWN_MARKERS))]
+    others = [colour for colour in colours if colour not in laws]
+    return {
+        colour: laws.index(colour) if colour in laws else others.index(colour) for colour in colours
+    }
 
 
 def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:

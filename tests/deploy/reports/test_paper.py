@@ -160,6 +160,11 @@ def test_seven_joints_fit_in_three_inches_with_eight_points(tmp_path, monkeypatc
 def test_lines_and_bars_of_equal_colour_in_grey_differ(tmp_path, monkeypatch):
     lines = drawn(of_seven_joints(["pid", "smc", "sliding"]), tmp_path, monkeypatch).lines
     assert len({(line.get_linestyle(), line.get_marker()) for line in lines}) == 3
+    reverse = of_seven_joints(["pid", "smc", "sliding"])
+    reverse.data = reverse.data[::-1]
+    again = drawn(reverse, tmp_path, monkeypatch).lines
+    marker = {line.get_color(): line.get_marker() for line in lines}
+    assert {line.get_color(): line.get_marker() for line in again} == marker  # of each law
     figure = new_figure(300)
     for name in ("pid", "smc", "sliding"):
         figure.add_bar(x=["a", "b"], y=[1.0, 2.0], name=name)
