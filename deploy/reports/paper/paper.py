@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ _ESCAPES = {
     "α": r"$\alpha$", "ε": r"$\varepsilon$",
     "⁻": "$^{-}$", "²": "$^{2}$", "³": "$^{3}$", "¹": "$^{1}$", "→": r"$\rightarrow$",
 }  # fmt: skip
+_MOST_COLUMNS, _MOST_ROWS_OF_A_FLOAT = 6, 40
+"""A wider table is split; a longer one may break over pages, which needs a page of one column."""
 _NEEDS = "--figures: needs matplotlib: pip install matplotlib"
 
 
@@ -52,24 +55,40 @@ def write_figures(
 
 
 def write_latex(page: Page[Any], file: Path) -> Path:
-    """Write all tables of a page, for the packages booktabs and longtable."""
+    """Write all tables of a page, for the packages booktabs and, if long, longtable."""
     conditions = " ".join(conditions_line(page.conditions).splitlines())
     head = f"% {page.name}\n% {conditions}\n"
-    file.write_text(head + "\n".join(map(as_latex, page.tables)), encoding="utf-8")
+    parts = [as_latex(part) for table in page.tables for part in narrow_parts(table)]
+    file.write_text(head + "\n".join(parts), encoding="utf-8")
     return file
 
 
+def narrow_parts(table: Table) -> Iterator[Table]:
+    """Yield a table as parts with few columns; each repeats the first column, which names rows."""
+    others = range(1, max(2, len(table.columns)))
+    for first in others[:: _MOST_COLUMNS - 1]:
+        chosen = [0, *others[first - 1 : first + _MOST_COLUMNS - 2]]
+        columns = [table.columns[index] for index in chosen if index < len(table.columns)]
+        rows = [[row[index] for index in chosen if index < len(row)] for row in table.rows]
+        yield replace(table, columns=columns, rows=rows)
+
+
 def as_latex(table: Table) -> str:
-    """Return a table with rules of booktabs, numbers to the right."""
+    """Return a table with rules of booktabs, numbers to the right; its note is a comment."""
     sides = "".join("l" if column.is_text else "r" for column in table.columns)
     heads = [column.title for column in table.columns]
     lines = [heads, *([cell.text for cell in row] for row in table.cells)]
     body = [" & ".join(map(latex_text, line)) + r" \\" for line in lines]
-    caption = latex_text(f"{table.title}. {table.note}".rstrip())
-    return "\n".join([
-        rf"\begin{{longtable}}{{{sides}}}", rf"\caption{{{caption}}} \\", r"\toprule", body[0],
-        r"\midrule", r"\endhead", *body[1:], r"\bottomrule", r"\end{longtable}", "",
-    ])  # fmt: skip
+    note = [f"% {line}" for line in table.note.splitlines()]
+    caption = rf"\caption{{{latex_text(table.title)}}}"
+    if len(table.rows) > _MOST_ROWS_OF_A_FLOAT:
+        begin = [rf"\begin{{longtable}}{{{sides}}}", rf"{caption} \\"]
+        head, end = [r"\endhead"], [r"\end{longtable}"]
+    else:
+        begin = [r"\begin{table}", r"\centering", caption, rf"\begin{{tabular}}{{{sides}}}"]
+        head, end = [], [r"\end{tabular}", r"\end{table}"]
+    rules = [r"\toprule", body[0], r"\midrule", *head, *body[1:], r"\bottomrule"]
+    return "\n".join([*note, *begin, *rules, *end, ""])
 
 
 def latex_text(text: str) -> str:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import plotly.graph_objects as go
@@ -19,17 +19,21 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deploy.reports.figures.style import palette
+
 WIDTHS_MM = {1: 88.0, 2: 181.0}
 """Width of a figure over one column and over two, as in IEEE's journals."""
-_ROW_MM, _FRAME_MM, _HIGHEST_MM = 24.0, 26.0, 180.0
+_ROW_MM, _FRAME_MM, _HIGHEST_MM = 24.0, 26.0, 76.0
+_MOST_ROWS, _FOLDED = 2, {1: 2, 2: 4}
+"""More rows of one subplot each stand side by side: so many, over one column and over two."""
 _LEGEND_ROW_MM = 4.0
 _FARTHEST_LEVEL = 0.5
 """A level farther beyond the data than this, in their span, is left out: it would flatten them."""
 _INCH_MM = 25.4
 _STYLE: Any = {
     "font.family": "serif", "font.serif": ["STIXGeneral"], "mathtext.fontset": "stix",
-    "font.size": 8.0, "axes.labelsize": 8.0, "axes.titlesize": 8.0, "legend.fontsize": 7.0,
-    "xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "axes.linewidth": 0.5, "axes.grid": True,
+    "font.size": 8.0, "axes.labelsize": 8.0, "axes.titlesize": 8.0, "legend.fontsize": 8.0,
+    "xtick.labelsize": 8.0, "ytick.labelsize": 8.0, "axes.linewidth": 0.5, "axes.grid": True,
     "axes.axisbelow": True, "grid.linewidth": 0.3, "grid.color": "#d0d0d0", "pdf.fonttype": 42,
     "svg.fonttype": "path", "svg.hashsalt": "funnel-hil", "lines.linewidth": 0.9,
     "lines.markersize": 3.0,
@@ -38,6 +42,10 @@ _STYLE: Any = {
 _NO_DATE: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 _DASHES = {"dot": ":", "dash": "--", "dashdot": "-.", "solid": "-"}
 _MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "x": "X"}
+_OWN_MARKERS = ("", "s", "^", "D", "v", "P", "X", "<", ">")
+_HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "++++", "oo", "**")
+"""Of colours in their order, so that they differ in grey too."""
+_MARKED_POINTS = 8
 _RGBA = re.compile(r"rgba?\(([^)]*)\)")
 _TAG = re.compile(r"<[^>]+>")
 
@@ -64,21 +72,28 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
     """
     with rc_context(_STYLE):
         grid = _grid(figure)
+        if is_folded := len(grid) > _MOST_ROWS and all(len(row) == 1 for row in grid):
+            grid = _folded(grid, _FOLDED[columns])
         height_mm = _FRAME_MM + _ROW_MM * (len(grid) if len(grid) > 1 else 1.6)
         size = (WIDTHS_MM[columns] / _INCH_MM, min(height_mm, _HIGHEST_MM) / _INCH_MM)
         drawn = Figure(size, layout="constrained")
         axes = drawn.subplots(
-            len(grid), len(grid[0]), squeeze=False, sharex=len(grid) > 1, sharey="row"
-        )
+            len(grid), len(grid[0]), squeeze=False, sharex=len(grid) > 1,
+            sharey="none" if is_folded else "row",
+        )  # fmt: skip
         titles = [_text(each.text) for each in figure.layout.annotations]
-        for number, (row, places) in enumerate(zip(grid, axes, strict=True)):
-            for name, at in zip(row, places, strict=True):
+        heads = [name for row in grid for name in (row if is_folded else row[:1])]
+        for row, places in zip(grid, axes, strict=True):
+            for name, at in zip(row, places, strict=False):
                 _draw_row(figure, name, at)
-                at.label_outer()
-            if len(titles) == len(grid):
-                places[0].set_title(titles[number], loc="left", pad=2.0)
-        _share_x_label(drawn, axes)
-        _put_legend(drawn, axes.flat)
+                if len(titles) == len(heads) and name in heads:
+                    at.set_title(titles[heads.index(name)], loc="left", pad=2.0)
+                if not is_folded:
+                    at.label_outer()
+            for at in places[len(row) :]:
+                at.set_visible(False)
+        _share_labels(drawn, axes, is_folded)
+        _put_legend(drawn, axes.flat, titles)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
 
 
@@ -95,14 +110,34 @@ def _grid(figure: go.Figure) -> list[list[str]]:
     return list(rows.values())
 
 
-def _share_x_label(drawn: Figure, axes: Any) -> None:
-    """Put one label below all columns of a grid: below each, they would meet."""
-    if axes.shape[1] > 1:
-        labels = [at.get_xlabel() for at in axes[-1]]
-        drawn.supxlabel(max(labels, key=len), fontsize=_STYLE["axes.labelsize"])
-        for at in axes[-1]:
-            at.set_xlabel("")
-            at.locator_params(axis="x", nbins=3)
+def _folded(grid: list[list[str]], width: int) -> list[list[str]]:
+    """Return rows of one subplot each as fewer rows of several."""
+    names = [name for row in grid for name in row]
+    return [names[first : first + width] for first in range(0, len(names), width)]
+
+
+def _share_labels(drawn: Figure, axes: Any, is_folded: bool) -> None:
+    """Put one label beside or below all subplots of a grid: at each of them, they would meet."""
+    if axes.shape[1] == 1:
+        return
+    shown = [at for at in axes.flat if at.get_visible()]
+    size = _STYLE["axes.labelsize"]
+    drawn.supxlabel(max((at.get_xlabel() for at in shown), key=len), fontsize=size)
+    labels = {label for at in shown if (label := at.get_ylabel())}
+    if is_folded and len(labels) == 1:
+        drawn.supylabel(*labels, fontsize=size)
+    for at in shown:
+        at.set_xlabel("")
+        _thin_out(at, "x")
+        if is_folded:
+            at.set_ylabel("" if len(labels) == 1 else at.get_ylabel())
+            _thin_out(at, "y")
+
+
+def _thin_out(at: Axes, axis: Literal["x", "y"]) -> None:
+    """Leave at most three ticks; a logarithmic axis has few already."""
+    if (at.get_xscale() if axis == "x" else at.get_yscale()) == "linear":
+        at.locator_params(axis=axis, nbins=3)
 
 
 def _axis(figure: go.Figure, name: str) -> Any:
@@ -113,8 +148,9 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
     traces = [trace for trace in figure.data if (trace.yaxis or "y") == row]
     _draw_bars([trace for trace in traces if trace.type == "bar"], figure.layout.bargap, at)
     lines = [trace for trace in traces if trace.type != "bar"]
+    places = _marker_places(figure.data) if len(_marker_places(lines)) > 1 else {}
     for before, trace in zip([None, *lines], lines, strict=False):
-        _draw_line(trace, before, at)
+        _draw_line(trace, before, at, places.get(_line_colour(trace), 0))
     across, along = _axis(figure, row), _axis(figure, traces[0].xaxis or "x")
     for axis, scale, limit, label in (
         (along, at.set_xscale, at.set_xlim, at.set_xlabel),
@@ -134,6 +170,26 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
     _draw_levels(figure, row, at, np.log10 if across.type == "log" else np.asarray)
 
 
+def _line_colour(trace: Any) -> Any:
+    own = trace.marker.color if isinstance(trace.marker.color, str) else None
+    return _colour(trace.line.color or own)
+
+
+def _marker_places(traces: Iterable[Any]) -> dict[Any, int]:
+    """Return the place of the marker of each colour that named lines have.
+
+    A law's colour has the same marker in every figure; other colours follow in their order.
+    """
+    named = [each for each in traces if each.type != "bar" and each.name
+             and (each.mode or "lines") != "markers"]  # fmt: skip
+    colours = dict.fromkeys(map(_line_colour, named))
+    laws = [palette(number) for number in range(len(_OWN_MARKERS))]
+    others = [colour for colour in colours if colour not in laws]
+    return {
+        colour: laws.index(colour) if colour in laws else others.index(colour) for colour in colours
+    }
+
+
 def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
     """Draw bars at their numbers, or at names, side by side."""
     names = list(dict.fromkeys(x for trace in bars for x in trace.x))
@@ -147,7 +203,8 @@ def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
         own = trace.marker.color
         colour = [*map(_colour, own)] if isinstance(own, list | tuple) else _colour(own)
         at.bar([places[x] + off for x in trace.x], heights, width, label=_text(trace.name),
-               color=colour)  # fmt: skip
+               color=colour, hatch=_HATCHES[number % len(_HATCHES)], edgecolor="white",
+               linewidth=0.0)  # fmt: skip
     if has_names:
         at.set_xticks(list(places.values()), [_text(name) for name in names])
 
@@ -165,14 +222,22 @@ def _draw_levels(figure: go.Figure, row: str, at: Axes, scale: Callable[[Any], A
             if low - room <= scale(shape.y0) <= high + room:
                 at.axhline(shape.y0, **style)
         elif shape.type == "line" and shape.yref == f"{row} domain" and shape.x0 == shape.x1:
-            at.axvline(shape.x0, **style)
+            left, right = at.get_xlim()
+            if abs(shape.x0 - 0.5 * (left + right)) <= (0.5 + _FARTHEST_LEVEL) * (right - left):
+                at.axvline(shape.x0, **style)
 
 
-def _draw_line(trace: Any, before: Any, at: Axes) -> None:
-    """Draw a line or markers, and the band between it and the trace before."""
+def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
+    """Draw a line or markers, and the band between it and the trace before.
+
+    Args:
+        trace: the trace.
+        before: the one before it; None for the first.
+        at: where.
+        place: of its colour among those of the figure, by which it has markers of its own.
+    """
     mode = trace.mode or "lines"
-    own = trace.marker.color if isinstance(trace.marker.color, str) else None
-    colour = _colour(trace.line.color or own)
+    colour = _line_colour(trace)
     symbols = trace.marker.symbol
     by_point = isinstance(symbols, list | tuple)
     style: dict[str, Any] = {"label": _text(trace.name), "color": colour}
@@ -185,26 +250,32 @@ def _draw_line(trace: Any, before: Any, at: Axes) -> None:
             shown = style if number == 0 else {"color": colour}
             at.plot([x], [y], linestyle="", marker=_MARKERS.get(symbol, "o"), **shown)
         return
+    marker = _MARKERS.get(symbols or "circle", "o") if "markers" in mode else ""
+    if "lines" in mode and symbols is None and place:
+        marker = _OWN_MARKERS[place]
+    count = 0 if trace.x is None else len(trace.x)
+    every = 1 if "markers" in mode else max(1, count // _MARKED_POINTS)
     at.plot(
         trace.x, trace.y,
         linestyle=_DASHES.get(trace.line.dash or "solid", "-") if "lines" in mode else "",
-        marker=_MARKERS.get(symbols or "circle", "o") if "markers" in mode else "",
+        marker=marker, markevery=(min(place, every - 1), every),
         drawstyle="steps-post" if trace.line.shape == "hv" else "default", **style,
     )  # fmt: skip
 
 
-def _put_legend(drawn: Figure, axes: Iterable[Axes]) -> None:
-    """Put one legend over all rows, with each name once; none where there is a single name."""
+def _put_legend(drawn: Figure, axes: Iterable[Axes], titles: Collection[str]) -> None:
+    """Put one legend over all rows, with each name once; none where titles or one name say it."""
     entries: dict[str, Any] = {}
     for at in axes:
         for handle, label in zip(*at.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
+            if label not in titles:
+                entries.setdefault(label, handle)
     if len(entries) < 2:
         return
     for columns in (3, 2, 1):
         legend = drawn.legend(
             entries.values(), entries.keys(), loc="outside upper left", ncols=columns,
-            frameon=False, columnspacing=1.0, handlelength=1.6,
+            frameon=False, columnspacing=1.0, handlelength=1.6, labelspacing=0.2,
         )  # fmt: skip
         width = legend.get_window_extent().width
         if width <= drawn.bbox.width:
@@ -213,7 +284,8 @@ def _put_legend(drawn: Figure, axes: Iterable[Axes]) -> None:
             legend.remove()
     rows = math.ceil(len(entries) / columns)
     if rows > 2:
-        drawn.set_figheight(drawn.get_figheight() + (rows - 2) * _LEGEND_ROW_MM / _INCH_MM)
+        height_mm = drawn.get_figheight() * _INCH_MM + (rows - 2) * _LEGEND_ROW_MM
+        drawn.set_figheight(min(height_mm, _HIGHEST_MM) / _INCH_MM)
 
 
 def _text(text: str | None) -> str:
