@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from bus_schema.runtime.clock import MonotonicClock
-from deploy.cli.robot_server import lag_ms
 from deploy.scenario.scenario import load_setup
 from plant_emulator.interfaces.servoj import ServoJSettings
 from plant_emulator.robot_servers.robot_rig import RobotRig
@@ -221,17 +220,6 @@ def test_what_is_not_emulated_is_said():
     assert not program.is_running
 
 
-def test_lag_is_that_of_steps_that_follow_a_ramp():
-    """Targets every 20 ms, and joints 80 ms behind their mean: 70 behind the step of each tick."""
-    times_s = np.arange(0.0, 3.0, 1e-3)
-    steps = 0.3 * np.floor(times_s / 0.02 + 1e-9) * 0.02
-    actual = 0.3 * (times_s - 0.08)
-    columns = [each[:, None] for each in (actual, steps)]
-    [lag] = lag_ms(times_s, *columns)
-    assert lag == pytest.approx(70.0, abs=1.0)
-    assert lag_ms(times_s, columns[0], np.full((3000, 1), np.nan)) == [None]
-
-
 @contextmanager
 def robot(host, **ports):
     """A UR5e in real time; its server and its rig."""
@@ -241,7 +229,7 @@ def robot(host, **ports):
     arm = setup.arm()
     arm.be_controlled_by(setup.robot_controller(server.interface))
     server.open(host, ports or server.ports)
-    rig = RobotRig(arm, server, MonotonicClock(), setup.grid)
+    rig = RobotRig(arm, server, MonotonicClock(), setup.grid, lambda *_: None)
     thread = threading.Thread(target=rig.run)
     thread.start()
     try:
