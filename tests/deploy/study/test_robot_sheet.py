@@ -1,4 +1,4 @@
-"""`datasheet`, `margin` and `robot` with ``--interface``: robots with own controllers."""
+"""`datasheet`, `margin` and `robot` with ``--interface``: robots that have their own controller."""
 
 import json
 
