@@ -43,13 +43,14 @@ class _Input:
     def checked(self, value: float) -> float:
         """Return the value in force; raises ValueError if it is out of range, or no number."""
         found = value or self.usual
-        if not self.least <= found <= self.most:  # true of NaN
+        if not self.least <= found <= self.most:  # NaN is in no range
             raise ValueError(
                 f"{self.name} = {found:g}: must be within {self.least:g} to {self.most:g}"
             )
         return found
 
 
+# Limits of the e-Series and of URScript's manual; accelerations as ur-rtde limits them.
 _MOST_RAD = math.radians(363.0)
 _TARGET = _Input("target, rad", -_MOST_RAD, _MOST_RAD)
 _SPEED = _Input("speed, rad/s", -2.0 * math.pi, 2.0 * math.pi)
@@ -58,7 +59,6 @@ _DECELERATION = _Input("deceleration, rad/s²", 0.0, 40.0, _STOP_RAD_S2)
 _LOOKAHEAD = _Input("lookahead time, s", 0.03, 0.2, 0.1)
 _GAIN = _Input("gain", 100.0, 2000.0, 300.0)
 _WATCHDOG = _Input("watchdog frequency, Hz", 0.0, 500.0)
-"""Limits of the e-Series and of URScript's manual; accelerations as ur-rtde limits them."""
 
 
 class ControlScript:
