@@ -216,6 +216,12 @@ class ChannelConfiguration(StrictModel):
             or self.pattern
         )  # fmt: skip
 
+    @property
+    def has_duplicates(self) -> bool:
+        """Whether messages arrive twice, at any time of the run."""
+        steps = (entry for entry in self.schedule if not isinstance(entry, Outage))
+        return any(each.duplicate for each in (self, *steps))
+
     @field_validator("distribution_file")
     @classmethod
     def _check_file(cls, file: str | None, info: ValidationInfo) -> str | None:

@@ -17,6 +17,7 @@ from bus_schema.registry import NameIn
 
 AUTO: Final = "auto"
 """Play-out time that the controller chooses, and says with each command."""
+_NO_DUPLICATES = "must be left out with link.transport: tcp, which delivers nothing twice"
 DEFAULT_FOLDER = "~/.config/funnel-hil/keys"
 
 
@@ -178,9 +179,14 @@ class LinkConfiguration(StrictModel, validate_default=True):
         if info.data.get("kind") == "can":
             raise ValueError("udp with link.kind = can: a bus has no streams")
         ways = (info.data.get(name) for name in ("uplink", "downlink"))
-        if any(way is not None and way.duplicate for way in ways):
+        if any(way is not None and way.has_duplicates for way in ways):
             raise ValueError("udp with a duplicate: TCP delivers nothing twice")
         return transport
+
+    @property
+    def no_duplicates(self) -> str | None:
+        """What is allowed instead of duplicated messages; None if the transport has them."""
+        return _NO_DUPLICATES if self.transport == "tcp" else None
 
     def listen_endpoint(self, role: Role) -> str:
         """Return where plant or controller listen; recorders connect to both, and do not."""

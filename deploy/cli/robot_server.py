@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
 import typer
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from bus_schema.recording.atomic_files import write_json
 from bus_schema.runtime.clock import MonotonicClock
 from deploy.cli.common import say_warnings
 from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
-from deploy.judge.joint_lag import lags_s
+from deploy.judge.joint_lag import LagMeter
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
 from deploy.run.network.link_relay import LinkRelay
@@ -101,23 +100,40 @@ def _serve(
         console.print(f"{clock.now_ns() * 1e-9:9.4f}  {sentence}")
 
     server = server_type(interface.settings, interface.period_s, say)
-    arm = setup.arm()
+    arm, lag = setup.arm(), LagMeter(setup.robot.joints)
     arm.be_controlled_by(setup.robot_controller(server.interface))
-    rig = RobotRig(arm, server, clock, setup.grid)
-    on_stop(rig.request_stop)
-    clock.start()
-    with _listening(server, setup, host) as relay:
-        ports = ", ".join(f"{name} {port}" for name, port in server.ports.items())
-        console.print(f"{setup.scenario.name} listens at {host}: {ports}")
-        ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
-        try:
-            rig.run(ticks)
-        finally:
-            arm.close()
-            server.close()
-        counts = None if relay is None else relay.counts()
-    summary = _summary(setup, server, rig, counts)
-    write_motion(out / "motion.csv", setup.robot.joint_names, rig)
+    ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
+    with motion_file(out / "motion.csv", setup.robot.joint_names) as write:
+
+        def record(now_s: float, actual_rad: Vector, target_rad: Vector) -> None:
+            write(now_s, actual_rad, target_rad)
+            lag.add(now_s, actual_rad, target_rad)
+
+        rig = RobotRig(arm, server, clock, setup.grid, record)
+        on_stop(rig.request_stop)
+        clock.start()
+        with listening(server, setup, host) as relay:
+            ports = ", ".join(f"{name} {port}" for name, port in server.ports.items())
+            console.print(f"{setup.scenario.name} listens at {host}: {ports}")
+            try:
+                rig.run(ticks)
+            finally:
+                arm.close()
+                server.close()
+            counts = None if relay is None else relay.counts()
+    is_whole = ticks is None or rig.ticks >= ticks
+    summary = {
+        "kind": "robot_server",
+        "name": setup.scenario.name,
+        "interface": interface.kind,
+        "completed": is_whole,
+        "duration_s": rig.ticks * setup.grid.period_ns * 1e-9,
+        "ticks": rig.ticks,
+        "skipped": rig.skipped,
+        **server.counts,
+        "lag_ms": lag.finish(),
+        "network": counts,
+    }
     write_json(out / "manifest.json", provenance())
     write_json(out / "summary.json", summary)
     known = [lag for lag in summary["lag_ms"] if lag is not None]
@@ -126,75 +142,36 @@ def _serve(
     for stop in summary["stops"]:
         console.print(f"stopped at {stop['time_s']:.3f} s: {stop['reason']}")
     console.print(f"results: {out}")
-    return INTERRUPTED if ticks is not None and rig.ticks < ticks else FINISHED
-
-
-def write_motion(file: Path, names: Sequence[str], rig: RobotRig) -> None:
-    """Write times, measured positions, and those that clients asked for, as CSV."""
-    rows = np.column_stack([rig.times_s, np.array(rig.actual_rad), np.array(rig.wanted_rad)])
-    heads = ["time_s", *(f"{n}.position_rad" for n in names), *(f"{n}.target_rad" for n in names)]
-    np.savetxt(file, rows, delimiter=",", fmt="%.9g", header=",".join(heads), comments="")
-
-
-def lag_ms(times_s: Vector, actual_rad: Matrix, wanted_rad: Matrix) -> list[float | None]:
-    """Return how far each joint was behind the positions that clients asked for, ms.
-
-    None for a joint that they did not move. The speed of targets, which come in steps, is that over
-    100 ms.
-
-    Args:
-        times_s: shape (rows,).
-        actual_rad: measured, shape (rows, joints).
-        wanted_rad: asked for, likewise; NaN for nothing.
-    """
-    after, before = (np.searchsorted(times_s, times_s + each) for each in (0.05, -0.05))
-    after = np.minimum(after, len(times_s) - 1)
-    spans_s = times_s[after] - times_s[before]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        speeds = (wanted_rad[after] - wanted_rad[before]) / spans_s[:, None]
-    known = np.isfinite(speeds).all(axis=1) & np.isfinite(wanted_rad).all(axis=1)
-    lags = lags_s((actual_rad - wanted_rad)[known], speeds[known])
-    return [1e3 * float(lag) if np.isfinite(lag) else None for lag in lags]
-
-
-def _summary(
-    setup: Setup, server: RobotServer, rig: RobotRig, relay: dict[str, Any] | None
-) -> dict[str, Any]:
-    return {
-        "kind": "robot_server",
-        "name": setup.scenario.name,
-        "interface": setup.scenario.plant.interface.kind,
-        "completed": True,
-        "duration_s": rig.ticks * setup.grid.period_ns * 1e-9,
-        "ticks": rig.ticks,
-        "skipped": rig.skipped,
-        **server.counts,
-        "lag_ms": lag_ms(np.array(rig.times_s), np.array(rig.actual_rad), np.array(rig.wanted_rad)),
-        "network": relay,
-    }
+    return FINISHED if is_whole else INTERRUPTED
 
 
 @contextmanager
-def _listening(server: RobotServer, setup: Setup, host: str) -> Iterator[LinkRelay | None]:
-    """Open the server's ports; with a network, a relay stands before the one for the loop."""
-    link = setup.link
-    ways = (link.uplink, link.downlink)
-    has_network = any(not way.is_constant or way.delay_ms for way in ways)
-    ports: Mapping[str, int] = dict(server.ports)
+def motion_file(
+    file: Path, names: Sequence[str]
+) -> Iterator[Callable[[float, Vector, Vector], None]]:
+    """Open a CSV file; what it gives writes a row: time, measured positions, those asked for."""
+    heads = ["time_s", *(f"{n}.position_rad" for n in names), *(f"{n}.target_rad" for n in names)]
+    with file.open("w", encoding="utf-8", newline="\n") as rows:
+
+        def write(time_s: float, actual_rad: Vector, target_rad: Vector) -> None:
+            row = (time_s, *actual_rad.tolist(), *target_rad.tolist())
+            rows.write(",".join(f"{value:.9g}" for value in row) + "\n")
+
+        rows.write(",".join(heads) + "\n")
+        yield write
+
+
+@contextmanager
+def listening(server: RobotServer, setup: Setup, host: str) -> Iterator[LinkRelay | None]:
+    """Open the server's ports; with a network, a relay delays the traffic of one of them."""
     try:
-        if not has_network:
-            server.open(host, ports)
-            yield None
-            return
-        with socket.create_server((_LOCAL, 0)) as free:
-            inner = free.getsockname()[1]
-        server.open(_LOCAL, {server.relayed: inner})
-        server.open(host, {name: port for name, port in ports.items() if name != server.relayed})
-        outer = socket.create_server((host, ports[server.relayed]))
+        relay = _opened(server, setup, host)
     except OSError as error:
         raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
+    if relay is None:
+        yield None
+        return
     stop = threading.Event()
-    relay = LinkRelay(outer, (_LOCAL, inner), link, setup.scenario.seed)
     thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
     thread.start()
     try:
@@ -202,3 +179,17 @@ def _listening(server: RobotServer, setup: Setup, host: str) -> Iterator[LinkRel
     finally:
         stop.set()
         thread.join()
+
+
+def _opened(server: RobotServer, setup: Setup, host: str) -> LinkRelay | None:
+    """Open the server's ports; return the relay if the link is a network."""
+    link, ports = setup.link, dict(server.ports)
+    if not any(not way.is_constant or way.delay_ms for way in (link.uplink, link.downlink)):
+        server.open(host, ports)
+        return None
+    with socket.create_server((_LOCAL, 0)) as free:
+        inner = free.getsockname()[1]
+    server.open(_LOCAL, {server.relayed: inner})
+    server.open(host, {name: port for name, port in ports.items() if name != server.relayed})
+    outer = socket.create_server((host, ports[server.relayed]))
+    return LinkRelay(outer, (_LOCAL, inner), link, setup.scenario.seed)

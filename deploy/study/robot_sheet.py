@@ -17,15 +17,15 @@ from controller.laws import LAWS
 from deploy.judge.metrics import summarise
 from deploy.judge.verdict import Verdict
 from deploy.run.simulate import simulate
-from deploy.scenario.interface_choice import COMPENSATION, LOOPS, interface_values, takes_of
+from deploy.scenario.interface_choice import COMPENSATION, KIND, LOOPS, interface_values, takes_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
-from deploy.scenario.yaml_files import override
+from deploy.scenario.yaml_files import ScenarioError, override
 from deploy.study.data_sheet import START_KEYS, TRACE_KEYS, window_starts_s
 from deploy.study.robustness import margin_study
 from deploy.study.study import StudyOfRuns
-from plant_emulator.interfaces.configuration import InterfaceConfiguration
+from plant_emulator.interfaces.configuration import INTERFACES, InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
 
 _SOURCE = Path("datasheet")
@@ -118,11 +118,13 @@ class RobotSheet:
         """Return values of the links that are tried, by a name for them.
 
         With a network, windows of it, and none; otherwise the given link, or several round trips if
-        it has no delay.
+        it has no delay and `fixed` sets none.
         """
         if self.network is None:
             link = self._setup({}).link
-            if any(not way.is_constant or way.delay_ms for way in (link.uplink, link.downlink)):
+            is_given = any(key in self._set() for key in ("link", *_LINK, *_DELAYS))
+            ways = (link.uplink, link.downlink)
+            if is_given or any(not way.is_constant or way.delay_ms for way in ways):
                 return {"the given link": {}}
             return {f"{ms:g} ms": dict.fromkeys(_DELAYS, 0.5 * ms) for ms in _ROUND_TRIPS_MS}
         file = Path(self.network)
@@ -162,6 +164,9 @@ class RobotSheet:
 
     def _setup(self, values: Mapping[str, Any]) -> Setup:
         own = interface_values(self.interface, self.law)
+        for key, varied in itertools.product(self._set(), (KIND, *values)):
+            if f"{varied}.".startswith(f"{key}."):
+                raise ScenarioError(f"--set {key}: must be left out: the data sheet sets {varied}")
         given = {**own, "duration_s": self.duration_s, **values, **self._set()}
         return load_setup(self.arm, [override(key, each) for key, each in given.items()])
 
@@ -172,14 +177,14 @@ NO_NETWORK = "no network"
 
 def limiter_key(kind: str) -> str:
     """Return the key of a robot's limiter."""
-    return f"plant.interface.{kind}.limiter"
+    return f"plant.interface.{kind if kind in INTERFACES.shipped else 'own'}.limiter"
 
 
 def _has_limiter(kind: str) -> bool:
     return "limiter" in type(InterfaceConfiguration(kind=kind).settings).model_fields
 
 
-def driven(way: Way, link: str, setup: Setup) -> dict[str, Any]:
+def run_row(way: Way, link: str, setup: Setup) -> dict[str, Any]:
     """Run a robot, and return what its data sheet says of it.
 
     The lag is that of the joint that is furthest behind or ahead.

@@ -29,12 +29,15 @@ class FaultContext(NamedTuple):
         payload_kg: mass that the arm carries when the fault begins.
         no_link_faults: what is allowed instead of faults of messages, if the plant cannot change
             this link's messages; None if it can.
+        no_duplicates: what is allowed instead of duplicated messages, if the link's transport
+            delivers nothing twice; None if it can.
     """
 
     joint_names: tuple[str, ...]
     duration_s: float
     payload_kg: float
     no_link_faults: str | None
+    no_duplicates: str | None
 
 
 class Fault(StrictModel):

@@ -65,6 +65,11 @@ class LinkDuplicated(ChannelFault):
     kind: Literal["link_duplicated"]
     share: Share = 1.0
 
+    def check(self, key: str, context: FaultContext) -> None:
+        super().check(key, context)
+        if context.no_duplicates is not None:
+            raise ConfigurationError(f"{key}.kind", self.kind, context.no_duplicates)
+
     def changed(self, conditions: Conditions) -> Conditions:
         return conditions._replace(duplicate=max(conditions.duplicate, self.share))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bus_schema.arrays import Vector
@@ -18,22 +20,26 @@ class RobotRig:
         server: answers the clients.
         clock: the rig's time.
         grid: instants at which physics and clients advance.
+        record: called once per tick that is served, with its time, the measured positions, and
+            those that clients ask for then; NaN for none.
 
     Attributes:
         ticks: number of ticks so far.
         skipped: number of ticks at which no client was served because the host was late.
-        times_s: of the ticks that were served.
-        actual_rad: measured positions at them.
-        wanted_rad: positions that clients asked for then; NaN for none.
     """
 
-    def __init__(self, arm: ArmPlant, server: RobotServer, clock: Clock, grid: TickGrid) -> None:
+    def __init__(
+        self,
+        arm: ArmPlant,
+        server: RobotServer,
+        clock: Clock,
+        grid: TickGrid,
+        record: Callable[[float, Vector, Vector], None],
+    ) -> None:
         self._arm, self._server, self._clock, self._grid = arm, server, clock, grid
+        self._record = record
         self._stop_requested = False
         self.ticks = self.skipped = 0
-        self.times_s: list[float] = []
-        self.actual_rad: list[Vector] = []
-        self.wanted_rad: list[Vector] = []
 
     def request_stop(self) -> None:
         """End at the next tick; safe from signal handlers and other threads."""
@@ -57,8 +63,6 @@ class RobotRig:
             self.ticks = tick
             arm.read_encoders()
             now_s = 1e-9 * grid.tick_ns(tick)
-            self.times_s.append(now_s)
-            self.actual_rad.append(arm.measured[0].copy())
-            self.wanted_rad.append(self._server.target_rad.copy())
+            self._record(now_s, arm.measured[0], self._server.target_rad)
             self._server.cycle(now_s, arm.measured, arm.torques.actuator)
         arm.end()

@@ -23,7 +23,7 @@ class RobotServer(ABC):
     Attributes:
         interface: what moves the arm.
         ports: numbers of its ports, by what they are for.
-        relayed: name of the port that a network stands before.
+        relayed: name of the port whose traffic an emulated network delays.
         joints: number of joints that its clients expect; None for any.
     """
 

@@ -23,10 +23,10 @@ from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.run_folder import ResultFolder, provenance
 from deploy.run.stop_signals import on_stop
-from deploy.scenario.interface_choice import has_controller
+from deploy.scenario.interface_choice import has_controller, interface_values
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.data_sheet import DataSheet
-from deploy.study.robot_sheet import RobotSheet, driven
+from deploy.study.robot_sheet import RobotSheet, run_row
 from deploy.study.study import StudyOfRuns
 
 _LAW = "fixed_time_adaptive"
@@ -65,10 +65,7 @@ def datasheet(options: DatasheetOptions) -> None:
     if has_controller(options.interface):
         _of_robot(options, options.interface)
         return
-    sheet = DataSheet(
-        options.scenario, options.law or _LAW, options.network, options.plants, options.fixed(),
-        options.quick,
-    )  # fmt: skip
+    sheet = torque_sheet(options)
     margin, windows = sheet.margin(), sheet.windows()
     tested = sheet.tested_with(margin.tested_with) or {}
     gate = ResultGate(options, "datasheet", "ms", tested, "datasheet")
@@ -92,6 +89,15 @@ def datasheet(options: DatasheetOptions) -> None:
     leave(interrupted=False, whole=True, kept=kept)
 
 
+def torque_sheet(options: DatasheetOptions) -> DataSheet:
+    """Return the data sheet of an arm that takes torques."""
+    fixed = {**interface_values(options.interface), **options.fixed()}
+    return DataSheet(
+        options.scenario, options.law or _LAW, options.network, options.plants, fixed,
+        options.quick,
+    )  # fmt: skip
+
+
 def _of_robot(options: DatasheetOptions, interface: str) -> None:
     """Answer for a robot that has a controller of its own."""
     if options.plants:
@@ -111,7 +117,7 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
         for done, run in enumerate(planned):
             _leave_if_stopped(stop, console)
             progress.update(done)
-            rows.append(driven(*run))
+            rows.append(run_row(*run))
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
         results = show_results(

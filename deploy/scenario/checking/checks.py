@@ -86,8 +86,9 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     offset, start = _start(reference, robot, given.initial_offset_rad)
     scenario = _in_numbers(scenario, robot, start, grid)
     context = FaultContext(
-        robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
-    )
+        robot.joint_names, scenario.duration_s, scenario.plant.payload_kg,
+        link_kind.no_link_faults, scenario.link.no_duplicates,
+    )  # fmt: skip
     check_faults(scenario.faults, context)
     sized_by = motion[:: -(-len(motion) // _SIZED_BY)]
     rotors = scenario.plant.actuator.rotor_inertia(robot.joints)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,8 +21,44 @@ _READY, _DONE = 1, 2
 _COMMAND, _FLOAT = "input_int_register_0", "input_double_register_{}"
 _JOINTS = 6
 _STOP_RAD_S2 = 20.0
-"""Of `stopj` after servoing, and 10 after a speed; as the program has them."""
-LEAST_LOOKAHEAD_S, MOST_LOOKAHEAD_S = 0.03, 0.2
+"""Deceleration of a stop for which the client gives none."""
+
+
+@dataclass(frozen=True)
+class _Input:
+    """What a command reads from a register, and its range.
+
+    Attributes:
+        name: with its unit.
+        least: smallest value.
+        most: largest value.
+        usual: what a 0 stands for.
+    """
+
+    name: str
+    least: float
+    most: float
+    usual: float = 0.0
+
+    def checked(self, value: float) -> float:
+        """Return the value in force; raises ValueError if it is out of range, or no number."""
+        found = value or self.usual
+        if not self.least <= found <= self.most:  # NaN is in no range
+            raise ValueError(
+                f"{self.name} = {found:g}: must be within {self.least:g} to {self.most:g}"
+            )
+        return found
+
+
+# Limits of the e-Series and of URScript's manual; accelerations as ur-rtde limits them.
+_MOST_RAD = math.radians(363.0)
+_TARGET = _Input("target, rad", -_MOST_RAD, _MOST_RAD)
+_SPEED = _Input("speed, rad/s", -2.0 * math.pi, 2.0 * math.pi)
+_ACCELERATION = _Input("acceleration, rad/s²", 0.0, 40.0)
+_DECELERATION = _Input("deceleration, rad/s²", 0.0, 40.0, _STOP_RAD_S2)
+_LOOKAHEAD = _Input("lookahead time, s", 0.03, 0.2, 0.1)
+_GAIN = _Input("gain", 100.0, 2000.0, 300.0)
+_WATCHDOG = _Input("watchdog frequency, Hz", 0.0, 500.0)
 
 
 class ControlScript:
@@ -48,7 +85,7 @@ class ControlScript:
         self._inputs: dict[str, Value] = {}
         self.commands: dict[int, int] = {}
         self.stops: list[tuple[float, str]] = []
-        self.now_s = self._heard_s = 0.0
+        self.now_s = self._last_input_s = 0.0
         self._silence_s = math.inf
 
     def begin(self) -> None:
@@ -70,7 +107,7 @@ class ControlScript:
         """Take the input registers of a package, and do what they say."""
         self._inputs |= values
         if _COMMAND in values:
-            self._heard_s = self.now_s
+            self._last_input_s = self.now_s
         if not self.is_running:
             return
         command = self._inputs.get(_COMMAND, 0)
@@ -86,7 +123,7 @@ class ControlScript:
     def cycle(self, now_s: float) -> None:
         """Let time pass: the watchdog stops a program whose client is silent."""
         self.now_s = now_s
-        if self.is_running and now_s - self._heard_s > self._silence_s:
+        if self.is_running and now_s - self._last_input_s > self._silence_s:
             self.end(f"watchdog: no input for {1e3 * self._silence_s:.0f} ms")
 
     def _do(self, number: int) -> None:
@@ -94,35 +131,38 @@ class ControlScript:
         if action is None:
             self._say(f"command {number} is not emulated, and does nothing")
         else:
-            action(self)
+            try:
+                action(self)
+            except ValueError as error:
+                self.end(f"command {number}: {error}")
         if self.is_running:
             self._answer(_READY if number in _CONTINUOUS else _DONE)
 
     def _answer(self, state: int) -> None:
         self.outputs["output_int_register_0"] = state
 
-    def _float(self, number: int) -> float:
-        return float(self._inputs.get(_FLOAT.format(number), 0.0))  # type: ignore[arg-type]
+    def _read(self, what: _Input, number: int) -> float:
+        """Return the value of a register; raises ValueError if it is out of range."""
+        return what.checked(float(self._inputs.get(_FLOAT.format(number), 0.0)))  # type: ignore[arg-type]
 
-    @property
-    def _joints(self) -> Vector:
-        return np.array([self._float(number) for number in range(_JOINTS)])
+    def _joints(self, what: _Input) -> Vector:
+        return np.array([self._read(what, number) for number in range(_JOINTS)])
 
     def _servoj(self) -> None:
-        lookahead_s = min(max(self._float(9), LEAST_LOOKAHEAD_S), MOST_LOOKAHEAD_S)
-        self._motion.servo(self._joints, lookahead_s, self._float(10) or 300.0)
+        lookahead_s, gain = self._read(_LOOKAHEAD, 9), self._read(_GAIN, 10)
+        self._motion.servo(self._joints(_TARGET), lookahead_s, gain)
 
     def _speedj(self) -> None:
-        self._motion.speed(self._joints, self._float(6))
+        self._motion.speed(self._joints(_SPEED), self._read(_ACCELERATION, 6))
 
     def _servo_stop(self) -> None:
-        self._motion.brake(self._float(0) or _STOP_RAD_S2)
+        self._motion.brake(self._read(_DECELERATION, 0))
 
     def _get_steptime(self) -> None:
         self.outputs["output_double_register_0"] = self._step_time_s
 
     def _set_watchdog(self) -> None:
-        frequency_hz = self._float(0)
+        frequency_hz = self._read(_WATCHDOG, 0)
         self._silence_s = 1.0 / frequency_hz if frequency_hz > 0.0 else math.inf
 
     def _stop_script(self) -> None:

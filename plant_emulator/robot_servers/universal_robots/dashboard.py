@@ -6,6 +6,8 @@ from plant_emulator.robot_servers.universal_robots.control_script import Control
 from plant_emulator.robot_servers.universal_robots.rtde_port import VERSION
 
 GREETING = "Connected: Universal Robots Dashboard Server"
+FAREWELL = "Disconnected"
+"""The answer to `quit`, after which the server closes the connection."""
 _ANSWERS = {
     "is in remote control": "true",
     "robotmode": "Robotmode: RUNNING",
@@ -19,7 +21,7 @@ _ANSWERS = {
     "unlock protective stop": "Protective stop releasing",
     "close safety popup": "closing safety popup",
     "close popup": "closing popup",
-    "quit": "Disconnected",
+    "quit": FAREWELL,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping
 
@@ -9,7 +10,7 @@ from bus_schema.rtde.packages import Kind, PackageReader, Recipe, Value, package
 from plant_emulator.robot_servers.universal_robots.variables import type_of, zero_of
 
 VERSION = (5, 11, 0, 0)
-"""Of the controller's software, as the client is told."""
+"""Version of the controller's software that clients receive."""
 _PROTOCOL = 2
 _NOT_FOUND = "NOT_FOUND"
 
@@ -62,6 +63,8 @@ class RtdeClient:
 
     def _set_outputs(self, payload: bytes) -> bytes:
         (frequency_hz,) = struct.unpack_from(">d", payload)
+        if not math.isfinite(frequency_hz):
+            raise ValueError(f"an output frequency of {frequency_hz} Hz: must be finite")
         types = _types_of(payload[8:])
         if None in types.values():
             return bytes(1) + _answered(types)

@@ -27,6 +27,7 @@ _PROGRAM = re.compile(rb"^def\s+(\w+)\s*\(", re.MULTILINE)
 _LAST_LINE = re.compile(rb"^(end|run program)\s*$", re.MULTILINE)
 _NAME = b"rtde_control"
 _MOST_SCRIPT_BYTES = 1 << 20
+_MOST_LINE_BYTES = 1 << 12
 
 Receive = Callable[[bytes], None]
 
@@ -46,7 +47,7 @@ class UniversalRobotsServer(RobotServer):
         self._script, self._say = ControlScript(self._motion, period_s, say), say
         self._selector = selectors.DefaultSelector()
         self._clients: dict[socket.socket, RtdeClient] = {}
-        self._script_bytes: dict[socket.socket, bytes] = {}
+        self._unread: dict[socket.socket, bytes] = {}
         self._period_s, self._next_s = period_s, 0.0
 
     def open(self, host: str, ports: Mapping[str, int]) -> None:
@@ -97,9 +98,12 @@ class UniversalRobotsServer(RobotServer):
         except OSError:
             return
         client.setblocking(False)
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):  # it may have gone already
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._say(f"client at the {port} port")
         self._selector.register(client, selectors.EVENT_READ, self._receiver(client, port))
+        if port == "dashboard":
+            self._send(client, f"{dashboard.GREETING}\n".encode())
 
     def _receiver(self, client: socket.socket, port: str) -> Receive:
         """Return what takes the bytes of a new connection."""
@@ -107,10 +111,9 @@ class UniversalRobotsServer(RobotServer):
             rtde = RtdeClient(lambda data: self._send(client, data), self._script.take)
             self._clients[client] = rtde
             return rtde.receive
+        self._unread[client] = b""
         if port == "dashboard":
-            self._send(client, f"{dashboard.GREETING}\n".encode())
             return lambda data: self._answer_lines(client, data)
-        self._script_bytes[client] = b""
         return lambda data: self._collect(client, data)
 
     def _read(self, client: socket.socket, receive: Receive) -> None:
@@ -131,7 +134,7 @@ class UniversalRobotsServer(RobotServer):
 
     def _forget(self, client: socket.socket) -> None:
         self._clients.pop(client, None)
-        self._script_bytes.pop(client, None)
+        self._unread.pop(client, None)
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(client)
         client.close()
@@ -146,19 +149,29 @@ class UniversalRobotsServer(RobotServer):
             self._forget(client)
 
     def _answer_lines(self, client: socket.socket, data: bytes) -> None:
-        for line in data.decode("utf-8", "replace").splitlines():
-            self._send(client, f"{dashboard.answer(line, self._script)}\n".encode())
+        """Answer the lines that are complete."""
+        *lines, rest = (self._unread[client] + data).split(b"\n")
+        if len(rest) > _MOST_LINE_BYTES:
+            raise ValueError(f"a line of more than {_MOST_LINE_BYTES} bytes")
+        self._unread[client] = rest
+        for line in lines:
+            answer = dashboard.answer(line.decode("utf-8", "replace"), self._script)
+            self._send(client, f"{answer}\n".encode())
+            if answer == dashboard.FAREWELL:
+                self._forget(client)
+            if client not in self._unread:
+                return
 
     def _collect(self, client: socket.socket, data: bytes) -> None:
         """Collect a script, and begin the program once its last line is there."""
-        text = self._script_bytes[client] + data
+        text = self._unread[client] + data
         if len(text) > _MOST_SCRIPT_BYTES:
             raise ValueError(f"a script of more than {_MOST_SCRIPT_BYTES} bytes")
-        self._script_bytes[client] = text
+        self._unread[client] = text
         name = _PROGRAM.search(text)
         if name is None or not _LAST_LINE.search(text, name.end()):
             return
-        self._script_bytes[client] = b""
+        self._unread[client] = b""
         if name[1] == _NAME:
             self._say("program rtde_control starts")
             self._script.begin()

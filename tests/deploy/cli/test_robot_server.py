@@ -1,10 +1,18 @@
 """`robot-server`: what it refuses, and the files that it leaves."""
 
 import json
+import signal
+import socket
 
 import pytest
 
-from tests.warm_process import output_of
+from deploy.cli.robot_server import listening
+from deploy.run.exit_codes import INTERRUPTED
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.robot_servers.universal_robots.server import UniversalRobotsServer
+from tests.waiting import await_true
+from tests.warm_process import WarmProcess, output_of
 
 
 @pytest.mark.parametrize(
@@ -26,8 +34,53 @@ def test_it_leaves_its_motion_and_counts(tmp_path):
     assert "ur5e_motors listens at 127.0.0.59: rtde 30004" in output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["ticks"] >= 50
+    assert summary["completed"]
     assert (summary["commands"], summary["stops"], summary["lag_ms"]) == ({}, [], 6 * [None])
     assert summary["network"]["uplink"]["sent"] == 0
-    heads = (tmp_path / "out" / "motion.csv").read_text().splitlines()[0].split(",")
+    first, *rows = (tmp_path / "out" / "motion.csv").read_text().splitlines()
+    assert len(rows) == summary["ticks"] - summary["skipped"]
+    assert float(rows[-1].split(",")[0]) == pytest.approx(summary["duration_s"])
+    heads = first.split(",")
     assert heads[:2] == ["time_s", "shoulder_pan_joint.position_rad"]
     assert len(heads) == 13
+
+
+def test_no_tick_leaves_files_without_rows(tmp_path):
+    """1 ms at 200 Hz."""
+    words = ("--host", "127.0.0.60", "--duration", "0.001", "--set", "rate_hz=200")
+    output_of("robot-server", "ur5e_motors", *words, "--out", tmp_path / "out")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["ticks"], summary["lag_ms"]) == (0, 6 * [None])
+    assert len((tmp_path / "out" / "motion.csv").read_text().splitlines()) == 1
+
+
+def test_an_interrupted_run_is_not_complete(tmp_path):
+    words = ("--host", "127.0.0.61", "--duration", "1000", "--out", tmp_path / "out")
+    process = WarmProcess("robot-server", "ur5e_motors", *words)
+    await_true(lambda: "listens at" in process.output(), "it listens")
+    process.send_signal(signal.SIGTERM)
+    assert process.wait() == INTERRUPTED
+    assert not json.loads((tmp_path / "out" / "summary.json").read_text())["completed"]
+
+
+@pytest.fixture
+def ur5e():
+    setup = load_setup("ur5e_motors", ["plant.interface.kind=servoj", "controller.law=streaming"])
+    interface = setup.scenario.plant.interface
+    server = UniversalRobotsServer(interface.settings, interface.period_s, lambda _: None)
+    yield server, setup
+    server.close()
+
+
+def test_an_error_of_the_run_is_not_reported_as_one_of_the_address(ur5e):
+    with pytest.raises(BrokenPipeError), listening(*ur5e, "127.0.0.62"):
+        raise BrokenPipeError
+
+
+def test_a_port_that_is_taken_is_reported_with_its_address(ur5e):
+    with (
+        socket.create_server(("127.0.0.63", 30004)),
+        pytest.raises(ScenarioError, match=r"--host 127\.0\.0\.63: "),
+        listening(*ur5e, "127.0.0.63"),
+    ):
+        pass

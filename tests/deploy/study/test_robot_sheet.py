@@ -1,4 +1,4 @@
-"""`datasheet`, `margin` and `robot` with ``--interface``: robots with own controllers."""
+"""`datasheet`, `margin` and `robot` with ``--interface``: robots that have their own controller."""
 
 import json
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from bus_schema.user_files import read_text
+from deploy.cli.study.datasheet import DatasheetOptions, torque_sheet
 from deploy.reports.kinds import gauged
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.robot_sheet import RobotSheet, Way, driven
+from deploy.study.robot_sheet import RobotSheet, Way, limiter_key, run_row
 from tests.deploy.study.theory.linear_arms import Arm
 from tests.warm_process import output_of
 
@@ -112,7 +113,7 @@ def test_twenty_lost_packets_are_a_reflex_with_its_time_and_the_limiter_does_not
     fixed = {"metrics.from_s": 0.5, "controller.delay_compensation.enabled": False}
     sheet = RobotSheet(str(file), "franka_torque", "pid", network, fixed, is_quick=True)
     found = {
-        (way.limiter, link): driven(way, link, setup)["reflexes"]
+        (way.limiter, link): run_row(way, link, setup)["reflexes"]
         for way, link, setup in sheet.runs()
         if link in ("window at 0 s", "no network")
     }
@@ -132,7 +133,9 @@ def test_a_limiter_prevents_a_reflex_about_the_rate_of_torques(still):
         "link.downlink.schedule": [{"kind": "outage", "at_s": 0.0105, "for_s": 0.015}],
     }  # fmt: skip
     sheet = RobotSheet(str(file), "franka_torque", "pid", None, fixed, is_quick=True)
-    kinds = {way.limiter: driven(way, link, setup)["reflexes"] for way, link, setup in sheet.runs()}
+    kinds = {
+        way.limiter: run_row(way, link, setup)["reflexes"] for way, link, setup in sheet.runs()
+    }
     assert [each["kind"] for each in kinds[False]] == ["controller_torque_discontinuity"]
     assert kinds[True] == []
 
@@ -150,6 +153,47 @@ def test_what_is_varied_is_what_applies_to_the_interface():
     assert {way.compensation for way in ways("franka_torque")} == {False, True}
     set_already = {"controller.preview_ms": 5}
     assert {way.preview for way in ways("servoj", fixed=set_already)} == {None}
+
+
+@pytest.mark.parametrize(
+    "fixed",
+    [{"link.uplink.delay_ms": 0}, {"link.downlink.delay_ms": 0}, {"link.uplink": {"delay_ms": 0}}],
+)
+def test_a_delay_that_is_set_is_the_given_link_also_if_it_is_0(fixed):
+    sheet = RobotSheet("paper_arm", "servoj", fixed=fixed)
+    assert sheet.links() == {"the given link": {}}
+
+
+@pytest.mark.parametrize(
+    ("network", "key", "value", "sets"),
+    [
+        ("wired_lan", "link.uplink.trace.start_s", 1, "link.uplink.trace.start_s"),
+        ("wired_lan", "link.downlink", {"delay_ms": 5}, "link.downlink.trace.file"),
+        (None, "controller.law", "streaming", "controller.law"),
+        (None, "plant.interface.kind", "speedj", "plant.interface.kind"),
+    ],
+)
+def test_a_value_that_the_sheet_varies_is_refused(network, key, value, sets):
+    sheet = RobotSheet("paper_arm", "servoj", None, network, {key: value}, is_quick=True)
+    with pytest.raises(ScenarioError) as refused:
+        list(sheet.runs())
+    assert str(refused.value) == f"--set {key}: must be left out: the data sheet sets {sets}"
+
+
+def test_the_limiter_of_an_installed_interface_is_among_its_own_settings():
+    assert limiter_key("franka_torque") == "plant.interface.franka_torque.limiter"
+    assert limiter_key("of_a_package") == "plant.interface.own.limiter"
+
+
+def test_a_torque_interface_is_that_of_the_data_sheet_of_torques(tmp_path):
+    """Also where the scenario's robot takes positions."""
+    file = tmp_path / "arm.yaml"
+    file.write_text(
+        "extends: paper_arm\nplant: {interface: {kind: servoj}}\ncontroller: {law: streaming}\n"
+    )
+    options = DatasheetOptions(scenario=str(file), law="pid", interface="torque", quick=True)
+    kinds = {base.scenario.plant.interface.kind for base in torque_sheet(options).margin().bases}
+    assert kinds == {"torque"}
 
 
 def test_margin_with_an_interface_searches_that_of_its_loop(ramp, tmp_path):

@@ -144,10 +144,25 @@ def test_simulation_and_lockstep_over_tcp_have_equal_digests():
     assert downlink["resent"] > 0
 
 
+SCHEDULE = "link.downlink.schedule=[{{at_s: 1, duplicate: 0.1, kind: {}}}]"
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
         (["link.transport=tcp", "link.uplink.duplicate=0.1"], "TCP delivers nothing twice"),
+        (
+            ["link.transport=tcp", SCHEDULE.format("step")],
+            "TCP delivers nothing twice",
+        ),
+        (
+            ["link.transport=tcp", SCHEDULE.format("ramp, for_s: 1")],
+            "TCP delivers nothing twice",
+        ),
+        (
+            ["link.transport=tcp", "faults=[{kind: link_duplicated, at_s: 1, direction: uplink}]"],
+            "faults.0.kind = 'link_duplicated': must be left out with link.transport: tcp",
+        ),
         (["link.transport=tcp", "link.kind=can"], "a bus has no streams"),
         (["link.transport=quic"], "'udp' or 'tcp'"),
     ],
