@@ -40,7 +40,7 @@ class _Rows(NamedTuple):
         """Return the message of a tick after the first row; values are linear between rows."""
         row, rest = divmod(tick, self.ticks)
         if row >= len(self.messages) - 1:
-            return bytes(self.messages[-1].tobytes())
+            return self.messages[-1:].tobytes()
         before, after = self.messages[row : row + 2]
         message = self.messages[row : row + 1].copy()
         for name in {"position", "velocity", "effort"} & set(message.dtype.names or ()):
@@ -60,9 +60,9 @@ def _valid(
             continue
         if newest_ns < stamp_ns < end_ns:
             newest_ns = stamp_ns
-            first = np.frombuffer(record.payload(), layout.dtype)
-            later = () if record.later is None else (record.later,)
-            yield stamp_ns, _Rows(np.concatenate((first, *later)), record.row_ticks)
+            later = b"" if record.later is None else record.later.tobytes()
+            messages = np.frombuffer(record.payload() + later, layout.dtype)
+            yield stamp_ns, _Rows(messages, record.row_ticks)
 
 
 def _by_tick(commands: Iterator[tuple[int, _Rows]], period_ns: int, end_ns: int) -> Iterator[bytes]:

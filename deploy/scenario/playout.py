@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import AUTO, LinkConfiguration
 from controller.compensation.command_timeline import (
     GROWS_BY,
@@ -157,7 +158,7 @@ def _levels(setup: Setup, horizon: HorizonSettings) -> bool:
 def _may_be_late(setup: Setup, horizon: HorizonSettings) -> bool:
     """Whether commands may come too late, or several in a row not at all."""
     sides = setup.link.uplink, setup.link.downlink
-    is_emulated = any(largest_delay_ns(side) != 0 for side in sides)
+    is_emulated = any(side != ChannelConfiguration() for side in sides)
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     if expected_ms is not None and not is_emulated:
         return True  # the delay of a real link, which may vary

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import tomllib
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.provenance import provenance_of
 from plant_emulator.drives.commissioning import DRIVES
 from plant_emulator.physics.engines import ENGINES, engine_name
+from plant_emulator.robot_servers.robot_server import ROBOT_SERVERS
 from tests.arms import INSTALLED
 from tests.controller.compensation.prediction_bench import Bench, compensation_of
 
@@ -40,7 +42,9 @@ def run(*overrides):
 
 @pytest.mark.usefixtures("example_package")
 def test_example_has_an_entry_of_each_kind():
-    assert DRIVES.extension("toy") is not None  # imported here, so that its registry exists
+    # imported here, so that their registries exist
+    assert DRIVES.extension("toy") is not None
+    assert ROBOT_SERVERS.extension("jog") is not None
     assert set(installed()) == {kind for kind, each in REGISTRIES.items() if each.shipped}
 
 
@@ -70,6 +74,22 @@ def test_predictor_keeps_the_velocities_over_a_delay_of_8_ms():
         np.testing.assert_array_equal(foreseen_rate, velocity)
     data = run(COMPENSATED, "link.uplink.delay_ms=8", "controller.law=pid")
     assert data.faults() == []
+
+
+@pytest.mark.usefixtures("example_package")
+def test_robot_obeys_the_lines_of_a_client():
+    jog = "plant.interface={kind: jog, own: {speed_rad_s: 0.5}}"
+    setup = load_setup("paper_arm", [jog, "controller.law=proportional_velocity"])
+    server = ROBOT_SERVERS["jog"](setup.scenario.plant.interface.settings, 0.002, print)
+    server.open("127.0.0.59", server.ports)
+    with socket.create_connection(("127.0.0.59", server.ports["jog"])) as client:
+        client.sendall(b"1 0 -3\n")
+        while not server.counts["lines"]:
+            server.serve(1.0)
+    server.close()
+    server.interface.start(np.zeros(3))
+    moved = [server.interface.step(None, np.zeros((2, 3))) for _ in range(11)][-1]
+    np.testing.assert_allclose(moved.position_rad, 10 * 0.002 * 0.5 * np.array([1, 0, -1]))
 
 
 @pytest.mark.usefixtures("example_package")

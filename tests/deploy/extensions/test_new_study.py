@@ -69,7 +69,16 @@ def test_help_names_it(funnel_hil) -> None:
 def test_each_extension_of_the_example_is_one_file() -> None:
     code = EXAMPLE / "funnel_hil_example"
     files = {file.stem for file in code.glob("*.py")} - {"__init__"}
-    one_each = {"law", "predictor", "fault", "interface", "merge", "link", "payloads"}
+    one_each = {
+        "law",
+        "predictor",
+        "fault",
+        "interface",
+        "merge",
+        "link",
+        "payloads",
+        "robot_server",
+    }
     two = {"engine": {"flywheels"}, "protocol": {"drive"}}
     assert files == one_each | set(two) | set().union(*two.values())
     for name in one_each:
