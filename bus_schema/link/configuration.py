@@ -185,7 +185,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     @property
     def no_duplicates(self) -> str | None:
-        """What is allowed instead of duplicated messages; None if the transport has them."""
+        """Rule that refuses duplicated messages; None if the transport has them."""
         return _NO_DUPLICATES if self.transport == "tcp" else None
 
     def listen_endpoint(self, role: Role) -> str:

@@ -30,7 +30,7 @@ _LONGEST_NS = 120_000_000_000
 
 
 class RepetitionTimer:
-    """How long a sender waits for an acknowledgement (RFC 6298).
+    """Time for which a sender waits for an acknowledgement (RFC 6298).
 
     Args:
         round_trip_ns: of the handshake.
@@ -139,7 +139,7 @@ class TcpChannel(ImpairedChannel[Item]):
 
     @property
     def _next_inside_ns(self) -> int:
-        """When the next segment or answer arrives, or the timer runs out."""
+        """Instant at which the next segment or answer arrives, or the timer runs out."""
         return min(self._events[0].at_ns if self._events else NEVER_NS, self._timer_ns)
 
     def _find_next(self) -> None:

@@ -67,7 +67,7 @@ class RobotServer(ABC):
     @property
     @abstractmethod
     def counts(self) -> dict[str, Any]:
-        """What clients have asked for, and why the robot stopped, for a summary."""
+        """Counts of what clients asked for, and causes of stops, for a summary."""
 
 
 _UNIVERSAL_ROBOTS = "plant_emulator.robot_servers.universal_robots.server:UniversalRobotsServer"

@@ -1,4 +1,4 @@
-"""What the host did to a run in real time, apart from what the law did."""
+"""Sentences on the host of a run in real time, apart from those on the law."""
 
 from __future__ import annotations
 

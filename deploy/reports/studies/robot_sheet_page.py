@@ -112,7 +112,7 @@ def _laws(summary: Summary) -> list[str]:
 
 
 def _tip_sentence(summary: Summary, law: str) -> str:
-    """How far the tip is away and behind, without and with a preview; empty where none is tried."""
+    """Compare the tip without a preview and with it; return nothing where none is tried."""
     runs = [run for run in _asked(summary["runs_of_robot"]) if run["law"] == law]
     shown, where = f"{SHOWN_MS:g} ms", _where(summary)
     if any(run["link"] == shown for run in runs):
@@ -125,7 +125,7 @@ def _tip_sentence(summary: Summary, law: str) -> str:
 
 
 def _tip_text(found: Summary) -> str:
-    """How far the tip is away and its slowest joint behind, as far as that is known."""
+    """Say the tip's distance and the lag of its slowest joint, as far as they are known."""
     parts = []
     if (largest_mm := found["tip_largest_mm"]) is not None:
         parts.append(f"the tip is up to {number(largest_mm, unit=' mm')} away")
@@ -147,7 +147,7 @@ def _windows(summary: Summary) -> int:
 
 
 def _kept_sentences(summary: Summary) -> list[str]:
-    """How many windows of a network are kept, of the best way and of the others."""
+    """Count the windows of a network that are kept, by the best way and by the others."""
     if summary["network"] is None:
         return []
     ways = sorted(summary["ways"], key=lambda way: -way["kept"])
@@ -157,7 +157,7 @@ def _kept_sentences(summary: Summary) -> list[str]:
 
 
 def _reflex_sentences(summary: Summary) -> list[str]:
-    """Which reflexes stopped the robot and when, by limiter; and those without any network."""
+    """Name the reflexes that stopped the robot and their times, by limiter; then those without network."""
     found = []
     runs = summary["runs_of_robot"]
     limiters = sorted({run["limiter"] for run in runs}, key=bool)
@@ -174,7 +174,7 @@ def _reflex_sentences(summary: Summary) -> list[str]:
 
 
 def _reflexes_text(runs: list[Summary]) -> str:
-    """Which first reflexes stopped runs, how many, and when the earliest did."""
+    """Name the first reflexes of runs, their number, and the time of the earliest."""
     stopped = [(run["reflexes"][0], run) for run in runs if run["reflexes"]]
     if not stopped:
         return "none"

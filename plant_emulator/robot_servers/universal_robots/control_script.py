@@ -1,4 +1,4 @@
-"""What the program ``rtde_control`` of ur-rtde does with its registers.
+"""Meaning of the registers of ur-rtde's program ``rtde_control``.
 
 Integer register 0 has a command. The program answers in its output register 0: 1, ready; 0, not
 running; 2, done, until the client has cleared the command. Servo and speed commands go on until
@@ -26,7 +26,7 @@ _STOP_RAD_S2 = 20.0
 
 @dataclass(frozen=True)
 class _Input:
-    """What a command reads from a register, and its range.
+    """Input that a command reads from a register, and its range.
 
     Attributes:
         name: with its unit.
