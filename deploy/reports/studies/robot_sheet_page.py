@@ -157,7 +157,7 @@ def _kept_sentences(summary: Summary) -> list[str]:
 
 
 def _reflex_sentences(summary: Summary) -> list[str]:
-    """Name the reflexes that stopped the robot and their times, by limiter; then those without network."""
+    """Name the reflexes that stopped the robot, by limiter; and those without any network."""
     found = []
     runs = summary["runs_of_robot"]
     limiters = sorted({run["limiter"] for run in runs}, key=bool)
