@@ -36,6 +36,8 @@ _ACTS_AFTER = "acts_after_ns="
 _DIGITS = 10
 _ROW_TICKS = " row_ticks="
 """What follows if it has rows that lie several ticks apart: this and their number."""
+_MOST_KEPT = 4
+"""Layouts with rows that a layout keeps; a sender uses one."""
 _TIMES = re.compile(f"{_ACTS_AFTER}([0-9]{{1,{_DIGITS}}})(?:{_ROW_TICKS}([1-9][0-9]{{0,3}}))?")
 
 
@@ -148,6 +150,8 @@ class MessageLayout:
         row_ticks: int = 1,
     ) -> None:
         self.type_name, self._may_have_rows = type_name, may_have_rows
+        self._length, self._given, self._row_ticks = length, dict(lengths or {}), row_ticks
+        self._of_rows: dict[int, MessageLayout] = {}
         self._lengths = defaultdict(lambda: length, lengths or {})
         self._strings = {name: list(values) for name, values in (strings or {}).items()}
         message = _zero_message(type_name, self._lengths, self._strings)
@@ -171,17 +175,51 @@ class MessageLayout:
             InvalidMessageError: the payload is no message of this type with these names and
                 lengths.
         """
-        is_ours = (
-            len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
-        )
-        if is_ours:
+        of_rows = self._of_rows.get(len(payload))
+        if self._is_ours(payload):
             into.memory[:], into.later = payload, None
+        elif of_rows is not None and of_rows._is_ours(payload):
+            self._take_rows(of_rows, payload, into)
         else:
             self._decode_foreign(payload, into)
+            self._remember_rows(payload, into)
         nanosec = into.nanosec[0]
         if nanosec >= NANOSECONDS:
             raise InvalidMessageError("malformed", "its stamp is not a valid time")
         return into.sec[0] * NANOSECONDS + nanosec
+
+    def _is_ours(self, payload: bytes) -> bool:
+        """Whether a payload differs from the template in fields alone."""
+        return (
+            len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
+        )
+
+    def _remember_rows(self, payload: bytes, into: Record) -> None:
+        """Keep the layout of a message with rows: the next one need not be parsed by rosbags."""
+        if into.later is None or self.acts_after_at is None or len(self._of_rows) == _MOST_KEPT:
+            return
+        of_rows = MessageLayout(
+            self.type_name, self._length * (1 + len(into.later)),
+            lengths=self._given, strings=self._strings,
+            has_acting_time=True, row_ticks=into.row_ticks,
+        )  # fmt: skip
+        if of_rows._is_ours(payload):
+            self._of_rows[of_rows.size] = of_rows
+
+    def _take_rows(self, of_rows: MessageLayout, payload: bytes, into: Record) -> None:
+        """Load a message with rows whose layout is known."""
+        rows = of_rows._length // self._length
+        message = np.frombuffer(payload, of_rows.dtype)[0]
+        table = np.frombuffer(bytearray(self.template * rows), self.dtype)
+        for name in self.dtype.names or ():
+            value = message[name]
+            table[name] = value.reshape(rows, -1) if value.ndim else value
+        into.memory[:], into.later = table[:1].tobytes(), table[1:]
+        begin = of_rows.acts_after_at or 0
+        into.acts_after_ns, into.row_ticks = (
+            _times(f"{_ACTS_AFTER}{payload[begin : begin + _DIGITS].decode('latin-1')}")[0],
+            of_rows._row_ticks,
+        )
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
         """Return messages as rows of a table, shape (messages,); skip what `decode` rejects.

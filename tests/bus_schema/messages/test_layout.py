@@ -236,3 +236,29 @@ def test_rows_are_asked_for_by_name_and_only_as_they_lie():
     for names in (("error_rate", "error"), ("error", "upper_bound"), ("sequence", "horizon_ns")):
         with pytest.raises(ValueError, match=names[0]):
             record.rows(*names)
+
+
+@pytest.mark.parametrize("has_targets", [False, True])
+def test_a_message_with_rows_is_read_alike_by_its_remembered_layout(has_targets):
+    """The first message is parsed by rosbags; the second one by the layout made of it."""
+    names, kinds = ("yaw", "elbow"), {"has_targets": has_targets, "has_acting_time": True}
+    one = layout(JOINT_COMMANDS, names, **kinds)
+    wide = layout(JOINT_COMMANDS, names, **kinds, rows=3, row_ticks=50)
+    sent = Record(wide)
+    sent.stamp_ns, sent.acts_after_ns = 1_000_000_007, 48_000_000
+    for number, values in enumerate(sent.fields.values()):
+        if values.size == 6:
+            values[:] = np.arange(6.0) + 10.0 * number
+    parsed, remembered = Record(one), Record(one)
+    one.decode(sent.payload(), parsed)
+    assert one.decode(sent.payload(), remembered) == 1_000_000_007
+    assert remembered.payload() == parsed.payload()
+    assert remembered.later.tobytes() == parsed.later.tobytes()
+    assert remembered.fields["effort"].tolist() == sent.fields["effort"][:2].tolist()
+    assert (remembered.acts_after_ns, remembered.row_ticks) == (48_000_000, 50)
+    damaged = sent.payload().replace(b"=0048000000", b"=004800000x")
+    with pytest.raises(InvalidMessageError):
+        one.decode(damaged, remembered)
+    other = sent.payload().replace(b"row_ticks=50", b"row_ticks=25")  # of the same length
+    one.decode(other, remembered)
+    assert remembered.row_ticks == 25
