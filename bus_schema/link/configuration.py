@@ -178,11 +178,9 @@ class LinkConfiguration(StrictModel, validate_default=True):
             return transport
         if info.data.get("kind") == "can":
             raise ValueError("udp with link.kind = can: a bus has no streams")
-        ways = [info.data.get(name) for name in ("uplink", "downlink")]
+        ways = (info.data.get(name) for name in ("uplink", "downlink"))
         if any(way is not None and way.has_duplicates for way in ways):
             raise ValueError("udp with a duplicate: TCP delivers nothing twice")
-        if any(way is not None and way.reorder for way in ways):
-            raise ValueError("udp with reorder: TCP delivers in order")
         return transport
 
     @property

@@ -151,7 +151,6 @@ SCHEDULE = "link.downlink.schedule=[{{at_s: 1, duplicate: 0.1, kind: {}}}]"
     ("words", "reason"),
     [
         (["link.transport=tcp", "link.uplink.duplicate=0.1"], "TCP delivers nothing twice"),
-        (["link.transport=tcp", "link.uplink.reorder=true"], "TCP delivers in order"),
         (
             ["link.transport=tcp", SCHEDULE.format("step")],
             "TCP delivers nothing twice",
