@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import socket
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -20,7 +19,7 @@ from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
 from deploy.judge.joint_lag import LagMeter
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
-from deploy.run.network.link_relay import LinkRelay
+from deploy.run.network.robot_network import RobotNetwork, listening
 from deploy.run.new_folder import new_folder, resolved_out
 from deploy.run.run_folder import provenance
 from deploy.run.stop_signals import on_stop
@@ -33,14 +32,26 @@ from plant_emulator.robot_servers.robot_server import ROBOT_SERVERS, RobotServer
 
 _TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _LOCAL = "127.0.0.1"
+_PORTS = 1 << 16
 
 Interface = Annotated[
-    str, typer.Option(metavar="KIND", help="Interface of the robot: servoj or speedj.")
+    str,
+    typer.Option(
+        metavar="KIND", help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB)."
+    ),
 ]
 Network = Annotated[
     str | None, typer.Option(metavar="LOG", help="A file of delays, or a shipped trace.")
 ]
 Host = Annotated[str, typer.Option(help="Address to listen at.")]
+Client = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST[:PORT]",
+        help=f"With egm, where the robot sends first: {_LOCAL} and the usual port by default.",
+        show_default=False,
+    ),
+]
 Duration = Annotated[
     float | None,
     typer.Option("--duration", metavar="S", min=0.001, help="Stop after this time."),
@@ -53,6 +64,7 @@ def robot_server(
     network: Network = None,
     overrides: Overrides = None,
     host: Host = _LOCAL,
+    client: Client = None,
     duration_s: Duration = None,
     out: Out = None,
     overwrite: Overwrite = False,
@@ -62,10 +74,43 @@ def robot_server(
     Results are the motion, and why the robot stopped.
     """
     setup, server_type = _checked(scenario, interface, network, overrides)
+    place = _place(server_type, interface, host, client)
     say_warnings(setup)
     folder = resolved_out(out or Path("runs", f"robot-{setup.scenario.name}"))
     new_folder("robot-server", folder, overwrite=overwrite)
-    raise typer.Exit(_serve(setup, server_type, host, duration_s, folder))
+    raise typer.Exit(_serve(setup, server_type, place, duration_s, folder))
+
+
+class Place(NamedTuple):
+    """Where a server listens, and where the client is that it calls.
+
+    Attributes:
+        ports: numbers of its ports, by what they are for.
+    """
+
+    host: str
+    client: str
+    ports: Mapping[str, int]
+
+    def words(self, server: RobotServer) -> str:
+        """Say where clients find the robot, or it them."""
+        ports = ", ".join(f"{name} {port}" for name, port in self.ports.items())
+        if server.calls_client:
+            return f"sends from {self.host} to {self.client}: {ports}"
+        return f"listens at {self.host}: {ports}"
+
+
+def _place(server_type: type[RobotServer], interface: str, host: str, client: str | None) -> Place:
+    """Return the addresses that the options name; raises ScenarioError."""
+    if client is None:
+        return Place(host, _LOCAL, server_type.ports)
+    if not server_type.calls_client:
+        raise ScenarioError(f"--client {client}: must be left out with --interface {interface}")
+    name, _, port = client.partition(":")
+    if not name or (":" in client and not (port.isdecimal() and 0 < int(port) < _PORTS)):
+        raise ScenarioError(f"--client {client}: must be HOST or HOST:PORT, such as {_LOCAL}:6510")
+    ports = {each: int(port or usual) for each, usual in server_type.ports.items()}
+    return Place(host, name, ports)
 
 
 def _checked(
@@ -90,7 +135,7 @@ def _checked(
 
 
 def _serve(
-    setup: Setup, server_type: type[RobotServer], host: str, duration_s: float | None, out: Path
+    setup: Setup, server_type: type[RobotServer], place: Place, duration_s: float | None, out: Path
 ) -> int:
     """Run the robot until it stops, and write its results; returns the exit code."""
     console, clock = Console(highlight=False, markup=False, soft_wrap=True), MonotonicClock()
@@ -112,15 +157,15 @@ def _serve(
         rig = RobotRig(arm, server, clock, setup.grid, record)
         on_stop(rig.request_stop)
         clock.start()
-        with listening(server, setup, host) as relay:
-            ports = ", ".join(f"{name} {port}" for name, port in server.ports.items())
-            console.print(f"{setup.scenario.name} listens at {host}: {ports}")
+        network = network_of(setup)
+        with _listening(server, network, place):
+            console.print(f"{setup.scenario.name} {place.words(server)}")
             try:
                 rig.run(ticks)
             finally:
                 arm.close()
                 server.close()
-            counts = None if relay is None else relay.counts()
+        counts = None if network is None else network.counts()
     is_whole = ticks is None or rig.ticks >= ticks
     summary = {
         "kind": "robot_server",
@@ -162,34 +207,21 @@ def motion_file(
 
 
 @contextmanager
-def listening(server: RobotServer, setup: Setup, host: str) -> Iterator[LinkRelay | None]:
-    """Open the server's ports; with a network, a relay delays the traffic of one of them."""
-    try:
-        relay = _opened(server, setup, host)
-    except OSError as error:
-        raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
-    if relay is None:
-        yield None
-        return
-    stop = threading.Event()
-    thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
-    thread.start()
-    try:
-        yield relay
-    finally:
-        stop.set()
-        thread.join()
+def _listening(server: RobotServer, network: RobotNetwork | None, place: Place) -> Iterator[None]:
+    """Open the server's ports; errors of the addresses name the options."""
+    with ExitStack() as stack:
+        try:
+            server.client_host = socket.gethostbyname(place.client)
+            stack.enter_context(listening(server, place.host, network, place.ports))
+        except OSError as error:
+            what = f"--host {place.host}" + (f" --client {place.client}" * server.calls_client)
+            raise ScenarioError(f"{what}: {error.strerror or error}") from error
+        yield
 
 
-def _opened(server: RobotServer, setup: Setup, host: str) -> LinkRelay | None:
-    """Open the server's ports; return the relay if the link is a network."""
-    link, ports = setup.link, dict(server.ports)
+def network_of(setup: Setup) -> RobotNetwork | None:
+    """Return the emulated network of a scenario; None if its link neither delays nor loses."""
+    link = setup.link
     if not any(not way.is_constant or way.delay_ms for way in (link.uplink, link.downlink)):
-        server.open(host, ports)
         return None
-    with socket.create_server((_LOCAL, 0)) as free:
-        inner = free.getsockname()[1]
-    server.open(_LOCAL, {server.relayed: inner})
-    server.open(host, {name: port for name, port in ports.items() if name != server.relayed})
-    outer = socket.create_server((host, ports[server.relayed]))
-    return LinkRelay(outer, (_LOCAL, inner), link, setup.scenario.seed)
+    return RobotNetwork(link, setup.scenario.seed)

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from deploy.cli.robot_server import listening
+from deploy.cli.robot_server import Place, _listening, network_of
 from deploy.run.exit_codes import INTERRUPTED
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -19,7 +19,9 @@ from tests.warm_process import WarmProcess, output_of
     ("words", "message"),
     [
         (["paper_arm"], "has 3 driven joints: must have 6 for --interface servoj"),
-        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj' or 'speedj'"),
+        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj', 'speedj' or 'egm'"),
+        (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
+        (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
         (["ur5e_motors", "--network", "nowhere.csv"], "nowhere.csv"),
     ],
@@ -68,12 +70,16 @@ def ur5e():
     setup = load_setup("ur5e_motors", ["plant.interface.kind=servoj", "controller.law=streaming"])
     interface = setup.scenario.plant.interface
     server = UniversalRobotsServer(interface.settings, interface.period_s, lambda _: None)
-    yield server, setup
+    yield server, network_of(setup)
     server.close()
 
 
+def place_at(host):
+    return Place(host, "127.0.0.1", UniversalRobotsServer.ports)
+
+
 def test_an_error_of_the_run_is_not_reported_as_one_of_the_address(ur5e):
-    with pytest.raises(BrokenPipeError), listening(*ur5e, "127.0.0.62"):
+    with pytest.raises(BrokenPipeError), _listening(*ur5e, place_at("127.0.0.62")):
         raise BrokenPipeError
 
 
@@ -81,6 +87,6 @@ def test_a_port_that_is_taken_is_reported_with_its_address(ur5e):
     with (
         socket.create_server(("127.0.0.63", 30004)),
         pytest.raises(ScenarioError, match=r"--host 127\.0\.0\.63: "),
-        listening(*ur5e, "127.0.0.63"),
+        _listening(*ur5e, place_at("127.0.0.63")),
     ):
         pass
