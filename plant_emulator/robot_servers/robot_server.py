@@ -80,7 +80,11 @@ class RobotServer(ABC):
     @property
     @abstractmethod
     def counts(self) -> dict[str, Any]:
-        """Counts of what clients asked for, and causes of stops, for a summary."""
+        """Counts of what clients asked for, for a summary.
+
+        ``stops``, if the robot has any, is a list of stops with ``time_s``, ``reason`` and
+        ``is_fault``: whether the robot decided it while its client wanted to go on.
+        """
 
 
 _ABB = "plant_emulator.robot_servers.abb.server:EgmServer"

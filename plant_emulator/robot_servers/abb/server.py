@@ -74,6 +74,8 @@ class EgmServer(RobotServer):
             return
         self._received += 1
         self._heard_s = self._now_s
+        if self._is_stopped:  # the client has not gone
+            self._stops[-1]["is_fault"] = True
         if self._motion.is_at_rest and joints and not self._is_stopped:
             self._motion.begin(self._settings.build(self._period_s))
             self._say("corrections arrive: EGMRunJoint moves the robot")
@@ -108,7 +110,7 @@ class EgmServer(RobotServer):
         if (reflex := motion.ended_by) is not None:
             self._is_stopped, motion.ended_by = True, None
             reason = f"{reflex.kind}: {reflex.words}"
-            self._stops.append({"time_s": self._now_s, "reason": reason})
+            self._stops.append({"time_s": self._now_s, "reason": reason, "is_fault": False})
             self._say(f"EGMRunJoint stopped: {reason}")
         if self._is_stopped and self._now_s - self._heard_s > _AGAIN_S and motion.is_at_rest:
             self._is_stopped = False
