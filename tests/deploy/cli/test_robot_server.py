@@ -14,7 +14,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.robot_servers.universal_robots.server import UniversalRobotsServer
 from tests.plant_emulator.robot_servers.test_abb_robot import sensor
-from tests.waiting import HANG_S, await_true
+from tests.waiting import await_true
 from tests.warm_process import WarmProcess, output_of
 
 
