@@ -47,7 +47,10 @@ class MoveStatus(IntEnum):
 
 SUCCESS, NOT_POSSIBLE, INVALID_ARGUMENT, INCOMPATIBLE = 0, 1, 2, 1
 CONNECT, MOVE = struct.Struct("<2H"), struct.Struct("<2I6d")
-"""Payloads: version and UDP port; modes of controller and motion generator, and deviations."""
+"""Payloads: version and UDP port; modes of controller and motion generator, and deviations.
+
+A move may have settings of an asynchronous motion behind, which are 0 for others.
+"""
 SETTINGS: Mapping[int, struct.Struct] = {
     Command.SET_COLLISION_BEHAVIOR: struct.Struct("<52d"),
     Command.SET_JOINT_IMPEDANCE: struct.Struct("<7d"),

@@ -37,7 +37,9 @@ _PORTS = 1 << 16
 Interface = Annotated[
     str,
     typer.Option(
-        metavar="KIND", help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB)."
+        metavar="KIND",
+        help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB), franka_position,"
+        " franka_velocity or franka_torque (libfranka).",
     ),
 ]
 Network = Annotated[

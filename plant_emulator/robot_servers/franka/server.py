@@ -26,8 +26,6 @@ _STOP_RAD_S2 = 10.0
 _AT_ONCE, _MOST_BYTES = 64, 1 << 12
 _RATED_CYCLES = 100
 """Cycles over which the share of targets in time is taken."""
-_NEWEST_STATES = 2
-"""A target is in time if it answers one of so many newest states."""
 
 
 class FrankaServer(RobotServer):
@@ -49,7 +47,6 @@ class FrankaServer(RobotServer):
         self._kind = Kind.POSITION
         self._reflex: Reflex | None = None
         self._state = states.new_state()
-        self._sent: deque[int] = deque(maxlen=_NEWEST_STATES)
         self._in_time: deque[bool] = deque(maxlen=_RATED_CYCLES)
         self._has_target = False
         self._next_s = self._now_s = 0.0
@@ -86,7 +83,7 @@ class FrankaServer(RobotServer):
             self._stop_by(self._motion.ended_by)
         if now_s < self._next_s - 1e-6:
             return
-        self._next_s = max(self._next_s + self._period_s, now_s)
+        self._next_s = self._period_s * (math.floor(now_s / self._period_s + 1e-6) + 1)
         if self._motion.target is not None:
             self._in_time.append(self._has_target)
         self._has_target = False
@@ -97,13 +94,13 @@ class FrankaServer(RobotServer):
         if self._place is None:
             return
         state, planned = self._state, self._motion.planned
-        state["message_id"] = round(1e3 * self._now_s)
+        cycles = math.floor(self._now_s / self._period_s + 1e-6)
+        state["message_id"] = round(1e3 * cycles * self._period_s)
         state["q"], state["dq"] = state["theta"], state["dtheta"] = measured
         state["q_d"], state["dq_d"] = planned
         state["tau_J"] = state["tau_J_d"] = torque_nm
         rate = np.mean(self._in_time) if self._in_time and self._motion.is_moved else 0.0
         state["control_command_success_rate"] = rate
-        self._sent.append(int(state["message_id"][0]))
         with contextlib.suppress(OSError):  # no client there
             self._udp.sendto(state.tobytes(), self._place)
 
@@ -124,7 +121,7 @@ class FrankaServer(RobotServer):
         if self._move is None:
             return
         self._count["targets"] += 1
-        if target["message_id"] not in self._sent:
+        if target["message_id"] != self._state["message_id"][0]:  # it answers an earlier state
             self._count["late"] += 1
         elif target["motion_generation_finished"] or target["torque_command_finished"]:
             self._end(MoveStatus.SUCCESS)
@@ -194,11 +191,12 @@ class FrankaServer(RobotServer):
 
     def _begin(self, request: Request) -> None:
         """Begin a move, if it is of joints and the robot is ready."""
-        controller, generator, *_ = commands.MOVE.unpack(request.payload)
+        controller, generator, *_ = commands.MOVE.unpack_from(request.payload)
+        is_asynchronous = any(request.payload[commands.MOVE.size :])
         kind = _KINDS.get(generator + 1)
         if controller == states.EXTERNAL_CONTROLLER:
             kind = Kind.TORQUE
-        if kind is None or generator >= states.GENERATOR_NONE:
+        if kind is None or generator >= states.GENERATOR_NONE or is_asynchronous:
             self._say(f"moves with motion generator {generator} are not emulated")
             self._answer(request, MoveStatus.INVALID_ARGUMENT)
             return

@@ -22,7 +22,7 @@ from tests.warm_process import WarmProcess, output_of
     ("words", "message"),
     [
         (["paper_arm"], "has 3 driven joints: must have 6 for --interface servoj"),
-        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj', 'speedj' or 'egm'"),
+        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj', 'speedj', 'egm', "),
         (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
         (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
