@@ -71,7 +71,8 @@ class FrankaServer(RobotServer):
         target = self._motion.target
         if target is None or self._kind is not Kind.POSITION:
             return np.full(self._motion.planned.shape[1], np.nan)
-        return target[0]
+        position: Vector = target[0]
+        return position
 
     @property
     def counts(self) -> dict[str, Any]:
