@@ -32,7 +32,7 @@ class FrankaServer(RobotServer):
     """A Franka arm's controller with seven joints; one client at a time."""
 
     ports: ClassVar[Mapping[str, int]] = {"commands": commands.PORT}
-    joints: ClassVar[int | None] = states.JOINTS
+    joints: ClassVar[int | range | None] = states.JOINTS
     arm_kind: ClassVar[str | None] = "franka_position"
 
     def __init__(

@@ -37,7 +37,7 @@ class UniversalRobotsServer(RobotServer):
 
     ports: ClassVar[Mapping[str, int]] = {"rtde": 30004, "script": 30003, "dashboard": 29999}
     relayed: ClassVar[str] = "rtde"
-    joints: ClassVar[int | None] = 6
+    joints: ClassVar[int | range | None] = 6
 
     def __init__(
         self, settings: InterfaceSettings, period_s: float, say: Callable[[str], None]

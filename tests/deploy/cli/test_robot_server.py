@@ -22,7 +22,14 @@ from tests.warm_process import WarmProcess, output_of
     ("words", "message"),
     [
         (["paper_arm"], "has 3 driven joints: must have 6 for --interface servoj"),
-        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj', 'speedj', 'egm', "),
+        (
+            ["ur5e", "--interface", "rsi"],
+            "--interface rsi: must be one of servoj, ",
+        ),
+        (["ur5e_motors", "--vendor", "kuka"], "--vendor kuka: must be left out, or xarm"),
+        (["ur5e_motors", "--interface", "egm", "--vendor", "xarm"], "must be servoj with --vendor"),
+        (["paper_arm", "--vendor", "xarm"], "must have 5 or 6 or 7 for --interface xarm"),
+        (["ur5e_motors", "--interface", "franka_torque"], "must have 7 for --interface franka_"),
         (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
         (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
