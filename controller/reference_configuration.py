@@ -10,10 +10,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
-from bus_schema.configuration import NonNegative, Number, PerJoint, Positive, StrictModel, expand
+from bus_schema.configuration import (
+    NonNegative,
+    Number,
+    PerJoint,
+    Positive,
+    StrictModel,
+    expand,
+)
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
-from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference, ThroughRows
+from controller.reference import (
+    CartesianPath,
+    JointSinusoids,
+    MinimumJerk,
+    Reference,
+    ThroughRows,
+)
 from controller.reference_file import read_rows
 
 

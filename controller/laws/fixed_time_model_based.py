@@ -17,7 +17,11 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import PerJointNonNegative, Positive, PowerAboveOne, PowerBelowOne
 from bus_schema.runtime.compiled import bind, compiled
 from controller.control_law import Diagnostics, Dynamics, Tracking
-from controller.funnel import transform, transformation_accelerations, transformation_rates
+from controller.funnel import (
+    transform,
+    transformation_accelerations,
+    transformation_rates,
+)
 from controller.laws.reopening import working_bounds
 from controller.laws.sliding_surface import sig, surface_pull, surface_pull_slope
 

@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import assign, compiled
-from controller.rigid_bodies.vectors import Vec, add, cross, dot, get, put, rotated, scaled, turned
+from controller.rigid_bodies.vectors import (
+    Vec,
+    add,
+    cross,
+    dot,
+    get,
+    put,
+    rotated,
+    scaled,
+    turned,
+)
 
 ROTOR = 10
 """Column of an inertia table for the rotors."""

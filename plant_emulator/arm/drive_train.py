@@ -22,7 +22,11 @@ from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
-from plant_emulator.configuration import ActuatorConfiguration, FrictionConfiguration, Integrator
+from plant_emulator.configuration import (
+    ActuatorConfiguration,
+    FrictionConfiguration,
+    Integrator,
+)
 
 _KEY = "plant.actuator"
 

@@ -6,7 +6,11 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from bus_schema.link.channel_configuration import ChangeableConditions, ChannelConfiguration, Outage
+from bus_schema.link.channel_configuration import (
+    ChangeableConditions,
+    ChannelConfiguration,
+    Outage,
+)
 from plant_emulator.channel.pattern import delay_in_pattern_ns
 
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6

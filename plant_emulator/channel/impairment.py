@@ -15,7 +15,12 @@ import numpy as np
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.runtime.randomness import report_use
-from plant_emulator.channel.channel import NEVER_NS, Channel, Item, TransportStatistics
+from plant_emulator.channel.channel import (
+    NEVER_NS,
+    Channel,
+    Item,
+    TransportStatistics,
+)
 from plant_emulator.channel.conditions import ConditionFault, Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter, endless
 from plant_emulator.channel.trace import TraceReplay

@@ -8,7 +8,13 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from bus_schema.configuration import ConfigurationError, NonNegative, Number, Positive, StrictModel
+from bus_schema.configuration import (
+    ConfigurationError,
+    NonNegative,
+    Number,
+    Positive,
+    StrictModel,
+)
 
 FOREVER_NS = 1 << 62
 Share = Annotated[Number, Field(gt=0, le=1)]

@@ -24,7 +24,13 @@ from typing import NamedTuple
 from bus_schema.can.codec import AxisState
 from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
-from bus_schema.can.mit.codec import COMMAND_BYTES, MitCodec, MitRanges, packed_reply, reply_of
+from bus_schema.can.mit.codec import (
+    COMMAND_BYTES,
+    MitCodec,
+    MitRanges,
+    packed_reply,
+    reply_of,
+)
 from bus_schema.drive_feedback import DriveGains
 
 _STATE_BYTES = 6

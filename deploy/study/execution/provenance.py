@@ -19,7 +19,13 @@ from bus_schema.runtime.extensions import Extension
 from bus_schema.user_files import is_file
 from controller.configuration import is_program
 from controller.laws.custom import find_law, is_custom, is_given, read_by_imports
-from controller.laws.read_files import ABSENT, OUR_FOLDER, OURS, digest_of_file, is_of_the_user
+from controller.laws.read_files import (
+    ABSENT,
+    OUR_FOLDER,
+    OURS,
+    digest_of_file,
+    is_of_the_user,
+)
 from deploy.judge.arithmetic import libm_fingerprint
 from deploy.run.confirmation import other_physics
 from deploy.scenario.setup import Setup

@@ -2,10 +2,21 @@
 
 import numpy as np
 import pytest
-from prediction_bench import INERTIA, LIMITS, LOADED, MODEL, ROBOT, START, Bench, compensation_of
+from prediction_bench import (
+    INERTIA,
+    LIMITS,
+    LOADED,
+    MODEL,
+    ROBOT,
+    START,
+    Bench,
+    compensation_of,
+)
 
 from controller.compensation.arm_belief import SMOOTHING_RAD_S, first_belief, nominal_arm
-from controller.compensation.model_identification import INERTIA as INERTIA_FACTOR
+from controller.compensation.model_identification import (
+    INERTIA as INERTIA_FACTOR,
+)
 from controller.compensation.model_identification import (
     LAG,
     PAYLOAD,

@@ -18,7 +18,12 @@ import numpy as np
 import pytest
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import CONTROL_STATUS, JOINT_COMMANDS, PLANT_TRUTH, RUN_EVENTS
+from bus_schema.messages.topics import (
+    CONTROL_STATUS,
+    JOINT_COMMANDS,
+    PLANT_TRUTH,
+    RUN_EVENTS,
+)
 from deploy.judge.findings.link_delays import measured_link
 from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.result.tracking import settling_times_s

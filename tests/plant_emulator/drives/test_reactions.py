@@ -1,7 +1,15 @@
 """Effects of states, master and bus on the joint: torque, brake, slowing down."""
 
 import pytest
-from drive_bench import ENABLE, FAULT_RESET, NODE, QUICK_STOP, SHUTDOWN, SWITCH_ON, Bench
+from drive_bench import (
+    ENABLE,
+    FAULT_RESET,
+    NODE,
+    QUICK_STOP,
+    SHUTDOWN,
+    SWITCH_ON,
+    Bench,
+)
 
 from plant_emulator.drives.drive import AT_REST, DriveFault
 

@@ -2,7 +2,15 @@
 finite state automaton" (transitions 0 to 16, command coding, statusword coding)."""
 
 import pytest
-from drive_bench import DISABLE_VOLTAGE, ENABLE, FAULT_RESET, QUICK_STOP, SHUTDOWN, SWITCH_ON, Bench
+from drive_bench import (
+    DISABLE_VOLTAGE,
+    ENABLE,
+    FAULT_RESET,
+    QUICK_STOP,
+    SHUTDOWN,
+    SWITCH_ON,
+    Bench,
+)
 
 from plant_emulator.drives.drive import DriveFault
 

@@ -14,7 +14,11 @@ from typing import Any
 
 import pytest
 from pymodbus.client import ModbusTcpClient, ModbusUdpClient
-from pymodbus.datastore import ModbusDeviceContext, ModbusSequentialDataBlock, ModbusServerContext
+from pymodbus.datastore import (
+    ModbusDeviceContext,
+    ModbusSequentialDataBlock,
+    ModbusServerContext,
+)
 from pymodbus.server import ModbusTcpServer, ModbusUdpServer
 
 from bus_schema.link.channel_configuration import ChannelConfiguration

@@ -6,7 +6,14 @@ import struct
 
 from bus_schema.can.frame import CanFrame
 from funnel_hil_example.protocol import REST, STATE, TORQUE
-from plant_emulator.drives.drive import AT_REST, Drive, DriveFault, DriveSettings, JointDemand, Send
+from plant_emulator.drives.drive import (
+    AT_REST,
+    Drive,
+    DriveFault,
+    DriveSettings,
+    JointDemand,
+    Send,
+)
 
 
 class ToyDrive(Drive):
