@@ -139,7 +139,7 @@ class Page(Generic[T]):
         footer: what a reader may look for next.
         footer_code: the name or number that ends the footer.
         shares_library: whether other reports use the library of the figures, too.
-        quoted: the table for documents; None for none.
+        quoted: returns the table for documents; None for none.
     """
 
     kind: str
@@ -160,7 +160,7 @@ class Page(Generic[T]):
     footer: str = ""
     footer_code: str = ""
     shares_library: bool = False
-    quoted: Table | None = None
+    quoted: Callable[[], Table] | None = None
 
     @property
     def tables(self) -> list[Table]:

@@ -65,7 +65,7 @@ def write_results(folder: ResultFolder, results: Results, *, draws_report: bool 
     quoted = None if results.page is None else results.page.quoted
     if quoted is not None:
         conditions = results.summary.get("conditions", {})
-        write_whole(folder.path / TABLE_FILE, quotable(quoted, conditions))
+        write_whole(folder.path / TABLE_FILE, quotable(quoted(), conditions))
     write_json(folder.summary, results.summary)
     return results
 

@@ -56,7 +56,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             key=lambda panel: panel.section != "Margins",
         ),
         subject=study,
-        quoted=margins_by_law(summary),
+        quoted=lambda: margins_by_law(summary),
         results=[
             Cards([margin_table(summary), *disturbance_tables(summary),
                    *help_tables(summary)], "stacked")

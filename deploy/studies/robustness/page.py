@@ -46,7 +46,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
-        quoted=robustness_table(summary),
+        quoted=lambda: robustness_table(summary),
         results=[
             Cards([robustness_table(summary), interval_table(summary),
                    losses_table(summary)], "stacked")
