@@ -15,8 +15,8 @@ from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from bus_schema.recording.atomic_files import write_json
 from bus_schema.runtime.clock import MonotonicClock
-from deploy.cli.common import say_warnings
-from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
+from deploy.command.common import say_warnings
+from deploy.command.options import Out, Overrides, Overwrite, ScenarioArgument
 from deploy.judge.joint_lag import LagMeter
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
