@@ -12,13 +12,13 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from deploy.judge.metrics import summarise
-from deploy.reports.results import judge_rows
-from deploy.reports.studies.margin_sentences import margin_sentences
-from deploy.reports.studies.study_tables import margin_table, margins_by_law
+from deploy.reports.studies.results import judge_rows
 from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.playout import EXPECTED, playout_range_ns
 from deploy.scenario.scenario import load_setup
+from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.tables import margin_table, margins_by_law
 from deploy.study.follow_ups.patterns import catalogue, neighbours
 from plant_emulator.channel.pattern import share_in_pattern
 from tests.deploy.study.studies import Here, case_of, conduct, folder_of, made_up, margin_of

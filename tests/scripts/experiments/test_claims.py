@@ -14,9 +14,9 @@ from controller.laws import COMPARED_LAWS, TORQUE_LAWS
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import LawComparison
+from deploy.studies.comparison.comparison import LawComparison
+from deploy.studies.tune.gain_search import FIXED
 from deploy.study.study import row_of
-from deploy.study.tuning.gain_search import FIXED
 
 PROPOSED, RIVALS = "fixed_time_neural", ("pid", "smc", "tsmc", "ftsmc")
 
