@@ -15,7 +15,7 @@ from deploy.judge.metrics import summarise
 from deploy.reports.studies.results import judge_rows
 from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
-from deploy.scenario.playout import EXPECTED, playout_range_ns
+from deploy.scenario.playout import EXPECTED
 from deploy.scenario.scenario import load_setup
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.tables import margin_table, margins_by_law
@@ -118,7 +118,7 @@ def test_a_guarantee_names_its_playout_and_how_to_set_it(
     # All runs under the guarantee use its d, whatever their own delays would choose.
     for run in work.submitted:
         if run.columns["pattern"] is not None and "link.playout_ms" not in given:
-            assert playout_range_ns(load_setup(run.scenario, run.overrides)) == 2 * (
+            assert load_setup(run.scenario, run.overrides).playout_range_ns == 2 * (
                 round(1e6 * d_ms),
             )
 
