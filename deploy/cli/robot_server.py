@@ -37,7 +37,9 @@ _PORTS = 1 << 16
 Interface = Annotated[
     str,
     typer.Option(
-        metavar="KIND", help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB)."
+        metavar="KIND",
+        help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB), franka_position,"
+        " franka_velocity or franka_torque (libfranka).",
     ),
 ]
 Network = Annotated[
@@ -86,7 +88,7 @@ def robot_server(
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     folder = resolved_out(out or Path("runs", f"robot-{setup.scenario.name}"))
     with RunFolder.begin(setup, folder, overwrite=overwrite) as kept:
-        robot = ServedRobot(setup, server_type, place, kept, console.print)
+        robot = ServedRobot(setup, server_type, interface, place, kept, console.print)
         on_stop(robot.request_stop)
         with _live_view(kept, console) if live else nullcontext():
             run = robot.run(ticks)
@@ -133,7 +135,7 @@ def _checked(
     except ConfigurationError as error:
         raise ScenarioError(f"--interface {interface}: {error.allowed}") from error
     traces = {} if network is None else dict.fromkeys(_TRACES, network)
-    given = {**interface_values(interface), **traces}
+    given = {**interface_values(server.arm_kind or interface), **traces}
     words = [override(key, value) for key, value in given.items()]
     setup = load_setup(arm, [*words, *(overrides or [])])
     if server.joints not in (None, setup.robot.joints):

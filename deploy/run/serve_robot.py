@@ -49,18 +49,21 @@ class ServedRobot:
     Args:
         setup: the scenario.
         server_type: answers the clients.
+        kind: the robot's interface; its section has the server's settings.
         place: where.
         folder: of the run.
         say: called with each sentence for the user.
     """
 
     def __init__(
-        self, setup: Setup, server_type: type[RobotServer], place: Place, folder: RunFolder,
-        say: Callable[[str], None],
+        self, setup: Setup, server_type: type[RobotServer], kind: str, place: Place,
+        folder: RunFolder, say: Callable[[str], None],
     ) -> None:  # fmt: skip
         self._setup, self._place, self._folder, self._say = setup, place, folder, say
-        self._clock, interface = MonotonicClock(), setup.scenario.plant.interface
+        self._clock, self._kind = MonotonicClock(), kind
+        interface = setup.scenario.plant.interface.model_copy(update={"kind": kind})
         self._server = server_type(interface.settings, interface.period_s, self._report)
+        self._server.description = setup.robot
         self._arm = setup.arm()
         self._arm.be_controlled_by(setup.robot_controller(self._server.interface))
         self._asked = AskedMotion(1e-9 * setup.grid.period_ns)
@@ -121,9 +124,8 @@ class ServedRobot:
                 now_ns = round(1e9 * stop["time_s"])
                 self._run.note(now_ns, EventKind.FAULT, f"the robot stopped: {stop['reason']}")
         ways = {way: found[way] | {"rejected": {}} for way in ("uplink", "downlink") if found}
-        interface = self._setup.scenario.plant.interface.kind
         late = {f"network_{key}": found[key] for key in ("chunks", "lateness_us") if found}
-        own = {"interface": interface, "skipped": self._rig.skipped, **self._server.counts, **late}
+        own = {"interface": self._kind, "skipped": self._rig.skipped, **self._server.counts, **late}
         return {**ways, "limits": {}, "robot_server": own}
 
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from plant_emulator.interfaces.interface import Motion, Reflex, RobotInterface, Stoppable
+from plant_emulator.interfaces.interface import (
+    FreeTorque,
+    Motion,
+    Reflex,
+    RobotInterface,
+    Stoppable,
+)
 from plant_emulator.interfaces.velocity_integrator import VelocityIntegrator
 
 _REST_RAD_S = 1e-9
@@ -22,8 +28,6 @@ class ClientMotion(Stoppable):
 
     Attributes:
         ended_by: the reflex that ended the last motion; None if none did.
-        lost: cycles of the motion without a target.
-        cycles: of the motion.
         target: the newest target; None before the first of a motion.
     """
 
@@ -35,7 +39,6 @@ class ClientMotion(Stoppable):
         self._waiting: Matrix | None = None
         self.target: Matrix | None = None
         self.ended_by: Reflex | None = None
-        self.lost = self.cycles = 0
 
     def start(self, position_rad: Vector) -> None:
         """Begin at rest."""
@@ -57,11 +60,10 @@ class ClientMotion(Stoppable):
         return not self.is_moved and not (np.abs(self._joints.velocity) > _REST_RAD_S).any()
 
     def begin(self, interface: RobotInterface) -> None:
-        """Let an interface move the robot, from rest."""
+        """Let an interface move the robot from rest, once it has a target."""
         interface.start(self._joints.position.copy())
         self._interface, self.ended_by = interface, None
         self._waiting = self.target = None
-        self.lost = self.cycles = 0
 
     def put(self, target: Matrix) -> None:
         """Note a target for the next cycle."""
@@ -74,13 +76,11 @@ class ClientMotion(Stoppable):
             self._joints.position = self._joints.position + self._period_s * self._joints.velocity
         self._interface = self._waiting = self.target = None
 
-    def step(self, target: Matrix | None, measured: Matrix) -> Motion | Vector:  # noqa: ARG002
-        if self._interface is None:
+    def step(self, target: Matrix | None, measured: Matrix) -> Motion | FreeTorque | Vector:  # noqa: ARG002
+        if self._interface is None or self.target is None:
             speed = self._joints.velocity
             return self._joints.change(-np.clip(speed, -self._most_rad_s, self._most_rad_s))
         found = self._interface.step(self._waiting, measured)
-        self.cycles += 1
-        self.lost += self._waiting is None
         self._waiting = None
         position, velocity = found[:2] if isinstance(found, Motion) else measured
         self._joints.position, self._joints.velocity = position.copy(), velocity.copy()

@@ -18,7 +18,7 @@ def robot(server_type, arm, interface, ports, *overrides, host=HOST, network=Non
     setup = load_setup(arm, [f"plant.interface.kind={interface}", *overrides])
     section, said = setup.scenario.plant.interface, []
     server = server_type(section.settings, section.period_s, said.append)
-    server.said = said
+    server.said, server.description = said, setup.robot
     arm = setup.arm()
     arm.be_controlled_by(setup.robot_controller(server.interface))
     with listening(server, host, network and network(setup), ports):
