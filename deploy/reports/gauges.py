@@ -15,7 +15,7 @@ from deploy.reports.studies.study_texts import case_title
 from deploy.study.study import OF_BOUND, shown_value
 
 _EVERY_PATTERN = ", every pattern of delays"
-_RUNS, _MM, _MS = "runs", "mm", "ms"
+_RUNS, _MM, _MS, _JERK = "runs", "mm", "ms", "rad/s3"
 
 
 class _Part(BaseModel):
@@ -69,16 +69,25 @@ class _TipError(_Part):
     largest: Finite | None
 
 
-class GaugedRun(GaugedSummary):
-    """A run: its smallest margin, the largest error of its tip, and its largest lag."""
+class _Chunks(_Part):
+    jump_mm: Finite | None = None
+    jerk_rad_s3: Finite | None = None
 
-    other_units = (_MM, _MS)
+
+class GaugedRun(GaugedSummary):
+    """A run: its smallest margin, the largest error of its tip, and its largest lag.
+
+    A run of a law slower than its loop also has the largest jump and jerk of its targets.
+    """
+
+    other_units = (_MM, _MS, _JERK)
     scenario: str
     law: str
     verdict: str
     bounds: _Bounds
     tip_error_mm: _TipError | None = None
     lag_ms: list[Finite | None] | None = None
+    chunks: _Chunks | None = None
 
     def numbers(self) -> Iterator[Gauged]:
         is_kept = self.verdict == Verdict.KEPT
@@ -90,6 +99,15 @@ class GaugedRun(GaugedSummary):
         if self.lag_ms is not None:
             lags = [abs(lag) for lag in self.lag_ms if lag is not None and is_kept]
             yield Gauged(f"{name}, largest lag", max(lags, default=None), _MS, sign=-1)
+        if self.chunks is not None:
+            of_targets = (
+                ("jump", self.chunks.jump_mm, _MM),
+                ("jerk", self.chunks.jerk_rad_s3, _JERK),
+            )
+            for what, size, unit in of_targets:
+                if size is not None:
+                    largest = size if is_kept else None
+                    yield Gauged(f"{name}, largest {what} of targets", largest, unit, sign=-1)
 
 
 class GaugedComparison(GaugedSummary):
