@@ -111,7 +111,7 @@ _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     },
     EventKind.COUNTS: {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,
-        "playout": _PLAYOUT, "reflexes": _REFLEXES,
+        "playout": _PLAYOUT, "reflexes": _REFLEXES, "robot_server": _ANY,
     },
 }  # fmt: skip
 """Expected contents of these events: a type, or a mapping of them."""

@@ -11,6 +11,12 @@ from bus_schema.registry import Registry
 from plant_emulator.interfaces.interface import RobotInterface
 from plant_emulator.interfaces.settings import InterfaceSettings
 
+Address = tuple[str, int]
+
+
+def _directly(client: Address) -> Address:
+    return client
+
 
 class RobotServer(ABC):
     """A robot's controller as its clients see it.
@@ -23,13 +29,20 @@ class RobotServer(ABC):
     Attributes:
         interface: what moves the arm.
         ports: numbers of its ports, by what they are for.
-        relayed: name of the port whose traffic an emulated network delays.
+        relayed: name of the port whose traffic an emulated network delays; empty if datagrams
+            that the robot sends first are delayed instead.
+        calls_client: whether the robot itself sends first, to a port of `ports` at its client.
         joints: number of joints that its clients expect; None for any.
+        client_host: where that client is.
+        route: returns where datagrams for a client are to be sent: an emulated network, or itself.
     """
 
     ports: ClassVar[Mapping[str, int]]
-    relayed: ClassVar[str]
+    relayed: ClassVar[str] = ""
+    calls_client: ClassVar[bool] = False
     joints: ClassVar[int | None] = None
+    client_host: str = "127.0.0.1"
+    route: Callable[[Address], Address] = staticmethod(_directly)
     interface: RobotInterface
 
     @abstractmethod
@@ -67,14 +80,19 @@ class RobotServer(ABC):
     @property
     @abstractmethod
     def counts(self) -> dict[str, Any]:
-        """Counts of what clients asked for, and causes of stops, for a summary."""
+        """Counts of what clients asked for, for a summary.
+
+        ``stops``, if the robot has any, is a list of stops with ``time_s``, ``reason`` and
+        ``is_fault``: whether the robot decided it while its client wanted to go on.
+        """
 
 
+_ABB = "plant_emulator.robot_servers.abb.server:EgmServer"
 _UNIVERSAL_ROBOTS = "plant_emulator.robot_servers.universal_robots.server:UniversalRobotsServer"
 ROBOT_SERVERS: Registry[type[RobotServer]] = Registry(
     "robot_servers",
     "plant.interface.kind",
     RobotServer,
-    {"servoj": _UNIVERSAL_ROBOTS, "speedj": _UNIVERSAL_ROBOTS},
+    {"servoj": _UNIVERSAL_ROBOTS, "speedj": _UNIVERSAL_ROBOTS, "egm": _ABB},
 )
 """Robots that answer vendors' clients, by the interface of the arm."""
