@@ -13,7 +13,7 @@ from deploy.judge.verdict import Verdict
 from deploy.study.study import OF_BOUND
 
 EVERY_PATTERN = ", every pattern of delays"
-_RUNS, MM, _MS = "runs", "mm", "ms"
+_RUNS, MM, _MS, _JERK = "runs", "mm", "ms", "rad/s3"
 
 
 class Part(BaseModel):
@@ -67,16 +67,25 @@ class _TipError(Part):
     largest: Finite | None
 
 
-class GaugedRun(GaugedSummary):
-    """A run: its smallest margin, the largest error of its tip, and its largest lag."""
+class _Chunks(Part):
+    jump_mm: Finite | None = None
+    jerk_rad_s3: Finite | None = None
 
-    other_units = (MM, _MS)
+
+class GaugedRun(GaugedSummary):
+    """A run: its smallest margin, the largest error of its tip, and its largest lag.
+
+    A run of a law slower than its loop also has the largest jump and jerk of its targets.
+    """
+
+    other_units = (MM, _MS, _JERK)
     scenario: str
     law: str
     verdict: str
     bounds: _Bounds
     tip_error_mm: _TipError | None = None
     lag_ms: list[Finite | None] | None = None
+    chunks: _Chunks | None = None
 
     def numbers(self) -> Iterator[Gauged]:
         is_kept = self.verdict == Verdict.KEPT
@@ -88,6 +97,15 @@ class GaugedRun(GaugedSummary):
         if self.lag_ms is not None:
             lags = [abs(lag) for lag in self.lag_ms if lag is not None and is_kept]
             yield Gauged(f"{name}, largest lag", max(lags, default=None), _MS, sign=-1)
+        if self.chunks is not None:
+            of_targets = (
+                ("jump", self.chunks.jump_mm, MM),
+                ("jerk", self.chunks.jerk_rad_s3, _JERK),
+            )
+            for what, size, unit in of_targets:
+                if size is not None:
+                    largest = size if is_kept else None
+                    yield Gauged(f"{name}, largest {what} of targets", largest, unit, sign=-1)
 
 
 def of_bound(name: str, margin: float | None) -> Gauged:

@@ -91,25 +91,40 @@ def _sentences_on_the_tip(result: RunResult, from_s: float) -> list[str]:
 
 
 def _sentences_on_chunks(chunks: Chunks | None) -> list[str]:
-    """Return what is worth a look of a slow law's answers: jumps, old observations, no row left."""
+    """Return what is worth a look of a slow law's answers: jumps, jerk, ages, and waiting."""
     if chunks is None or not chunks.switches or not chunks.age_ms:
         return []
-    jump_rad, ages = chunks.jump_rad, chunks.age_ms
-    jumped = (
-        ""
-        if jump_rad is None
-        else (
-            f", largest jump of a target {number(_MRAD * jump_rad)} mrad ({chunks.jump_joint} at"
-            f" {chunks.jump_s:.2f} s; {number(chunks.jump_mm)} mm at the tip)"
-        )
+    ages, bound_ms, share = chunks.age_ms, chunks.age_bound_ms, chunks.starved_share
+    bound = "" if bound_ms is None else f"; d + s is {number(bound_ms)} ms"
+    waited = (
+        f" The arm waited, with nothing left to send, at {100.0 * share:.3g} % of the states"
+        f" ({chunks.starved_ticks:,})."
+        if share
+        else ""
     )
-    share = 100.0 * (chunks.starved_share or 0.0)
-    left = f" Nothing was left to send at {share:.3g} % of the states."
     return [
-        f"{chunks.switches} new answers of the law{jumped}. The observation behind an answer in"
-        f" force was {number(ages['median'])} ms old (median), {number(ages['largest'])} ms at"
-        f" most.{left if share else ''}"
+        f"{chunks.switches} new answers of the law{_jump_text(chunks)}.{_jerk_text(chunks)} The"
+        f" observation behind an answer in force was {number(ages['median'])} ms old (median),"
+        f" {number(ages['largest'])} ms at most{bound}.{waited}"
     ]
+
+
+def _jump_text(chunks: Chunks) -> str:
+    if chunks.jump_rad is None:
+        return ""
+    return (
+        f", largest jump of a target {number(_MRAD * chunks.jump_rad)} mrad ({chunks.jump_joint} at"
+        f" {chunks.jump_s:.2f} s), of the tip {number(chunks.jump_mm)} mm"
+    )
+
+
+def _jerk_text(chunks: Chunks) -> str:
+    if chunks.jerk_rad_s3 is None:
+        return ""
+    return (
+        f" Jerk of the commanded motion: {number(chunks.jerk_rad_s3)} rad/s³ at most"
+        f" ({chunks.jerk_joint}), RMS {number(chunks.jerk_rms_rad_s3)} rad/s³."
+    )
 
 
 def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
