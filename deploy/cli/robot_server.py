@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from bus_schema.configuration import ConfigurationError
-from deploy.cli.common import say_warnings, show_results
-from deploy.cli.options import NoReport, Out, Overrides, Overwrite, ScenarioArgument
+from deploy.command.common import say_warnings, show_results
+from deploy.command.options import NoReport, Out, Overrides, Overwrite, ScenarioArgument
 from deploy.reports.results import write_run
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
