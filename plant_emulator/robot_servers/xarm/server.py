@@ -110,7 +110,7 @@ class XArmServer(RobotServer):
     def _report(self, detail: Detail) -> bytes:
         return messages.report(
             self._shown_state, self._mode, _seven(self._measured[0]), _seven(self._torque_nm),
-            self._measured.shape[1], enabled=self._enabled, detail=detail,
+            self.description.joints, enabled=self._enabled, detail=detail,
         )  # fmt: skip
 
     @property
@@ -216,7 +216,7 @@ class XArmServer(RobotServer):
         return messages.floats([value for row in rows[:kinds] for value in _seven(row)])
 
     def _version(self, _: bytes) -> bytes:
-        return messages.text(_VERSION.format(axes=self._motion.planned.shape[1]))
+        return messages.text(_VERSION.format(axes=self.description.joints))
 
 
 def _seven(values: Vector) -> list[float]:

@@ -175,6 +175,7 @@ def test_no_bytes_end_the_server():
         mover = socket.create_connection((HOST, port))
         for function, payload in ((11, b"\x08\x01"), (19, b"\x01"), (12, b"\x00")):
             mover.sendall(struct.pack(">3HB", 1, 2, len(payload) + 1, function) + payload)
+        await_true(lambda: server.interface.planned.size)
         target = struct.pack("<10f", *server.interface.planned[0], *4 * [0.0])
         data = struct.pack(">3HB", 1, 2, 41, 29) + target
         mover.sendall(data[:11])
