@@ -135,6 +135,8 @@ def test_a_run_has_the_lag_and_the_verdict_of_what_its_client_asked_for(tmp_path
     assert summary["law"] == "the robot's client"
     assert summary["faults"] == []
     assert summary["verdict"] == "kept"
+    refused = output_of("replay", tmp_path / "out", code=2)
+    assert "the robot's client: is not a law that funnel-hil can replay" in refused
     again = output_of("report", tmp_path / "out", code=0)
     assert "the robot's client" in again
     assert (
