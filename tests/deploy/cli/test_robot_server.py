@@ -31,6 +31,7 @@ from tests.warm_process import WarmProcess, output_of
         (["paper_arm", "--vendor", "xarm"], "must have 5 or 6 or 7 for --interface xarm"),
         (["ur5e_motors", "--interface", "franka_torque"], "must have 7 for --interface franka_"),
         (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
+        (["ur5e_motors", "--interface", "egm", "--client", "192.0.2.1"], "--client 192.0.2.1: "),
         (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
         (["ur5e_motors", "--network", "nowhere.csv"], "nowhere.csv"),
