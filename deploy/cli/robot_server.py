@@ -97,11 +97,12 @@ def robot_server(
     console = Console(highlight=False, markup=False, soft_wrap=True)
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     folder = resolved_out(out or Path("runs", f"robot-{setup.scenario.name}"))
-    with RunFolder.begin(setup, folder, overwrite=overwrite) as kept:
-        robot = ServedRobot(setup, server_type, interface, place, kept, console.print)
-        on_stop(robot.request_stop)
+    robot = ServedRobot(setup, server_type, interface, place, console.print)
+    on_stop(robot.request_stop)
+    # A taken port leaves no folder behind.
+    with robot.opened(), RunFolder.begin(setup, folder, overwrite=overwrite) as kept:
         with _live_view(kept, console) if live else nullcontext():
-            run = robot.run(ticks)
+            run = robot.run(kept, ticks)
         show_results(console, kept, lambda: write_run(kept, run, draws_report=not no_report))
     raise typer.Exit(INTERRUPTED if run.outcome.interrupted else FINISHED)
 

@@ -37,8 +37,10 @@ from tests.warm_process import WarmProcess, output_of
         (["ur5e_motors", "--network", "nowhere.csv"], "nowhere.csv"),
     ],
 )
-def test_what_it_cannot_serve_is_refused(words, message):
-    assert message in " ".join(output_of("robot-server", *words, code=2).split())
+def test_what_it_cannot_serve_is_refused_and_leaves_nothing(words, message, tmp_path):
+    out = ("--out", tmp_path / "out")
+    assert message in " ".join(output_of("robot-server", *words, *out, code=2).split())
+    assert not (tmp_path / "out").exists()
 
 
 def test_it_leaves_the_files_of_a_run_and_counts(tmp_path):
