@@ -12,7 +12,7 @@ from controller.laws.custom import is_custom
 from deploy.command.common import show_results
 from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.bounds import all_damage
-from deploy.judge.run_data import RunData
+from deploy.judge.run_data import ROBOT_SERVER, RunData
 from deploy.reports.again import evaluated_again
 from deploy.reports.verdict_texts import PARTIAL, damaged
 from deploy.run.console import Console
@@ -62,7 +62,7 @@ def replay(
 def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
     """Check that the law of a recording exists and may run."""
     law = data.setup.scenario.controller.law
-    if data.setup.scenario.controller.process is not None:
+    if data.setup.scenario.controller.process is not None or data.link == ROBOT_SERVER:
         raise ScenarioError(
             f"{run_dir}: {data.controller}: is not a law that funnel-hil can replay"
         )

@@ -28,6 +28,7 @@ from deploy.scenario.interface_choice import interface_values, takes_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
+from plant_emulator.interfaces.configuration import INTERFACES
 from plant_emulator.robot_servers.robot_server import ROBOT_SERVERS, RobotServer
 
 _TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
@@ -40,6 +41,14 @@ Interface = Annotated[
         metavar="KIND",
         help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB), franka_position,"
         " franka_velocity or franka_torque (libfranka).",
+    ),
+]
+Vendor = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Vendor of the robot, if its interface does not tell: xarm, with servoj.",
+        show_default=False,
     ),
 ]
 Network = Annotated[
@@ -66,6 +75,7 @@ Duration = Annotated[
 def robot_server(
     scenario: ScenarioArgument = "ur5e_motors",
     interface: Interface = "servoj",
+    vendor: Vendor = None,
     network: Network = None,
     overrides: Overrides = None,
     host: Host = _LOCAL,
@@ -80,18 +90,19 @@ def robot_server(
 
     Results are those of other runs: the reference is what the client asks for.
     """
-    setup, server_type = _checked(scenario, interface, network, overrides)
+    setup, server_type = _checked(scenario, interface, vendor, network, overrides)
     place = _place(server_type, interface, host, client)
     say_warnings(setup)
     setup = with_free_endpoints(setup)
     console = Console(highlight=False, markup=False, soft_wrap=True)
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     folder = resolved_out(out or Path("runs", f"robot-{setup.scenario.name}"))
-    with RunFolder.begin(setup, folder, overwrite=overwrite) as kept:
-        robot = ServedRobot(setup, server_type, interface, place, kept, console.print)
-        on_stop(robot.request_stop)
+    robot = ServedRobot(setup, server_type, interface, place, console.print)
+    on_stop(robot.request_stop)
+    # A taken port leaves no folder behind.
+    with robot.opened(), RunFolder.begin(setup, folder, overwrite=overwrite) as kept:
         with _live_view(kept, console) if live else nullcontext():
-            run = robot.run(ticks)
+            run = robot.run(kept, ticks)
         show_results(console, kept, lambda: write_run(kept, run, draws_report=not no_report))
     raise typer.Exit(INTERRUPTED if run.outcome.interrupted else FINISHED)
 
@@ -125,22 +136,40 @@ def _place(server_type: type[RobotServer], interface: str, host: str, client: st
     return Place(host, name, ports)
 
 
-def _checked(
-    arm: str, interface: str, network: str | None, overrides: list[str] | None
-) -> tuple[Setup, type[RobotServer]]:
-    """Return the scenario and the server of its robot; raises ScenarioError."""
+def _server(interface: str, vendor: str | None) -> type[RobotServer]:
+    """Return the server that the options name; raises ScenarioError."""
     takes_of(interface)
+    named = [name for name in ROBOT_SERVERS if name not in INTERFACES]
     try:
-        server = ROBOT_SERVERS[interface]
+        if vendor is None:
+            if interface not in ROBOT_SERVERS:
+                kinds = ", ".join(name for name in ROBOT_SERVERS if name in INTERFACES)
+                raise ScenarioError(f"--interface {interface}: must be one of {kinds}")
+            return ROBOT_SERVERS[interface]
+        if vendor not in named:
+            raise ScenarioError(f"--vendor {vendor}: must be left out, or {' or '.join(named)}")
+        server = ROBOT_SERVERS[vendor]
     except ConfigurationError as error:
         raise ScenarioError(f"--interface {interface}: {error.allowed}") from error
+    if interface not in server.interfaces:
+        kinds = " or ".join(server.interfaces)
+        raise ScenarioError(f"--interface {interface}: must be {kinds} with --vendor {vendor}")
+    return server
+
+
+def _checked(
+    arm: str, interface: str, vendor: str | None, network: str | None, overrides: list[str] | None
+) -> tuple[Setup, type[RobotServer]]:
+    """Return the scenario and the server of its robot; raises ScenarioError."""
+    server = _server(interface, vendor)
     traces = {} if network is None else dict.fromkeys(_TRACES, network)
     given = {**interface_values(server.arm_kind or interface), **traces}
     words = [override(key, value) for key, value in given.items()]
     setup = load_setup(arm, [*words, *(overrides or [])])
-    if server.joints not in (None, setup.robot.joints):
+    known = server.joints if isinstance(server.joints, range | None) else (server.joints,)
+    if known is not None and setup.robot.joints not in known:
         raise ScenarioError(
-            f"{arm}: has {setup.robot.joints} driven joints: must have {server.joints} for"
-            f" --interface {interface}"
+            f"{arm}: has {setup.robot.joints} driven joints: must have"
+            f" {' or '.join(map(str, known))} for --interface {vendor or interface}"
         )
     return setup, server

@@ -12,19 +12,40 @@ _MS = 1e3
 _STILL_RAD_S = 1e-6
 """RMS of a reference's velocity; slower ones show no lag."""
 
+_HALF_S = 0.05
+
 
 def lag_ms(run: RunData) -> list[float | None]:
     """Return the lag of each joint's true error, ms, from ``metrics.from_s`` on.
 
     None for a joint whose reference rests, and negative for one that is ahead.
     """
-    judged = run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s
-    if run.link == ROBOT_SERVER:  # a client may ask for nothing, or a jump, which show no lag
-        limits = run.setup.robot.velocity_limits_rad_s
-        judged &= (np.abs(run.reference_velocities_rad_s) <= limits).all(axis=1)
-        judged &= run.tables[topics.PLANT_TRUTH.name]["command_age_ns"] >= 0
-    errors, speeds = run.true_errors_rad[judged], run.reference_velocities_rad_s[judged]
-    return [_MS * float(each) if np.isfinite(each) else None for each in lags_s(errors, speeds)]
+    times_s, truth = run.times_s(topics.PLANT_TRUTH), run.tables[topics.PLANT_TRUTH.name]
+    judged = times_s >= run.setup.scenario.metrics.from_s
+    errors, speeds = run.true_errors_rad, run.reference_velocities_rad_s
+    if run.link == ROBOT_SERVER:  # what a client asks for arrives in steps and bursts
+        judged &= truth["command_age_ns"] >= 0
+        speeds = mean_speeds_rad_s(times_s, truth["position"] - errors)
+    lags = lags_s(errors[judged], speeds[judged])
+    return [_MS * float(each) if np.isfinite(each) else None for each in lags]
+
+
+def mean_speeds_rad_s(
+    times_s: NDArray[np.float64], positions_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean speeds over 100 ms around each tick, or as much of them as is known.
+
+    Args:
+        times_s: increasing, shape (ticks,).
+        positions_rad: shape (ticks, joints).
+    """
+    if len(times_s) < 2:
+        return np.zeros_like(positions_rad)
+    last = len(times_s) - 1
+    ends = np.minimum(np.searchsorted(times_s, times_s + _HALF_S), last)
+    starts = np.searchsorted(times_s, times_s - _HALF_S)
+    spans_s = times_s[ends] - times_s[starts]
+    return np.asarray((positions_rad[ends] - positions_rad[starts]) / spans_s[:, None])
 
 
 def lags_s(

@@ -51,15 +51,15 @@ class ServedRobot:
         server_type: answers the clients.
         kind: the robot's interface; its section has the server's settings.
         place: where.
-        folder: of the run.
         say: called with each sentence for the user.
     """
 
     def __init__(
         self, setup: Setup, server_type: type[RobotServer], kind: str, place: Place,
-        folder: RunFolder, say: Callable[[str], None],
+        say: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self._setup, self._place, self._folder, self._say = setup, place, folder, say
+        self._setup, self._place, self._say = setup, place, say
+        self._network = network_of(setup)
         self._clock, self._kind = MonotonicClock(), kind
         interface = setup.scenario.plant.interface.model_copy(update={"kind": kind})
         self._server = server_type(interface.settings, interface.period_s, self._report)
@@ -70,29 +70,39 @@ class ServedRobot:
         self._rig = RobotRig(self._arm, self._server, self._clock, setup.grid, self._record)
         self.request_stop = self._rig.request_stop
 
-    def run(self, ticks: int | None) -> JudgedRun:
-        """Run for a number of ticks, or until a stop is requested; return the recorded run.
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Keep its ports open.
 
         Raises:
             ScenarioError: a port is taken, or an address is unknown.
         """
-        network = network_of(self._setup)
-        with open_robot(self._server, network, self._place):
-            self._run = ServedRun(self._setup, self._folder, self._arm)
-            self._clock.start()
-            self._say(f"{self._setup.scenario.name} {self._place.words(self._server)}")
-            try:
-                self._rig.run(ticks)
-            finally:
-                self._arm.close()
-                self._server.close()
+        with open_robot(self._server, self._network, self._place):
+            yield
+
+    def run(self, folder: RunFolder, ticks: int | None) -> JudgedRun:
+        """Run for a number of ticks, or until a stop is requested; return the recorded run.
+
+        Its ports have to be open.
+        """
+        self._folder, network = folder, self._network
+        self._run = ServedRun(self._setup, folder, self._arm)
+        self._clock.start()
+        self._say(f"{self._setup.scenario.name} {self._place.words(self._server)}")
+        try:
+            self._rig.run(ticks)
+        finally:
+            self._arm.close()
+            self._server.close()
+            if network is not None:
+                network.close()
         is_whole = ticks is None or self._rig.ticks >= ticks
         judged = self._judged_setup()
         counts = self._counts(None if network is None else network.counts())
         self._run.close(judged, counts, ticks=self._rig.ticks, completed=is_whole)
-        self._folder.write_scenario(judged)
-        (self._folder.path / REFERENCE_FILE).unlink(missing_ok=True)  # the scenario has a copy
-        return recorded(self._folder, RunOutcome(interrupted=not is_whole))
+        folder.write_scenario(judged)
+        (folder.path / REFERENCE_FILE).unlink(missing_ok=True)  # the scenario has a copy
+        return recorded(folder, RunOutcome(interrupted=not is_whole))
 
     def _report(self, sentence: str) -> None:
         self._say(f"{self._clock.now_ns() * 1e-9:9.4f}  {sentence}")

@@ -29,6 +29,7 @@ class ClientMotion(Stoppable):
     Attributes:
         ended_by: the reflex that ended the last motion; None if none did.
         target: the newest target; None before the first of a motion.
+        is_running: whether the interface has begun; it waits for the client's first message.
     """
 
     def __init__(self, period_s: float, stop_rad_s2: float) -> None:
@@ -38,6 +39,7 @@ class ClientMotion(Stoppable):
         self._interface: RobotInterface | None = None
         self._waiting: Matrix | None = None
         self.target: Matrix | None = None
+        self.is_running = False
         self.ended_by: Reflex | None = None
 
     def start(self, position_rad: Vector) -> None:
@@ -60,13 +62,18 @@ class ClientMotion(Stoppable):
         return not self.is_moved and not (np.abs(self._joints.velocity) > _REST_RAD_S).any()
 
     def begin(self, interface: RobotInterface) -> None:
-        """Let an interface move the robot from rest, once it has a target."""
+        """Let an interface move the robot from rest, once its client sends something."""
         interface.start(self._joints.position.copy())
         self._interface, self.ended_by = interface, None
-        self._waiting = self.target = None
+        self._waiting, self.target, self.is_running = None, None, False
+
+    def run(self) -> None:
+        """Run from the next cycle on, also without a target."""
+        self.is_running = self._interface is not None
 
     def put(self, target: Matrix) -> None:
         """Note a target for the next cycle."""
+        self.run()
         if self._interface is not None:
             self._waiting = self.target = target
 
@@ -75,9 +82,10 @@ class ClientMotion(Stoppable):
         if self._interface is not None:
             self._joints.position = self._joints.position + self._period_s * self._joints.velocity
         self._interface = self._waiting = self.target = None
+        self.is_running = False
 
     def step(self, target: Matrix | None, measured: Matrix) -> Motion | FreeTorque | Vector:  # noqa: ARG002
-        if self._interface is None or self.target is None:
+        if self._interface is None or not self.is_running:
             speed = self._joints.velocity
             return self._joints.change(-np.clip(speed, -self._most_rad_s, self._most_rad_s))
         found = self._interface.step(self._waiting, measured)

@@ -33,7 +33,8 @@ class RobotServer(ABC):
         relayed: name of the port whose traffic an emulated network delays; empty if datagrams
             that the robot sends first are delayed instead.
         calls_client: whether the robot itself sends first, to a port of `ports` at its client.
-        joints: number of joints that its clients expect; None for any.
+        joints: number of joints that its clients expect, or a range of them; None for any.
+        interfaces: interfaces that it can have, if it is named by its vendor.
         arm_kind: interface that the arm's drives are for, if clients choose it; None for the given.
         description: of the arm, which is set before its ports are opened.
         client_host: where that client is.
@@ -43,7 +44,8 @@ class RobotServer(ABC):
     ports: ClassVar[Mapping[str, int]]
     relayed: ClassVar[str] = ""
     calls_client: ClassVar[bool] = False
-    joints: ClassVar[int | None] = None
+    joints: ClassVar[int | range | None] = None
+    interfaces: ClassVar[tuple[str, ...]] = ()
     arm_kind: ClassVar[str | None] = None
     description: RobotDescription
     client_host: str = "127.0.0.1"
@@ -94,6 +96,7 @@ class RobotServer(ABC):
 
 _ABB = "plant_emulator.robot_servers.abb.server:EgmServer"
 _FRANKA = "plant_emulator.robot_servers.franka.server:FrankaServer"
+_XARM = "plant_emulator.robot_servers.xarm.server:XArmServer"
 _UNIVERSAL_ROBOTS = "plant_emulator.robot_servers.universal_robots.server:UniversalRobotsServer"
 ROBOT_SERVERS: Registry[type[RobotServer]] = Registry(
     "robot_servers",
@@ -106,6 +109,7 @@ ROBOT_SERVERS: Registry[type[RobotServer]] = Registry(
         "franka_position": _FRANKA,
         "franka_velocity": _FRANKA,
         "franka_torque": _FRANKA,
+        "xarm": _XARM,
     },
 )
-"""Robots that answer vendors' clients, by the interface of the arm."""
+"""Robots that answer vendors' clients, by the interface of the arm or, for others, by vendor."""

@@ -54,6 +54,9 @@ class EgmServer(RobotServer):
         self._socket.bind((host, 0))
         self._socket.setblocking(False)
         self._client = self.route((self.client_host, ports["egm"]))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((host, 0))
+            probe.connect(self._client)  # raises OSError if no way leads there
 
     def serve(self, timeout_s: float) -> None:
         if not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:

@@ -38,7 +38,7 @@ class ExternalTorque(Stoppable):
     def step(self, target: Matrix | None, measured: Matrix) -> FreeTorque:
         torque_nm = self._torques.step(target, measured)
         self.reflex = self._torques.reflex
-        return FreeTorque(torque_nm)
+        return FreeTorque(np.nan_to_num(torque_nm))  # NaN before the first one in time
 
 
 def interface_for(kind: Kind, settings: InterfaceSettings, period_s: float) -> RobotInterface:

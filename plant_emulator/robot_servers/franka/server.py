@@ -32,7 +32,7 @@ class FrankaServer(RobotServer):
     """A Franka arm's controller with seven joints; one client at a time."""
 
     ports: ClassVar[Mapping[str, int]] = {"commands": commands.PORT}
-    joints: ClassVar[int | None] = states.JOINTS
+    joints: ClassVar[int | range | None] = states.JOINTS
     arm_kind: ClassVar[str | None] = "franka_position"
 
     def __init__(
@@ -85,7 +85,7 @@ class FrankaServer(RobotServer):
         if now_s < self._next_s - 1e-6:
             return
         self._next_s = self._period_s * (math.floor(now_s / self._period_s + 1e-6) + 1)
-        if self._motion.target is not None:
+        if self._motion.is_running:
             self._in_time.append(self._has_target)
         self._has_target = False
         self._publish(measured, torque_nm)
@@ -122,6 +122,7 @@ class FrankaServer(RobotServer):
         if self._move is None:
             return
         self._count["targets"] += 1
+        self._motion.run()
         if target["message_id"] != self._state["message_id"][0]:  # it answers an earlier state
             self._count["late"] += 1
         elif target["motion_generation_finished"] or target["torque_command_finished"]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
-import selectors
 import socket
-import struct
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -16,20 +13,18 @@ from bus_schema.arrays import Matrix, Vector
 from plant_emulator.interfaces.servoj import ServoJSettings
 from plant_emulator.interfaces.settings import InterfaceSettings
 from plant_emulator.robot_servers.robot_server import RobotServer
+from plant_emulator.robot_servers.tcp_clients import Receive, TcpClients
 from plant_emulator.robot_servers.universal_robots import dashboard
 from plant_emulator.robot_servers.universal_robots.control_script import BY, ControlScript
 from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
 from plant_emulator.robot_servers.universal_robots.rtde_port import RtdeClient
 from plant_emulator.robot_servers.universal_robots.variables import values_now
 
-_CHUNK_BYTES = 1 << 16
 _PROGRAM = re.compile(rb"^def\s+(\w+)\s*\(", re.MULTILINE)
 _LAST_LINE = re.compile(rb"^(end|run program)\s*$", re.MULTILINE)
 _NAME = b"rtde_control"
 _MOST_SCRIPT_BYTES = 1 << 20
 _MOST_LINE_BYTES = 1 << 12
-
-Receive = Callable[[bytes], None]
 
 
 class UniversalRobotsServer(RobotServer):
@@ -37,7 +32,7 @@ class UniversalRobotsServer(RobotServer):
 
     ports: ClassVar[Mapping[str, int]] = {"rtde": 30004, "script": 30003, "dashboard": 29999}
     relayed: ClassVar[str] = "rtde"
-    joints: ClassVar[int | None] = 6
+    joints: ClassVar[int | range | None] = 6
 
     def __init__(
         self, settings: InterfaceSettings, period_s: float, say: Callable[[str], None]
@@ -45,24 +40,16 @@ class UniversalRobotsServer(RobotServer):
         servo = settings if isinstance(settings, ServoJSettings) else ServoJSettings()
         self.interface = self._motion = ScriptMotion(period_s, servo)
         self._script, self._say = ControlScript(self._motion, period_s, say), say
-        self._selector = selectors.DefaultSelector()
+        self._tcp = TcpClients(self._receiver, self._left, say)
         self._clients: dict[socket.socket, RtdeClient] = {}
         self._unread: dict[socket.socket, bytes] = {}
         self._period_s, self._next_s = period_s, 0.0
 
     def open(self, host: str, ports: Mapping[str, int]) -> None:
-        for name, port in ports.items():
-            listener = socket.create_server((host, port))
-            listener.setblocking(False)
-            self._selector.register(listener, selectors.EVENT_READ, name)
+        self._tcp.open(host, ports)
 
     def serve(self, timeout_s: float) -> None:
-        for key, _ in self._selector.select(max(0.0, timeout_s)):
-            assert isinstance(key.fileobj, socket.socket)
-            if isinstance(key.data, str):
-                self._accept(key.fileobj, key.data)
-            else:
-                self._read(key.fileobj, key.data)
+        self._tcp.serve(timeout_s)
 
     def cycle(self, now_s: float, measured: Matrix, torque_nm: Vector) -> None:
         if now_s < self._next_s - 1e-6:
@@ -82,10 +69,7 @@ class UniversalRobotsServer(RobotServer):
         return self._motion.target_rad
 
     def close(self) -> None:
-        for key in list(self._selector.get_map().values()):
-            assert isinstance(key.fileobj, socket.socket)
-            key.fileobj.close()
-        self._selector.close()
+        self._tcp.close()
 
     @property
     def counts(self) -> dict[str, Any]:
@@ -95,61 +79,22 @@ class UniversalRobotsServer(RobotServer):
         ]
         return {"commands": dict(self._script.commands), "stops": stops}
 
-    def _accept(self, listener: socket.socket, port: str) -> None:
-        try:
-            client, _ = listener.accept()
-        except OSError:
-            return
-        client.setblocking(False)
-        with contextlib.suppress(OSError):  # it may have gone already
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._say(f"client at the {port} port")
-        self._selector.register(client, selectors.EVENT_READ, self._receiver(client, port))
-        if port == "dashboard":
-            self._send(client, f"{dashboard.GREETING}\n".encode())
-
     def _receiver(self, client: socket.socket, port: str) -> Receive:
-        """Return what takes the bytes of a new connection."""
+        """Greet a new connection, and return what takes its bytes."""
+        self._say(f"client at the {port} port")
         if port == "rtde":
-            rtde = RtdeClient(lambda data: self._send(client, data), self._script.take)
+            rtde = RtdeClient(lambda data: self._tcp.send(client, data), self._script.take)
             self._clients[client] = rtde
             return rtde.receive
         self._unread[client] = b""
-        if port == "dashboard":
-            return lambda data: self._answer_lines(client, data)
-        return lambda data: self._collect(client, data)
+        if port != "dashboard":
+            return lambda data: self._collect(client, data)
+        self._tcp.send(client, f"{dashboard.GREETING}\n".encode())
+        return lambda data: self._answer_lines(client, data)
 
-    def _read(self, client: socket.socket, receive: Receive) -> None:
-        try:
-            data = client.recv(_CHUNK_BYTES)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._forget(client)
-            return
-        try:
-            receive(data)
-        except (ValueError, struct.error) as error:
-            self._say(f"connection closed: {error}")
-            self._forget(client)
-
-    def _forget(self, client: socket.socket) -> None:
+    def _left(self, client: socket.socket) -> None:
         self._clients.pop(client, None)
         self._unread.pop(client, None)
-        with contextlib.suppress(KeyError, ValueError):
-            self._selector.unregister(client)
-        client.close()
-
-    def _send(self, client: socket.socket, data: bytes) -> None:
-        """Send bytes; a client that does not read them is closed."""
-        try:
-            sent = client.send(data)
-        except OSError:
-            sent = 0
-        if sent < len(data):
-            self._forget(client)
 
     def _answer_lines(self, client: socket.socket, data: bytes) -> None:
         """Answer the lines that are complete."""
@@ -159,9 +104,9 @@ class UniversalRobotsServer(RobotServer):
         self._unread[client] = rest
         for line in lines:
             answer = dashboard.answer(line.decode("utf-8", "replace"), self._script)
-            self._send(client, f"{answer}\n".encode())
+            self._tcp.send(client, f"{answer}\n".encode())
             if answer == dashboard.FAREWELL:
-                self._forget(client)
+                self._tcp.forget(client)
             if client not in self._unread:
                 return
 

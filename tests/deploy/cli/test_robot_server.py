@@ -22,15 +22,25 @@ from tests.warm_process import WarmProcess, output_of
     ("words", "message"),
     [
         (["paper_arm"], "has 3 driven joints: must have 6 for --interface servoj"),
-        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj', 'speedj', 'egm', "),
+        (
+            ["ur5e", "--interface", "rsi"],
+            "--interface rsi: must be one of servoj, ",
+        ),
+        (["ur5e_motors", "--vendor", "kuka"], "--vendor kuka: must be left out, or xarm"),
+        (["ur5e_motors", "--interface", "egm", "--vendor", "xarm"], "must be servoj with --vendor"),
+        (["paper_arm", "--vendor", "xarm"], "must have 5 or 6 or 7 for --interface xarm"),
+        (["ur5e_motors", "--interface", "franka_torque"], "must have 7 for --interface franka_"),
         (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
+        (["ur5e_motors", "--interface", "egm", "--client", "192.0.2.1"], "--client 192.0.2.1: "),
         (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
         (["ur5e_motors", "--network", "nowhere.csv"], "nowhere.csv"),
     ],
 )
-def test_what_it_cannot_serve_is_refused(words, message):
-    assert message in " ".join(output_of("robot-server", *words, code=2).split())
+def test_what_it_cannot_serve_is_refused_and_leaves_nothing(words, message, tmp_path):
+    out = ("--out", tmp_path / "out")
+    assert message in " ".join(output_of("robot-server", *words, *out, code=2).split())
+    assert not (tmp_path / "out").exists()
 
 
 def test_it_leaves_the_files_of_a_run_and_counts(tmp_path):
@@ -128,6 +138,8 @@ def test_a_run_has_the_lag_and_the_verdict_of_what_its_client_asked_for(tmp_path
     assert summary["law"] == "the robot's client"
     assert summary["faults"] == []
     assert summary["verdict"] == "kept"
+    refused = output_of("replay", tmp_path / "out", code=2)
+    assert "the robot's client: is not a law that funnel-hil can replay" in refused
     again = output_of("report", tmp_path / "out", code=0)
     assert "the robot's client" in again
     assert (

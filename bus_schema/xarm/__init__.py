@@ -1,0 +1,1 @@
+"""UFACTORY's private protocol over TCP: commands like Modbus, and reports."""
