@@ -12,19 +12,25 @@ from controller.reference_file import KINDS, TIME
 _RESTS_S = 0.05
 """A position that stays longer than this is held; others are joined to the next by a line."""
 _IDLE_S = 0.02
+_STRAIGHT_RAD, _TURN_S = 1e-4, 2e-6
+"""A motion that leaves the line between two rows by more is made straight, but for these times."""
 
 
 class AskedMotion:
     """Rows at the ticks at which a client asks for another position.
 
-    Where it asks for none, the rows are the measured motion.
+    Where it asks for none, the rows are the measured motion. What it asks for beyond the range of a
+    joint counts as the end of the range.
 
     Args:
         period_s: of the ticks.
+        lower_rad: ends of the joints' ranges, shape (joints,).
+        upper_rad: likewise.
     """
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float, lower_rad: Vector, upper_rad: Vector) -> None:
         self._period_s = period_s
+        self._lower_rad, self._upper_rad = lower_rad, upper_rad
         self._times_s: list[float] = []
         self._rows: list[Vector] = []
         self._follows = False
@@ -32,6 +38,8 @@ class AskedMotion:
     def add(self, now_s: float, actual_rad: Vector, target_rad: Vector) -> None:
         """Take the positions of a tick, shape (joints,); NaN for no target."""
         is_idle = bool(np.isnan(target_rad).any())
+        actual_rad = np.clip(actual_rad, self._lower_rad, self._upper_rad)
+        target_rad = np.clip(target_rad, self._lower_rad, self._upper_rad)
         if is_idle and not self._follows:
             if not self._times_s or now_s - self._times_s[-1] > _IDLE_S:
                 self._put(now_s, actual_rad)
@@ -47,10 +55,11 @@ class AskedMotion:
     def write(self, file: Path, names: tuple[str, ...]) -> None:
         """Write a reference file, with speeds that pass no row's position between two rows."""
         times_s, rows = np.array(self._times_s), np.array(self._rows)
-        motion = np.stack([rows, monotone_slopes(times_s, rows), np.zeros_like(rows)], axis=2)
+        times_s, rows, slopes = straightened(times_s, rows, monotone_slopes(times_s, rows))
+        motion = np.stack([rows, slopes, np.zeros_like(rows)], axis=2)
         heads = [TIME, *(f"{name}.{kind}" for name in names for kind in KINDS)]
         table = np.column_stack([times_s, motion.reshape(len(times_s), -1)])
-        np.savetxt(file, table, "%.9g", ",", header=",".join(heads), comments="")
+        np.savetxt(file, table, "%.12g", ",", header=",".join(heads), comments="")
 
     def _put(self, now_s: float, row: Vector) -> None:
         self._times_s.append(now_s)
@@ -71,3 +80,28 @@ def monotone_slopes(times_s: Vector, rows: Matrix) -> Matrix:
         same = product > 0.0
         slopes[1:-1][same] = 2.0 * product[same] / total[same]
     return slopes
+
+
+def straightened(times_s: Vector, rows: Matrix, slopes: Matrix) -> tuple[Vector, Matrix, Matrix]:
+    """Return times, rows and slopes with rows that make jumps between two rows straight.
+
+    A client can jump. Between two ticks, a smooth jump would leave the line that all ticks show.
+
+    Args:
+        times_s: increasing, shape (rows,).
+        rows: positions, shape (rows, joints).
+        slopes: their velocities.
+    """
+    lasts_s, steps = np.diff(times_s)[:, None], np.diff(rows, axis=0)
+    # A cubic through both rows leaves their line the most near its middle.
+    away = 0.125 * lasts_s * (slopes[:-1] - slopes[1:])
+    quarters = 0.1 * np.abs(lasts_s * (slopes[:-1] + slopes[1:]) - 2.0 * steps)
+    jumps = np.flatnonzero(((np.abs(away) + quarters) > _STRAIGHT_RAD).any(axis=1))
+    speeds = steps[jumps] / lasts_s[jumps]
+    inner_s = np.concatenate([times_s[jumps] + _TURN_S, times_s[jumps + 1] - _TURN_S])
+    all_s = np.concatenate([times_s, inner_s])
+    order = np.argsort(all_s, kind="stable")
+    positions = np.concatenate(
+        [rows, rows[jumps] + _TURN_S * speeds, rows[jumps + 1] - _TURN_S * speeds]
+    )
+    return all_s[order], positions[order], np.concatenate([slopes, speeds, speeds])[order]

@@ -66,7 +66,9 @@ class ServedRobot:
         self._server.description = setup.robot
         self._arm = setup.arm()
         self._arm.be_controlled_by(setup.robot_controller(self._server.interface))
-        self._asked = AskedMotion(1e-9 * setup.grid.period_ns)
+        self._asked = AskedMotion(
+            1e-9 * setup.grid.period_ns, setup.robot.lower_rad, setup.robot.upper_rad
+        )
         self._rig = RobotRig(self._arm, self._server, self._clock, setup.grid, self._record)
         self.request_stop = self._rig.request_stop
 

@@ -11,7 +11,7 @@ from deploy.judge.run_rows import Row
 from deploy.study.plants import Variant
 
 _BEYOND = (1.5, 2.0)
-_PARTS = 8
+PARTS = 8
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class MarginSearch:
     variants: list[Variant] = field(default_factory=list)
     requested: dict[int, int] = field(default_factory=dict)
     hints: list[int] = field(default_factory=list)
-    parts: int = _PARTS
+    parts: int = PARTS
 
     @property
     def first_failure(self) -> int | None:

@@ -24,7 +24,7 @@ from deploy.study.follow_ups.expected_loss import first_loss, theory_beside
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
-from deploy.study.margin_search import MarginSearch, Steps
+from deploy.study.margin_search import PARTS, MarginSearch, Steps
 from deploy.study.plants import Variant
 from deploy.study.quoted import quoted
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
@@ -217,8 +217,8 @@ class Margin(StudyOfCases):
         limited = replace(steps, first=margin, limit=margin)
         for number, (name, change) in enumerate(self._unknowns(setting).items(), 3):
             variants = changed(case, name, change, number * block)
-            parts = {} if wanted.thorough else {"parts": _FEW_PARTS}
-            yield name, MarginSearch(limited, variants=variants, hints=[margin], **parts)
+            parts = PARTS if wanted.thorough else _FEW_PARTS
+            yield name, MarginSearch(limited, variants=variants, hints=[margin], parts=parts)
         if wanted.pattern is not None:
             at_margin = load_setup(setting.scenario, setting.at(steps.value(margin)))
             # Without delay all patterns hold.

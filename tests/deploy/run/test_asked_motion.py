@@ -1,5 +1,7 @@
 """The reference that follows from what a robot's client asks for."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ def robot():
 
 def reference_of(robot, file, targets):
     """Positions and velocities of the first joint at each tick, from a target for each tick."""
-    asked = AskedMotion(H)
+    asked = AskedMotion(H, robot.lower_rad, robot.upper_rad)
     for tick, target in enumerate(targets):
         asked.add(tick * H, np.zeros(6), target)
     asked.write(file, robot.joint_names)
@@ -48,8 +50,23 @@ def test_a_jump_takes_a_tick_and_passes_neither_position(robot, tmp_path):
     assert position.max() <= 0.3 + 1e-12
 
 
+@pytest.mark.parametrize("jump_rad", [0.005, 0.1, -1.0, 50.0])
+def test_a_run_with_a_jump_is_judged(robot, tmp_path, jump_rad):
+    """Of 50 rad, which is beyond the range of the joint, too."""
+    file = tmp_path / "a.csv"
+    targets = 1500 * [np.zeros(6)] + 500 * [np.full(6, jump_rad)]
+    position, _ = reference_of(robot, file, targets)
+    assert position[:1499] == pytest.approx(0.0, abs=1e-12)
+    assert position[1500] == pytest.approx(min(jump_rad, robot.upper_rad[0]), abs=1e-9)
+    reference = {"kind": "csv", "file": str(file), "beyond": "hold"}
+    setup = load_setup("ur5e_motors", ["duration_s=2", f"reference={json.dumps(reference)}"])
+    between_s = 1.499 + H * np.array([0.25, 0.5, 0.75])  # no tick shows these
+    halfway = sample_motion(setup.reference, between_s, 6)[0][:, 0] / position[1500]
+    assert halfway == pytest.approx([0.25, 0.5, 0.75], abs=3e-3)
+
+
 def test_without_targets_the_reference_is_the_measured_motion(robot, tmp_path):
-    asked = AskedMotion(H)
+    asked = AskedMotion(H, robot.lower_rad, robot.upper_rad)
     for tick in range(501):
         asked.add(tick * H, np.full(6, np.sin(tick * H)), NONE)
     asked.write(tmp_path / "a.csv", robot.joint_names)
