@@ -57,13 +57,12 @@ class LeRobotClient(PolicyClient):
         values |= zip(robot.state_names, map(float, observation.state), strict=True)
         if observation.task:
             values["task"] = observation.task
-        data = pickled_instance(
-            "TimedObservation",
-            {
-                "timestamp": 1e-9 * time.time_ns(), "timestep": observation.number, "observation": values,
-                "must_go": True,  # or the server leaves out what resembles the one before
-            },
-        )  # fmt: skip
+        sent = {
+            "timestamp": 1e-9 * time.time_ns(), "timestep": observation.number,
+            "observation": values,
+            "must_go": True,  # or the server leaves out what resembles the one before
+        }  # fmt: skip
+        data = pickled_instance("TimedObservation", sent)
         self._call("SendObservations", data, timeout_s, streams=True)
         answer = _data_of(self._call("GetActions", b"", timeout_s))
         if not answer:

@@ -92,7 +92,7 @@ class ServedPolicy:
             raise type(error)(f"policy server {self._address}: {error}") from error.__cause__
 
     def as_targets(self, actions: object) -> Matrix:
-        """Return positions and velocities for the drives, shape (actions, 2, joints), rad and rad/s.
+        """Return positions and velocities, rad and rad/s, shape (actions, 2, joints).
 
         The velocity of an action leads to the next one.
 
