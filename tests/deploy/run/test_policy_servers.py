@@ -12,7 +12,9 @@ import pytest
 from bus_schema.configuration import ConfigurationError
 from bus_schema.recording.mcap_log import read_log
 from deploy.judge.metrics import summarise
+from deploy.run.execute import InProcesses, execute, lockstep_setup
 from deploy.run.replay import replay
+from deploy.run.run_folder import RunFolder
 from deploy.run.simulate import simulate
 from deploy.scenario.yaml_files import ScenarioError
 from tests.controller.policies.servers import LeRobotLikeServer, OpenPiLikeServer, field
@@ -22,6 +24,7 @@ pytest.importorskip("grpc", reason="needs the extra policies")
 msgpack = pytest.importorskip("msgpack", reason="needs the extra policies")
 pytest.importorskip("websockets", reason="needs the extra policies")
 
+ZENOH = "link.kind=zenoh"
 ROWS, PERIOD_S, NEAR_0 = 16, 0.04, pytest.approx(0.0, abs=1e-12)
 STATE = "controller.policy_server.state=[position, reference_position, reference_velocity]"
 LEROBOT = "controller.policy_server.lerobot={policy_type: act, checkpoint: somewhere}"
@@ -160,6 +163,44 @@ def test_measured_inference_time_is_the_delay_and_is_replayed(tmp_path, start):
     server.stop()
     result = replay(setup, read_log(tmp_path / "run.mcap"))
     assert result.is_identical, result.failure
+
+
+def run_and_replay(setup, folder):
+    """Run in processes, and return the run and its replay."""
+    files = RunFolder.begin(setup, folder)
+    outcome = execute(setup, InProcesses(), files)
+    return outcome, replay(setup, read_log(files.log))
+
+
+def test_lockstep_gives_the_digest_of_simulate(tmp_path, start):
+    server = start(LeRobotLikeServer, of_lerobot)
+    setup = setup_of(tmp_path, server.address, "controller.inference_ms=100", "duration_s=1", ZENOH)
+    expected = simulate(setup).data().digest
+    assert execute(lockstep_setup(setup), InProcesses()).summary["digest"] == expected
+
+
+def test_loop_goes_on_in_real_time_and_is_replayed(tmp_path, start):
+    """The server takes 150 ms: with a loop that waited, no state would come in between."""
+
+    def slowly(observation):
+        time.sleep(0.15)
+        return of_lerobot(observation)
+
+    server = start(LeRobotLikeServer, slowly)
+    setup = setup_of(tmp_path, server.address, "clock=realtime", ZENOH)
+    outcome, result = run_and_replay(setup, tmp_path / "run")
+    ages = outcome.summary["chunks"]["age_ms"]
+    assert ages["largest"] >= 6 * 40 + 150
+    server.stop()
+    assert result.is_identical, result.failure
+
+
+def test_server_that_fails_in_real_time_stops_the_run(tmp_path, start):
+    server = start(LeRobotLikeServer, after(3, b""))
+    setup = setup_of(tmp_path, server.address, "clock=realtime", ZENOH)
+    outcome = execute(setup, InProcesses())
+    assert outcome.summary["verdict"] == "faulted"
+    assert any("answered without actions" in event.detail for event in outcome.data.events)
 
 
 def failure_of(folder, address, *overrides):
