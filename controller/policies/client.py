@@ -52,13 +52,13 @@ class Observation:
         number: of the question, from 0.
         state: values in the order of `Robot.state_names`.
         images: of the cameras, shape (height, width, 3), by name.
-        task: instruction in words; empty for none.
+        task: instruction in words; None for none.
     """
 
     number: int
     state: Sequence[float]
     images: Mapping[str, Image]
-    task: str
+    task: str | None
 
 
 class PolicyClient(ABC):

@@ -75,7 +75,7 @@ class PolicyServerConfiguration(StrictModel):
     state: Annotated[tuple[StateRow, ...], Field(min_length=1)] = ("position",)
     unit: Literal["rad", "deg"] = "rad"
     images: dict[_Text, tuple[_Pixels, _Pixels]] = Field(default_factory=dict)
-    task: str = ""
+    task: _Text | None = None
     inference: Literal["configured", "measured"] = "configured"
     timeout_s: Positive = 5.0
     start_timeout_s: Positive = 60.0

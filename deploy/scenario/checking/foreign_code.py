@@ -40,7 +40,7 @@ def name_code(scenario: ScenarioConfiguration, origin: Origin) -> None:
     elif controller.law == EXTERNAL and controller.external is not None:
         key, what = "controller.law", f"program {shlex.join(controller.external.command)}"
     elif is_address(controller.law):
-        key, what, does = "controller.law", f"policy server {controller.law}", "asks a server"
+        key, what, does = "controller.law", controller.law, "asks the policy server"
     elif is_custom(controller.law):
         key, what = "controller.law", f"law {controller.law}"
     else:

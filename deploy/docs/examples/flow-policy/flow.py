@@ -59,7 +59,7 @@ class Policy:
     def torque(self, tracking):
         return np.zeros_like(tracking.error)
 
-    def guide(self, prefix, weights, delay_steps):
+    def guide(self, prefix, weights, delay_steps):  # noqa: ARG002 (the weights say it)
         """Receive what is left of the chunk in force, and how much each action counts."""
         self.guidance = prefix[:, 0], weights
 
