@@ -49,7 +49,7 @@ class Observation:
     """What a policy sees.
 
     Attributes:
-        number: of the question, from 0.
+        number: of the question; those of two clients of a server differ.
         state: values in the order of `Robot.state_names`.
         images: of the cameras, shape (height, width, 3), by name.
         task: instruction in words; None for none.

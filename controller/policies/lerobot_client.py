@@ -67,8 +67,8 @@ class LeRobotClient(PolicyClient):
         answer = _data_of(self._call("GetActions", b"", timeout_s))
         if not answer:
             raise PolicyServerError(
-                "it answered without actions, as it does when its policy raises: its log has the"
-                " reason"
+                "it answered without actions, as it does when its policy raises (its log has the"
+                " reason), or when another client has connected"
             )
         return self._actions(answer, observation.number)
 

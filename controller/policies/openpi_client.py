@@ -105,7 +105,8 @@ def _as_array(values: dict[Any, Any]) -> object:
 
 
 def _dtype(values: dict[Any, Any]) -> np.dtype[Any]:
-    return np.dtype(values[b"dtype"])
+    dtype: np.dtype[Any] = np.dtype(values[b"dtype"])
+    return dtype
 
 
 def _plain(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

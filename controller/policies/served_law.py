@@ -35,6 +35,7 @@ class ServedLaw(SlowLaw):
         self._policy = policy
         self._recorded: Sequence[Mapping[str, Any]] | None = None
         self._thread: ThreadPoolExecutor | None = None
+        self._new: list[str] = []
         super().__init__(policy, timing, rules)
 
     def answer_in_real_time(self) -> None:
@@ -72,7 +73,7 @@ class ServedLaw(SlowLaw):
 
     def _forget(self) -> None:
         super()._forget()
-        self._new: list[str] = []
+        self._new = []
         self._next = 0
 
     def _ask(self, tracking: Tracking) -> OpenQuestion:

@@ -11,6 +11,7 @@ import typer
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from controller.chunks.configuration import CHUNK_MERGES
+from controller.policies.configuration import is_address
 from deploy.cli.common import leave, parse_laws, say_warnings
 from deploy.cli.options import ScenarioArgument, taking
 from deploy.cli.study.margin_options import WorkerOptions
@@ -29,7 +30,13 @@ from deploy.study.policy_sheet import PolicySheet, recommended, shipped_merges
 class PolicyOptions(WorkerOptions):
     """The options of `policy`."""
 
-    law: Annotated[str, typer.Argument(metavar="MODULE:CLASS", help="The policy.")]
+    law: Annotated[
+        str,
+        typer.Argument(
+            metavar="POLICY",
+            help="MODULE:CLASS, or a server: lerobot://HOST:PORT or openpi://HOST:PORT.",
+        ),
+    ]
     scenario: ScenarioArgument = "paper_arm"
     merges: Annotated[
         str | None, typer.Option(metavar="A,B,…", help="Merges to try; by default all but waiting.")
@@ -52,7 +59,9 @@ def policy(options: PolicyOptions) -> None:
     time, jumps, ages of observations, and the tip's error. After an interruption or a kill, the
     same command continues.
     """
-    parse_laws(options.law, "MODULE:CLASS")
+    parse_laws(options.law, "POLICY")
+    if is_address(options.law) and options.workers is None and options.scheduler is None:
+        options = replace(options, workers=1)  # a server of LeRobot has one client
     sheet = PolicySheet(
         options.scenario, options.law, _merges(options.merges), options.network, options.at,
         options.limit, options.resolution, options.fixed(),

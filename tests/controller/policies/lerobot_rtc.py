@@ -4,6 +4,7 @@ python lerobot_rtc.py INPUT.npz OUTPUT.npz
 """
 
 import sys
+from functools import partial
 
 import numpy as np
 import torch
@@ -86,6 +87,10 @@ def inputs(sample, time, begin_s):
     return torch.cat([sample, time, torch.cos(begin_s), torch.sin(begin_s)], dim=1)
 
 
+def velocity_of(net, time, begin_s, sample):
+    return net(inputs(sample.reshape(1, -1), time, begin_s)).detach().reshape(sample.shape)
+
+
 def jumps(net, *, is_guided):
     """Jumps of the actions at 60 switches, in units of 0.2 rad."""
     torch.manual_seed(2)
@@ -96,11 +101,9 @@ def jumps(net, *, is_guided):
         sample = torch.randn(1, ACTIONS)
         for step in range(FLOW_STEPS):
             time = torch.tensor(1.0 - step / FLOW_STEPS)
-            velocity = rtc.denoise_step(
-                sample[0, :, None], left if is_guided else None, DELAY, time,
-                lambda x, rest=(time.view(1, 1), begin_s): net(inputs(x.reshape(1, -1), *rest))
-                .detach().reshape(x.shape),
-            )  # fmt: skip
+            denoise = partial(velocity_of, net, time.view(1, 1), begin_s)
+            prefix = left if is_guided else None
+            velocity = rtc.denoise_step(sample[0, :, None], prefix, DELAY, time, denoise)
             sample = sample - velocity.reshape(1, -1) / FLOW_STEPS
         new, delay = sample[0, :, None].detach(), DELAY if left is not None else 0
         if left is not None:
