@@ -491,6 +491,25 @@ class ControllerConfiguration(StrictModel):
         between = self.every * max(1, math.ceil(inference_s / (self.every * period_s) - NEAR))
         return inference_s + 0.5 * (between - 1) * period_s
 
+    def largest_answer_age_s(self, period_s: float) -> float | None:
+        """Return d + s, the largest age of the observation behind an answer in force.
+
+        d is the longest inference time, s the time from one question to the next, which is at least
+        d, as one question at a time is open. None for chunks whose horizon the law chooses.
+
+        Args:
+            period_s: of the control loop.
+        """
+        longest_ms = max(self.inference_ms + self.inference_jitter_ms, self.first_inference_ms or 0)
+        delay_s, states_s = 1e-3 * longest_ms, self.every * period_s
+        between_s = 0.0 if self.chunks is None else self.chunks.between_questions_s(period_s)
+        if between_s is None:
+            return None
+        if self.chunks is not None and self.chunks.acts_on_arrival:
+            between_s += delay_s
+        states = math.ceil(max(between_s, delay_s) / states_s - NEAR)
+        return delay_s + max(1, states) * states_s
+
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Return the bound on the law's settling time, s; None for a law without one."""
         bound = LAWS[self.law].settling_bound_s if self.law in LAWS else None

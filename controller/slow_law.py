@@ -167,8 +167,9 @@ class SlowLaw:
             return now_s >= acting.end_s - NEAR * self._row_s
         if rules.ask_every is not None:
             return now_s - self._asked_s >= (rules.ask_every - NEAR) * self._row_s
-        left = (acting.end_s - now_s) / acting.period_s - 1.0
-        return left <= rules.ask_when * acting.rows + NEAR
+        left = (acting.end_s - now_s) / self._row_s - 1.0  # a merge may have made more rows of it
+        actions = (acting.end_s - acting.starts_s) / self._row_s
+        return left <= rules.ask_when * actions + NEAR
 
     def _take_over(self, answer: Answer, now_s: float) -> None:
         old, self._open = self._in_force, None

@@ -11,7 +11,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.arm.delay_line import NEVER, DriveCommand
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
-from plant_emulator.interfaces.interface import Motion, Reflex, RobotInterface
+from plant_emulator.interfaces.interface import FreeTorque, Motion, Reflex, RobotInterface
 from plant_emulator.interfaces.settings import TORQUE
 
 TorquesAlong = Callable[[Vector, Vector, Vector], Vector]
@@ -73,6 +73,9 @@ class RobotController:
         stamp_ns = self._grid.substep_ns(self.next_due)
         self._cycles += 1
         self._schedule()
+        if isinstance(planned, FreeTorque):
+            rest = np.zeros_like(measured[0])
+            planned = planned.torque_nm + self._torques_along(measured[0], rest, rest)
         if not isinstance(planned, Motion):
             return DriveCommand(planned, None, stamp_ns)
         wanted = np.stack(planned[:2])

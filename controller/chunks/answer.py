@@ -86,6 +86,17 @@ class Answer:
             target[1] = 0.0
         return target
 
+    def acceleration_at(self, time_s: float) -> Vector:
+        """Return the change of the velocities from a row to the next, rad/s², shape (joints,).
+
+        It is zero from the last row on.
+        """
+        row = self.row_at(time_s)
+        if row + 1 >= len(self.targets):
+            return np.zeros(self.targets.shape[2])
+        change: Vector = (self.targets[row + 1, 1] - self.targets[row, 1]) / self.period_s
+        return change
+
 
 def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
     """Return a copy of a law's answer, as one row or more.

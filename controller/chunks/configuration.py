@@ -118,6 +118,19 @@ class ChunksConfiguration(StrictModel):
             return self.ask_every
         return 0 if self.horizon is None else self.horizon - int(self.share_left * self.horizon)
 
+    @property
+    def acts_on_arrival(self) -> bool:
+        """Whether the next question waits for actions that begin when their chunk arrives."""
+        by_count = self.align == "count" and self.ask_every is None
+        return self.merge == "synchronous" or by_count
+
+    def between_questions_s(self, tick_s: float) -> float | None:
+        """Return the time of the actions between two questions; None if the law chooses it."""
+        if self.horizon is None and self.ask_every is None:
+            return None
+        steps = self.horizon if self.merge == "synchronous" else self.executed_steps()
+        return (steps or 0) * self.action_period_s(tick_s)
+
     def longest_inference_s(self, tick_s: float) -> float:
         """Return the longest inference time that the merge can work with; inf for any."""
         timing = self._timing(tick_s, 0.0, np.zeros(0))

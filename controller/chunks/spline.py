@@ -40,45 +40,52 @@ class Spline(ChunkMerge):
         self._begin_s = self._end_s = 0.0
 
     def merged(self, old: Answer, new: Answer, now_s: float) -> Answer:
-        fine = self._at_ticks(new, now_s)
+        fine = self._at_ticks(new)
+        here = fine.row_at(now_s)
         start = old.target_at(now_s)
         self._motion.current_position, self._motion.current_velocity = start.tolist()
-        self._motion.current_acceleration = self._acceleration(now_s).tolist()
-        curve, rows = self._to_reachable(fine.targets)
+        self._motion.current_acceleration = self._acceleration(old, now_s).tolist()
+        curve, rows = self._to_reachable(fine.targets[here:], new, now_s)
         if curve is None:
             return fine
         targets = fine.targets.copy()
         for row in range(rows):
             position, velocity, _ = curve.at_time(row * self._tick_s)
-            targets[row] = position, velocity
+            targets[here + row] = position, velocity
         self._curve, self._begin_s, self._end_s = curve, now_s, now_s + rows * self._tick_s
         return replace(fine, targets=targets)
 
     def reset(self) -> None:
         self._curve = None
 
-    def _acceleration(self, now_s: float) -> Vector:
+    def _acceleration(self, old: Answer, now_s: float) -> Vector:
+        """Return the acceleration in force: that of the curve, or of the old chunk behind it."""
         if self._curve is None or now_s >= self._end_s:
-            return np.zeros(len(self._motion.max_jerk))
+            return self._within_limits(old.acceleration_at(now_s))
         return np.array(self._curve.at_time(now_s - self._begin_s)[2])
 
-    def _at_ticks(self, new: Answer, now_s: float) -> Answer:
-        """Return the rest of an answer with a row for each tick."""
-        left = max(1, round((new.end_s - now_s) / self._tick_s))
-        times_s = now_s + self._tick_s * np.arange(left)
+    def _within_limits(self, acceleration: Vector) -> Vector:
+        largest = np.array(self._motion.max_acceleration)
+        return np.clip(acceleration, -largest, largest)
+
+    def _at_ticks(self, new: Answer) -> Answer:
+        """Return an answer with a row for each tick."""
+        ticks = max(1, round((new.end_s - new.starts_s) / self._tick_s))
+        times_s = new.starts_s + self._tick_s * np.arange(ticks)
         targets = np.array([new.target_at(each) for each in times_s])
         torques = np.array([new.torque_at(each) for each in times_s])
         is_held = len(new.torques) == 1
         return replace(
-            new, starts_s=now_s, period_s=self._tick_s, targets=targets,
-            torques=new.torques if is_held else torques,
-        )  # fmt: skip
+            new, period_s=self._tick_s, targets=targets, torques=new.torques if is_held else torques
+        )
 
-    def _to_reachable(self, targets: Matrix) -> tuple[Any, int]:
+    def _to_reachable(self, targets: Matrix, new: Answer, now_s: float) -> tuple[Any, int]:
         """Return a curve to the first reachable row, and the number of that row."""
         for row in range(1, len(targets)):
             curve = self._ruckig.Trajectory(len(self._motion.max_jerk))
             self._motion.target_position, self._motion.target_velocity = targets[row].tolist()
+            acceleration = new.acceleration_at(now_s + row * self._tick_s)
+            self._motion.target_acceleration = self._within_limits(acceleration).tolist()
             self._motion.minimum_duration = None
             if self._generator.calculate(self._motion, curve) < 0:
                 continue

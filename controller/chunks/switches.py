@@ -25,6 +25,7 @@ class ChunkLog:
         self._has_targets = has_targets
         self._stretches_s: list[list[float]] = []
         self._switches: list[list[float]] = []
+        self._targets_rad: list[tuple[list[float], list[float]]] = []
         self._largest: dict[str, Any] | None = None
         self._ages_ms: Counter[float] = Counter()
         self._starved = self._ticks = self._count = 0
@@ -51,6 +52,8 @@ class ChunkLog:
         size = float(sizes[joint])
         if len(self._switches) < _MOST:
             self._switches.append([now_s, new.asked_s, size, joint])
+            if self._has_targets:
+                self._targets_rad.append((before.tolist(), after.tolist()))
         if self._has_targets and (self._largest is None or size > self._largest["jump_rad"]):
             self._largest = {
                 "jump_rad": size, "time_s": now_s, "joint": joint,
@@ -65,12 +68,13 @@ class ChunkLog:
         """Return counts, ages and the first switches, ready for JSON.
 
         A switch is its time, the time of its question, the largest jump of a target, rad, and the
-        number of that joint.
+        number of that joint. Its targets are those before and after it, rad.
         """
         return {
             "states": self._ticks,
             "switches": self._count,
             "first_switches": self._switches,
+            "first_targets_rad": self._targets_rad,
             "largest": self._largest,
             "age_ms": self._ages(),
         }

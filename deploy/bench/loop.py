@@ -25,10 +25,10 @@ from deploy.run.network.links import with_free_endpoints
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.dask_workers import DaskWorkers
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
-from deploy.study.sweep import Sweep
 from plant_emulator.physics.engines import ENGINES
 
 SIMULATE = "tick of simulate"

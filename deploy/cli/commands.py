@@ -37,20 +37,20 @@ PANELS = {
         "doctor": "cli.doctor:doctor",
     },
     "Answer": {
-        "datasheet": "cli.study.datasheet:datasheet",
-        "margin": "cli.study.studies:margin",
-        "policy": "cli.study.policy:policy",
-        "sweep": "cli.study.studies:sweep",
-        "compare": "cli.study.studies:compare",
-        "tune": "cli.study.studies:tune",
-        "benchmark": "cli.study.studies:benchmark",
-        "identify": "cli.identify:identify",
+        "datasheet": "studies.datasheet.command:datasheet",
+        "margin": "studies.margin.command:margin",
+        "policy": "studies.policy.command:policy",
+        "sweep": "studies.sweep.command:sweep",
+        "compare": "studies.comparison.command:compare",
+        "tune": "studies.tune.command:tune",
+        "benchmark": "studies.benchmark.command:benchmark",
+        "identify": "studies.identify.command:identify",
     },
     "Results": {
-        "report": "cli.study.recorded:report",
-        "diff": "cli.study.recorded:diff",
+        "report": "cli.recorded:report",
+        "diff": "studies.diff.command:diff",
         "export": "cli.export:export",
-        "replay": "cli.study.recorded:replay",
+        "replay": "cli.recorded:replay",
         "runs": "cli.runs:app",
     },
     "Network": {
@@ -157,7 +157,7 @@ class LazyCommand(TyperCommand):
         """Import the command."""
         name = self.name or ""
         if name in _added():
-            found = import_module("deploy.cli.study.added").command_of(name)
+            found = import_module("deploy.command.file_command").command_of(name)
         else:
             module, _, attribute = COMMANDS[name].partition(":")
             found = getattr(import_module(f"deploy.{module}"), attribute)

@@ -20,7 +20,7 @@ from bus_schema.urdf.checks import finite_number
 from bus_schema.urdf.end_effectors import BESIDE
 from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
 from controller.manipulator_model import ManipulatorModel
-from deploy.cli.options import IncludeOption, InterfaceOption, JointsOption, MassOption
+from deploy.command.options import IncludeOption, InterfaceOption, JointsOption, MassOption
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
@@ -39,12 +39,7 @@ from deploy.scenario.interface_choice import interface_values
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import (
-    actuator_values,
-    drive_feedback,
-    drives_of,
-    starter_scenario,
-)
+from deploy.scenario.starter import actuator_values, drive_feedback, drives_of, starter_scenario
 from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import ScenarioError, set_value, to_yaml, validated
 

@@ -2,45 +2,61 @@
 
 from __future__ import annotations
 
-import socket
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import queue
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
-from bus_schema.recording.atomic_files import write_json
-from bus_schema.runtime.clock import MonotonicClock
-from deploy.cli.common import say_warnings
-from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
-from deploy.judge.joint_lag import LagMeter
+from deploy.command.common import say_warnings, show_results
+from deploy.command.options import NoReport, Out, Overrides, Overwrite, ScenarioArgument
+from deploy.reports.results import write_run
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
-from deploy.run.network.link_relay import LinkRelay
-from deploy.run.new_folder import new_folder, resolved_out
-from deploy.run.run_folder import provenance
+from deploy.run.network.links import with_free_endpoints
+from deploy.run.network.live_feed import clear_left_behind
+from deploy.run.new_folder import resolved_out
+from deploy.run.processes.child import LiveViewer
+from deploy.run.processes.status import StatusMessage
+from deploy.run.run_folder import RunFolder
+from deploy.run.serve_robot import Place, ServedRobot
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.interface_choice import interface_values, takes_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
-from plant_emulator.robot_servers.robot_rig import RobotRig
 from plant_emulator.robot_servers.robot_server import ROBOT_SERVERS, RobotServer
 
 _TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _LOCAL = "127.0.0.1"
+_PORTS = 1 << 16
 
 Interface = Annotated[
-    str, typer.Option(metavar="KIND", help="Interface of the robot: servoj or speedj.")
+    str,
+    typer.Option(
+        metavar="KIND",
+        help="Interface of the robot: servoj or speedj (ur-rtde), egm (ABB), franka_position,"
+        " franka_velocity or franka_torque (libfranka).",
+    ),
 ]
 Network = Annotated[
     str | None, typer.Option(metavar="LOG", help="A file of delays, or a shipped trace.")
 ]
 Host = Annotated[str, typer.Option(help="Address to listen at.")]
+Client = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST[:PORT]",
+        help=f"With egm, where the robot sends first: {_LOCAL} and the usual port by default.",
+        show_default=False,
+    ),
+]
+Live = Annotated[
+    bool, typer.Option("--live", help="Show the run live in the browser and in Foxglove.")
+]
 Duration = Annotated[
     float | None,
     typer.Option("--duration", metavar="S", min=0.001, help="Stop after this time."),
@@ -53,19 +69,60 @@ def robot_server(
     network: Network = None,
     overrides: Overrides = None,
     host: Host = _LOCAL,
+    client: Client = None,
+    live: Live = False,
+    no_report: NoReport = False,
     duration_s: Duration = None,
     out: Out = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Emulate a robot that answers its vendor's own client, such as ur-rtde, over a network.
 
-    Results are the motion, and why the robot stopped.
+    Results are those of other runs: the reference is what the client asks for.
     """
     setup, server_type = _checked(scenario, interface, network, overrides)
+    place = _place(server_type, interface, host, client)
     say_warnings(setup)
+    setup = with_free_endpoints(setup)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     folder = resolved_out(out or Path("runs", f"robot-{setup.scenario.name}"))
-    new_folder("robot-server", folder, overwrite=overwrite)
-    raise typer.Exit(_serve(setup, server_type, host, duration_s, folder))
+    with RunFolder.begin(setup, folder, overwrite=overwrite) as kept:
+        robot = ServedRobot(setup, server_type, interface, place, kept, console.print)
+        on_stop(robot.request_stop)
+        with _live_view(kept, console) if live else nullcontext():
+            run = robot.run(ticks)
+        show_results(console, kept, lambda: write_run(kept, run, draws_report=not no_report))
+    raise typer.Exit(INTERRUPTED if run.outcome.interrupted else FINISHED)
+
+
+@contextmanager
+def _live_view(folder: RunFolder, console: Console) -> Iterator[None]:
+    """Show the run in a process of its own."""
+    from deploy.cli.view import view_beside  # which alone loads the viewer
+
+    inbox: queue.SimpleQueue[StatusMessage] = queue.SimpleQueue()
+    viewer = LiveViewer(view_beside, folder.path, inbox)
+    try:
+        while not inbox.empty():
+            console.print(str(inbox.get().values.get("text", "")))
+        yield
+    finally:
+        viewer.end()
+        clear_left_behind()
+
+
+def _place(server_type: type[RobotServer], interface: str, host: str, client: str | None) -> Place:
+    """Return the addresses that the options name; raises ScenarioError."""
+    if client is None:
+        return Place(host, _LOCAL, server_type.ports)
+    if not server_type.calls_client:
+        raise ScenarioError(f"--client {client}: must be left out with --interface {interface}")
+    name, _, port = client.partition(":")
+    if not name or (":" in client and not (port.isdecimal() and 0 < int(port) < _PORTS)):
+        raise ScenarioError(f"--client {client}: must be HOST or HOST:PORT, such as {_LOCAL}:6510")
+    ports = {each: int(port or usual) for each, usual in server_type.ports.items()}
+    return Place(host, name, ports)
 
 
 def _checked(
@@ -78,7 +135,7 @@ def _checked(
     except ConfigurationError as error:
         raise ScenarioError(f"--interface {interface}: {error.allowed}") from error
     traces = {} if network is None else dict.fromkeys(_TRACES, network)
-    given = {**interface_values(interface), **traces}
+    given = {**interface_values(server.arm_kind or interface), **traces}
     words = [override(key, value) for key, value in given.items()]
     setup = load_setup(arm, [*words, *(overrides or [])])
     if server.joints not in (None, setup.robot.joints):
@@ -87,109 +144,3 @@ def _checked(
             f" --interface {interface}"
         )
     return setup, server
-
-
-def _serve(
-    setup: Setup, server_type: type[RobotServer], host: str, duration_s: float | None, out: Path
-) -> int:
-    """Run the robot until it stops, and write its results; returns the exit code."""
-    console, clock = Console(highlight=False, markup=False, soft_wrap=True), MonotonicClock()
-    interface = setup.scenario.plant.interface
-
-    def say(sentence: str) -> None:
-        console.print(f"{clock.now_ns() * 1e-9:9.4f}  {sentence}")
-
-    server = server_type(interface.settings, interface.period_s, say)
-    arm, lag = setup.arm(), LagMeter(setup.robot.joints)
-    arm.be_controlled_by(setup.robot_controller(server.interface))
-    ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
-    with motion_file(out / "motion.csv", setup.robot.joint_names) as write:
-
-        def record(now_s: float, actual_rad: Vector, target_rad: Vector) -> None:
-            write(now_s, actual_rad, target_rad)
-            lag.add(now_s, actual_rad, target_rad)
-
-        rig = RobotRig(arm, server, clock, setup.grid, record)
-        on_stop(rig.request_stop)
-        clock.start()
-        with listening(server, setup, host) as relay:
-            ports = ", ".join(f"{name} {port}" for name, port in server.ports.items())
-            console.print(f"{setup.scenario.name} listens at {host}: {ports}")
-            try:
-                rig.run(ticks)
-            finally:
-                arm.close()
-                server.close()
-            counts = None if relay is None else relay.counts()
-    is_whole = ticks is None or rig.ticks >= ticks
-    summary = {
-        "kind": "robot_server",
-        "name": setup.scenario.name,
-        "interface": interface.kind,
-        "completed": is_whole,
-        "duration_s": rig.ticks * setup.grid.period_ns * 1e-9,
-        "ticks": rig.ticks,
-        "skipped": rig.skipped,
-        **server.counts,
-        "lag_ms": lag.finish(),
-        "network": counts,
-    }
-    write_json(out / "manifest.json", provenance())
-    write_json(out / "summary.json", summary)
-    known = [lag for lag in summary["lag_ms"] if lag is not None]
-    if known:
-        console.print(f"joints were up to {max(known, key=abs):.3g} ms behind their targets")
-    for stop in summary["stops"]:
-        console.print(f"stopped at {stop['time_s']:.3f} s: {stop['reason']}")
-    console.print(f"results: {out}")
-    return FINISHED if is_whole else INTERRUPTED
-
-
-@contextmanager
-def motion_file(
-    file: Path, names: Sequence[str]
-) -> Iterator[Callable[[float, Vector, Vector], None]]:
-    """Open a CSV file; what it gives writes a row: time, measured positions, those asked for."""
-    heads = ["time_s", *(f"{n}.position_rad" for n in names), *(f"{n}.target_rad" for n in names)]
-    with file.open("w", encoding="utf-8", newline="\n") as rows:
-
-        def write(time_s: float, actual_rad: Vector, target_rad: Vector) -> None:
-            row = (time_s, *actual_rad.tolist(), *target_rad.tolist())
-            rows.write(",".join(f"{value:.9g}" for value in row) + "\n")
-
-        rows.write(",".join(heads) + "\n")
-        yield write
-
-
-@contextmanager
-def listening(server: RobotServer, setup: Setup, host: str) -> Iterator[LinkRelay | None]:
-    """Open the server's ports; with a network, a relay delays the traffic of one of them."""
-    try:
-        relay = _opened(server, setup, host)
-    except OSError as error:
-        raise ScenarioError(f"--host {host}: {error.strerror or error}") from error
-    if relay is None:
-        yield None
-        return
-    stop = threading.Event()
-    thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
-    thread.start()
-    try:
-        yield relay
-    finally:
-        stop.set()
-        thread.join()
-
-
-def _opened(server: RobotServer, setup: Setup, host: str) -> LinkRelay | None:
-    """Open the server's ports; return the relay if the link is a network."""
-    link, ports = setup.link, dict(server.ports)
-    if not any(not way.is_constant or way.delay_ms for way in (link.uplink, link.downlink)):
-        server.open(host, ports)
-        return None
-    with socket.create_server((_LOCAL, 0)) as free:
-        inner = free.getsockname()[1]
-    server.open(_LOCAL, {server.relayed: inner})
-    server.open(host, {name: port for name, port in ports.items() if name != server.relayed})
-    outer = socket.create_server((host, ports[server.relayed]))
-    return LinkRelay(outer, (_LOCAL, inner), link, setup.scenario.seed)

@@ -69,6 +69,9 @@ class RunResult(Section):
         vibrating: joints whose torque swings between its limits over the last half of the run
         chunks: of a law slower than the loop; null for other laws
         reflexes: stops that the robot's own controller decided
+        robot_server: only with ``robot-server`` — interface, ticks for which the host was late
+            (``skipped``), counts of what the client asked for, stops of the robot, and the
+            lateness of the network's relay
         identified: model values identified by delay compensation, with the true ones; null without
             compensation
         digest: SHA-256 over delivered joint states and commands; equal for equal runs
@@ -79,7 +82,7 @@ class RunResult(Section):
         tested_with: only in a folder — the test behind the result, for comparisons with others
     """
 
-    only_sometimes = frozenset({"confirmation", "tested_with"})
+    only_sometimes = frozenset({"confirmation", "tested_with", "robot_server"})
     scenario: Annotated[str, Column(of_any_part=True)]
     law: Annotated[str, Column(of_any_part=True)]
     clock: str
@@ -106,6 +109,7 @@ class RunResult(Section):
     chunks: Chunks | None
     limits: Limits
     reflexes: list[Reflex]
+    robot_server: dict[str, Any] | None = None
     identified: dict[str, Any] | None
     recorder: Recorder
     recording: Recording
@@ -173,6 +177,7 @@ def judge(run: RunData) -> RunResult:
         chunks=chunks(run),
         limits=limits(run),
         reflexes=run.last_values(Role.PLANT, EventKind.COUNTS).get("reflexes", []),
+        robot_server=run.last_values(Role.PLANT, EventKind.COUNTS).get("robot_server"),
         identified=identified(run),
         recorder=recorder(run),
         recording=recording(run, known, damage, errors.settling_time_s),

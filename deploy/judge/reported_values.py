@@ -49,6 +49,13 @@ _SWITCHES = TypeAdapter(
         list[Annotated[list[_FINITE], Field(min_length=4, max_length=4)]], Field(max_length=1000)
     ]
 )
+_POSITIONS = Annotated[list[_FINITE], Field(max_length=100)]
+_TARGETS = TypeAdapter(
+    Annotated[
+        list[Annotated[list[_POSITIONS], Field(min_length=2, max_length=2)]],
+        Field(max_length=1000),
+    ]
+)
 _CURVES = dict.fromkeys(("percentiles_ms", "lags_s", "autocorrelation"), _CURVE)
 
 
@@ -92,7 +99,7 @@ _PLAYOUT = {
 }
 _CHUNKS = {
     "states": _COUNT, "switches": _COUNT, "first_switches": _SWITCHES, "largest": _JUMP,
-    "age_ms": {"median": _AMOUNT, "largest": _AMOUNT},
+    "first_targets_rad": _TARGETS, "age_ms": {"median": _AMOUNT, "largest": _AMOUNT},
 }  # fmt: skip
 _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {
@@ -104,7 +111,7 @@ _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     },
     EventKind.COUNTS: {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,
-        "playout": _PLAYOUT, "reflexes": _REFLEXES,
+        "playout": _PLAYOUT, "reflexes": _REFLEXES, "robot_server": _ANY,
     },
 }  # fmt: skip
 """Expected contents of these events: a type, or a mapping of them."""

@@ -27,6 +27,10 @@ from deploy.scenario.setup import Setup
 
 FORGED_STATE = "forged_state"
 """Key in `RunData.rejected`: commands of our own controller that answer no state of the plant."""
+ROBOT_SERVER = "robot_server"
+"""The link of a robot that answers its vendor's client."""
+CLIENT = "the robot's client"
+"""Shown instead of the law for such a client."""
 FOREIGN = "a foreign controller"
 """Shown instead of the law for an unknown controller."""
 
@@ -41,7 +45,7 @@ class RunData:
     Attributes:
         setup: its scenario.
         clock: ``realtime``, ``lockstep`` or ``virtual`` (in one process).
-        link: kind of link.
+        link: kind of link, or `ROBOT_SERVER`.
         tables: messages by topic name; every fixed-size topic has one, perhaps without rows.
         events: run events, by their time; those of one instant in order of arrival.
         digest: SHA-256 over the delivered joint states and the commands, in order.
@@ -72,6 +76,8 @@ class RunData:
     @property
     def controller(self) -> str:
         """Name of the controller: a law's, or a process's; an unknown one sends only commands."""
+        if self.link == ROBOT_SERVER:
+            return CLIENT
         controller = self.setup.scenario.controller
         has_told = len(self.tables[topics.CONTROL_STATUS.name]) or any(
             event.source == Role.CONTROLLER for event in self.events

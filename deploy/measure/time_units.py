@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from enum import StrEnum
 
 import numpy as np
 
@@ -57,3 +58,12 @@ def check_interval(times_s: Vector) -> None:
             f"the times are usually {median_s:.3g} s apart, must be {1e6 * _SHORTEST_S:g} µs to"
             f" {_LONGEST_S:g} s: is their unit another?"
         )
+
+
+class Unit(StrEnum):
+    """Units of times."""
+
+    S = "s"
+    MS = "ms"
+    US = "us"
+    NS = "ns"

@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from bus_schema.foreign_text import say
 from deploy.reports.kinds import kind_of, study_type
-from deploy.reports.results import (
-    Results,
-    comparison_results,
-    diff_results,
-    study_results,
-    write_results,
-    write_run,
-    write_study,
-)
+from deploy.reports.results import Again, Results, write_results, write_run
+from deploy.reports.studies.results import study_results, write_study
 from deploy.run.execute import JudgedRun
-from deploy.run.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_summary
+from deploy.run.run_folder import RunFolder, RunFolderError, load_run, read_summary
 from deploy.scenario.yaml_files import ScenarioError, naming, read_yaml
-from deploy.study.comparison.recorded import read_again
 from deploy.study.execution.folder import STUDY_FILE, StudyFolder, changes_since
 from deploy.study.execution.runner import retrace
 from deploy.study.study import StudyOfRuns
-
-Again = tuple[ResultFolder, Callable[[], Results]]
-"""The folder, to be locked, and a function that then judges its results and writes their files."""
 
 
 def evaluated_again(path: Path) -> Again:
@@ -42,23 +30,6 @@ def evaluated_again(path: Path) -> Again:
     if again is None:
         again = _study_again if (path / STUDY_FILE).is_file() else _run_again
     return again(path)
-
-
-def laws_again(path: Path) -> Again:
-    """Judge the recordings of a comparison; its study may have changed, or be of an old version."""
-    folder = ResultFolder(path.resolve())
-
-    def judge() -> Results:
-        results, _ = comparison_results(folder, read_summary(folder.path))
-        return write_results(folder, results)
-
-    return folder, judge
-
-
-def diff_again(path: Path) -> Again:
-    """Judge recorded runs side by side."""
-    results, folder = diff_results(read_again(path)), ResultFolder(path.resolve())
-    return folder, lambda: write_results(folder, results)
 
 
 def read_study(path: Path) -> StudyOfRuns:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from bus_schema.foreign_text import markdown_table, printable
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.gate import ENTRIES, ENTRY, Entry, Gauged
-from deploy.reports.page import Fact, Page, Panel
-from deploy.reports.verdict_texts import ReportHead
+from deploy.reports.page import Fact, Page, Panel, ReportHead
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -18,101 +17,58 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.registry import Registry
 from bus_schema.user_files import read_text
 from deploy.judge.gate import Gauged
-from deploy.judge.verdict import Verdict, verdict_of
-from deploy.reports.gauges import (
-    GaugedBenchmark,
-    GaugedComparison,
-    GaugedDataSheet,
-    GaugedMargins,
-    GaugedRobotSheet,
-    GaugedRobustness,
-    GaugedRun,
-    GaugedSummary,
-    GaugedSweep,
-    GaugedTuning,
-)
-from deploy.reports.studies.study_tables import margins_by_law, robustness_table
-from deploy.reports.tables import Table
+from deploy.judge.verdict import verdict_of
+from deploy.reports.gauges import GaugedRun, GaugedSummary
 from deploy.scenario.yaml_files import ScenarioError
 
 if TYPE_CHECKING:
-    from deploy.reports.again import Again
     from deploy.reports.figures.study_figures import DrawnStudy
     from deploy.reports.page import Page
+    from deploy.reports.results import Again, Results
+    from deploy.study.execution.folder import StudyFolder
     from deploy.study.study import StudyOfRuns
 
 Summary = Mapping[str, Any]
 
-_OLDER, _COMPLETE = "older version", "complete"
-_WORST = (
-    _OLDER,
-    *(each.listed for each in (Verdict.INTERRUPTED, Verdict.NOTHING, Verdict.FAULTED)),
-)
+OLDER, COMPLETE = "older version", "complete"
 _JSON = TypeAdapter(dict[str, Any])
 _ALLOWED = "must be summary.json of a finished run or study, or its folder"
 
 
-def _verdict(summary: Summary) -> str:
+def run_verdict(summary: Summary) -> str:
     """Return the verdict in a summary; older versions did not write it there."""
     is_older = "ticks" in summary and "verdict" not in summary
-    return _OLDER if is_older else verdict_of(summary).listed
+    return OLDER if is_older else verdict_of(summary).listed
 
 
-def _completeness(summary: Summary) -> str:
-    return _COMPLETE if summary.get("completed") else _verdict(summary)
-
-
-def _worst_law(summary: Summary) -> str:
-    laws = summary.get("laws")
-    if not isinstance(laws, dict):
-        return _completeness(summary)
-    found = {_verdict(law) for law in laws.values() if isinstance(law, dict)}
-    return next((each for each in _WORST if each in found), _COMPLETE)
+def completeness(summary: Summary) -> str:
+    """Return ``complete``, or the verdict in a summary."""
+    return COMPLETE if summary.get("completed") else run_verdict(summary)
 
 
 @dataclass(frozen=True)
 class ResultKind:
-    """A kind of result: its page and its numbers.
-
-    What is heavy to import is named as ``module:name``, and imported when it is first needed.
+    """A kind of result: its study, its page and its numbers.
 
     Attributes:
         name: ``kind`` in its summary.
         gauged: the numbers that a gate reads; None if it has none.
-        quoted: returns the table for documents; None if it has none.
+        study: the class of its studies; None if it is no study.
+        page: makes the page of a study from its summary; None if recordings are judged.
+        judged: judges the recordings in the folder of a study, from its summary; None without any.
+        again: judges it again; None for one recording, and for the rows of a study.
         listed: returns its result in a list: a verdict, or ``complete``.
         is_run: whether it is a single run.
-        page_at: place of `page`; empty for None, as with the next two.
-        study_at: place of `study`.
-        again_at: place of `again`.
     """
 
     name: str
     gauged: type[GaugedSummary] | None = None
-    quoted: Callable[[dict[str, Any]], Table] | None = None
-    listed: Callable[[Summary], str] = _completeness
+    study: type[StudyOfRuns] | None = None
+    page: Callable[[DrawnStudy], Page[DrawnStudy]] | None = None
+    judged: Callable[[StudyFolder, dict[str, Any]], Results] | None = None
+    again: Callable[[Path], Again] | None = None
+    listed: Callable[[Summary], str] = completeness
     is_run: bool = False
-    page_at: str = ""
-    study_at: str = ""
-    again_at: str = ""
-
-    @property
-    def page(self) -> Callable[[DrawnStudy], Page[DrawnStudy]] | None:
-        """Return what makes the page of a study from its summary; None if recordings are judged."""
-        found: Callable[[DrawnStudy], Page[DrawnStudy]] | None = _at(self.page_at)
-        return found
-
-    @property
-    def study(self) -> type[StudyOfRuns] | None:
-        """Return the class of its studies; None if it is no study."""
-        found: type[StudyOfRuns] | None = _at(self.study_at)
-        return found
-
-    @property
-    def again(self) -> Callable[[Path], Again] | None:
-        """Return what judges it again; None for one recording, and for the rows of a study."""
-        found: Callable[[Path], Again] | None = _at(self.again_at)
-        return found
 
     def unit_for(self, asked: str, unit: str) -> str:
         """Return the unit of the numbers that a gate reads.
@@ -129,38 +85,21 @@ class ResultKind:
         return "" if self.gauged is None else self.gauged.compared_with(quantity, patterns=patterns)
 
 
-def _at(place: str) -> Any:
-    """Import what is at ``module:name``; None if the place is empty."""
-    return resolve_name(place) if place else None
+_SHIPPED = {
+    **{
+        name: f"deploy.studies.{name}.kind:KIND"
+        for name in (
+            "comparison", "diff", "sweep", "margin", "robustness", "tune", "benchmark", "datasheet",
+        )
+    },
+    "robot_datasheet": "deploy.studies.datasheet.kind:ROBOT",
+}  # fmt: skip
+"""Where what ships is, in the form of an entry point: each package of `deploy.studies` has one."""
 
-
-RESULT_KINDS: Registry[ResultKind] = Registry("studies", "kind", ResultKind, {
-    kind.name: kind
-    for kind in (
-        ResultKind("run", GaugedRun, listed=_verdict, is_run=True),
-        ResultKind("comparison", GaugedComparison, listed=_worst_law,
-                   study_at="deploy.study.comparison.comparison:LawComparison",
-                   again_at="deploy.reports.again:laws_again"),
-        ResultKind("diff", again_at="deploy.reports.again:diff_again"),
-        ResultKind("sweep", GaugedSweep, page_at="deploy.reports.studies.sweep_page:sweep_page",
-                   study_at="deploy.study.sweep:Sweep"),
-        ResultKind("margin", GaugedMargins, margins_by_law,
-                   page_at="deploy.reports.studies.margin_pages:margin_page",
-                   study_at="deploy.study.margin:Margin"),
-        ResultKind("robustness", GaugedRobustness, robustness_table,
-                   page_at="deploy.reports.studies.margin_pages:robustness_page",
-                   study_at="deploy.study.robustness:Robustness"),
-        ResultKind("tune", GaugedTuning, page_at="deploy.reports.studies.tune_page:tune_page",
-                   study_at="deploy.study.tuning.tuning:Tuning"),
-        ResultKind("benchmark", GaugedBenchmark,
-                   page_at="deploy.reports.studies.benchmark_page:benchmark_page",
-                   study_at="deploy.study.benchmark.benchmark:Benchmark"),
-        ResultKind("datasheet", GaugedDataSheet,
-                   again_at="deploy.reports.studies.data_sheet_results:sheet_again"),
-        ResultKind("robot_datasheet", GaugedRobotSheet,
-                   again_at="deploy.reports.studies.robot_sheet_results:robot_sheet_again"),
-    )
-})  # fmt: skip
+RESULT_KINDS: Registry[ResultKind] = Registry(
+    "studies", "kind", ResultKind,
+    {"run": ResultKind("run", GaugedRun, listed=run_verdict, is_run=True), **_SHIPPED},
+)  # fmt: skip
 """Kinds of results by name; installed packages add kinds of study."""
 
 

@@ -5,17 +5,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    pass
+
 import base64
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias, TypeVar
+from collections.abc import Callable
+from dataclasses import field
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from deploy.reports.tables import Table
-from deploy.reports.verdict_texts import ReportHead
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -133,6 +139,7 @@ class Page(Generic[T]):
         footer: what a reader may look for next.
         footer_code: the name or number that ends the footer.
         shares_library: whether other reports use the library of the figures, too.
+        quoted: returns the table for documents; None for none.
     """
 
     kind: str
@@ -153,6 +160,7 @@ class Page(Generic[T]):
     footer: str = ""
     footer_code: str = ""
     shares_library: bool = False
+    quoted: Callable[[], Table] | None = None
 
     @property
     def tables(self) -> list[Table]:
@@ -167,3 +175,31 @@ class Page(Generic[T]):
 
 def _tables(groups: Iterable[Cards]) -> list[Table]:
     return [table for cards in groups for table in cards.tables]
+
+
+Level = Literal["good", "bad", "mixed", "broken"]
+
+
+@dataclass(frozen=True)
+class ReportHead:
+    """The top of a report.
+
+    Attributes:
+        level: ``good``, ``bad`` (bounds not kept), ``mixed`` (kept by some laws only) or ``broken``
+            (no run to judge as a whole).
+        headline: the verdict.
+        reasons: what it rests on, a sentence each.
+        faults: what went wrong, causes before what followed from them.
+        printed: the reasons that a terminal shows, where its tables hold the others; None for all.
+    """
+
+    level: Level
+    headline: str
+    reasons: Sequence[str]
+    faults: Sequence[str] = ()
+    printed: Sequence[str] | None = None
+
+
+def level_of(kept: int, total: int) -> Level:
+    """The level of so many runs or points that kept their bounds."""
+    return "good" if kept == total else "mixed" if kept else "bad"

@@ -14,9 +14,8 @@ from rich.text import Text
 
 from bus_schema.configuration import shortened
 from deploy.judge.conditions import conditions_line
-from deploy.reports.page import Page
+from deploy.reports.page import Level, Page, ReportHead
 from deploy.reports.tables import Column, Status, Table
-from deploy.reports.verdict_texts import Level, ReportHead
 
 STYLES: dict[Status | Level, str] = {
     "": "", "best": "bold", "mixed": "bold",

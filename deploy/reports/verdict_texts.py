@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from deploy.judge.bounds import plant_count
 from deploy.judge.chunks import Chunks
@@ -13,9 +12,9 @@ from deploy.judge.findings.loss_reason import LossReason
 from deploy.judge.findings.reasons import Reason
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
-from deploy.judge.result.section import PerJoint
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
+from deploy.reports.page import ReportHead, level_of
 from deploy.reports.runs.host_sentences import sentences_on_the_host
 from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
 from deploy.reports.tables import margin_text, number
@@ -23,11 +22,8 @@ from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
     from deploy.run.execute import JudgedRun
-    from deploy.study.comparison.comparison import ComparedRuns
-    from deploy.study.comparison.recorded import Parting, RecordedRuns
-    from deploy.study.comparison.settling import SettlingTest
 
-Level = Literal["good", "bad", "mixed", "broken"]
+
 PARTIAL = "The recording is incomplete: the recorder did not finish it."
 UNCHECKED = (
     "The recording has no checksum over all its bytes: damage between messages would not"
@@ -37,26 +33,6 @@ _NO_COMMAND = "no command ever acted on the arm"
 _MRAD = 1e3
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
-
-
-@dataclass(frozen=True)
-class ReportHead:
-    """The top of a report.
-
-    Attributes:
-        level: ``good``, ``bad`` (bounds not kept), ``mixed`` (kept by some laws only) or ``broken``
-            (no run to judge as a whole).
-        headline: the verdict.
-        reasons: what it rests on, a sentence each.
-        faults: what went wrong, causes before what followed from them.
-        printed: the reasons that a terminal shows, where its tables hold the others; None for all.
-    """
-
-    level: Level
-    headline: str
-    reasons: Sequence[str]
-    faults: Sequence[str] = ()
-    printed: Sequence[str] | None = None
 
 
 def verdict_on_run(
@@ -115,25 +91,40 @@ def _sentences_on_the_tip(result: RunResult, from_s: float) -> list[str]:
 
 
 def _sentences_on_chunks(chunks: Chunks | None) -> list[str]:
-    """Return what is worth a look of a slow law's answers: jumps, old observations, no row left."""
+    """Return what is worth a look of a slow law's answers: jumps, jerk, ages, and waiting."""
     if chunks is None or not chunks.switches or not chunks.age_ms:
         return []
-    jump_rad, ages = chunks.jump_rad, chunks.age_ms
-    jumped = (
-        ""
-        if jump_rad is None
-        else (
-            f", largest jump of a target {number(_MRAD * jump_rad)} mrad ({chunks.jump_joint} at"
-            f" {chunks.jump_s:.2f} s; {number(chunks.jump_mm)} mm at the tip)"
-        )
+    ages, bound_ms, share = chunks.age_ms, chunks.age_bound_ms, chunks.starved_share
+    bound = "" if bound_ms is None else f"; d + s is {number(bound_ms)} ms"
+    waited = (
+        f" The arm waited, with nothing left to send, at {100.0 * share:.3g} % of the states"
+        f" ({chunks.starved_ticks:,})."
+        if share
+        else ""
     )
-    share = 100.0 * (chunks.starved_share or 0.0)
-    left = f" Nothing was left to send at {share:.3g} % of the states."
     return [
-        f"{chunks.switches} new answers of the law{jumped}. The observation behind an answer in"
-        f" force was {number(ages['median'])} ms old (median), {number(ages['largest'])} ms at"
-        f" most.{left if share else ''}"
+        f"{chunks.switches} new answers of the law{_jump_text(chunks)}.{_jerk_text(chunks)} The"
+        f" observation behind an answer in force was {number(ages['median'])} ms old (median),"
+        f" {number(ages['largest'])} ms at most{bound}.{waited}"
     ]
+
+
+def _jump_text(chunks: Chunks) -> str:
+    if chunks.jump_rad is None:
+        return ""
+    return (
+        f", largest jump of a target {number(_MRAD * chunks.jump_rad)} mrad ({chunks.jump_joint} at"
+        f" {chunks.jump_s:.2f} s), of the tip {number(chunks.jump_mm)} mm"
+    )
+
+
+def _jerk_text(chunks: Chunks) -> str:
+    if chunks.jerk_rad_s3 is None:
+        return ""
+    return (
+        f" Jerk of the commanded motion: {number(chunks.jerk_rad_s3)} rad/s³ at most"
+        f" ({chunks.jerk_joint}), RMS {number(chunks.jerk_rms_rad_s3)} rad/s³."
+    )
 
 
 def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
@@ -250,54 +241,10 @@ def _loss_text(loss: LossReason | None) -> str:
     return "" if loss is None else f" ({loss.joint}, {loss_words(loss)})"
 
 
-def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
-    """The verdict on a comparison."""
-    runs = comparison.runs
-    kept = sum(run.kept_bounds for run in runs)
-    headline = f"{kept} of {len(runs)} laws kept their bounds"
-    if all(_is_sound(run) for run in runs) and kept in (0, len(runs)):
-        headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
-    unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
-    head = _head(runs, headline, [*unread, *_ranking(comparison), *settled])
-    faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
-    return replace(head, printed=[*unread, *settled, *faulted])
-
-
-def settling_sentence(test: SettlingTest) -> str:
-    """Say in one sentence how a law settled from near and far."""
-    times = [start.settling_time_s for start in test.starts]
-    known = [time for time in times if time is not None]
-    farthest = number(max((start.distance_rad for start in test.starts), default=None))
-    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
-    slowest = f", at most {number(max(known))} s" if known else ""
-    return (
-        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
-        f"{slowest}{bound}"
-    )
-
-
-def verdict_on_runs(compared: RecordedRuns) -> ReportHead:
-    """Return the head of a report on recorded runs: whether they are equal, and where they part."""
-    runs, keys = compared.runs, len(compared.differing)
-    has_gaps = any(known_ticks(run.data).missing for run in runs)
-    every = "every tick that is known of both" if has_gaps else "every tick"
-    reasons = [
-        f"{label}: {_parting_text(parting, compared.labels[0], every)}"
-        for label, parting in zip(compared.labels[1:], compared.partings[1:], strict=True)
-    ]
-    reasons += [f"{label}: {text}" for label, text in compared.differences_of_arithmetic.items()]
-    reasons += recording_sentences(runs)
-    differ = "value differs" if keys == 1 else "values differ"
-    reasons.append(f"{keys or 'No'} {differ} between the scenarios.")
-    kept = sum(run.kept_bounds for run in runs)
-    headline = f"{kept} of {len(runs)} runs kept their bounds; they are {_same(compared, every)}"
-    return _head(runs, headline, reasons)
-
-
-def _head(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> ReportHead:
+def head_of_runs(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> ReportHead:
     """Return how each run ended, and the level: how many of them kept their bounds."""
     sentences = [*(f"{run.law}: {bounds_sentence(run)}" for run in runs), *reasons]
-    unsound = [run for run in runs if not _is_sound(run)]
+    unsound = [run for run in runs if not is_sound(run)]
     if unsound:
         unread = (
             " or cannot be read completely" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
@@ -307,12 +254,7 @@ def _head(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> R
     return ReportHead(level_of(kept, len(runs)), headline, sentences)
 
 
-def level_of(kept: int, total: int) -> Level:
-    """The level of so many runs or points that kept their bounds."""
-    return "good" if kept == total else "mixed" if kept else "bad"
-
-
-def _is_sound(run: JudgedRun) -> bool:
+def is_sound(run: JudgedRun) -> bool:
     """Whether it came to its end, and is known whole."""
     return run.verdict in (Verdict.KEPT, Verdict.LOST)
 
@@ -343,67 +285,3 @@ def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
         if (known := known_ticks(run.data)).missing:
             found.append(f"{run.law}: {missing_ticks_sentence(known)}")
     return found
-
-
-def _ranking(comparison: ComparedRuns) -> list[str]:
-    """Name the most precise law that kept its bounds, joint by joint, and the smoothest."""
-    kept = [run for run in comparison.runs if run.kept_bounds]
-    sentences = []
-    numbers: dict[str, dict[str, PerJoint | None]] = {
-        "Smallest RMS error": {run.law: run.result.tracking.rms_rad for run in kept},
-        "Smallest total variation of torque": {
-            run.law: run.result.torque.total_variation_nm_per_s for run in kept
-        },
-    }
-    for what, by_law in numbers.items():
-        competing = {law: values for law, values in by_law.items() if values is not None}
-        if len(competing) > 1:
-            sentences.append(f"{what}: {_winners(competing, kept)}.")
-    return sentences
-
-
-def _winners(competing: dict[str, list[float]], kept: list[JudgedRun]) -> str:
-    """Name the smallest number on each joint, and its distance from the next best."""
-    names = kept[0].result.tracking.joint_names
-    won: dict[str, dict[str, float]] = {}
-    for joint, name in enumerate(names):
-        first, second = sorted(competing, key=lambda law: competing[law][joint])[:2]
-        ratio = competing[first][joint] / max(competing[second][joint], 1e-300)
-        won.setdefault(first, {})[name] = ratio
-    return "; ".join(
-        f"{law} on {_joints(list(ratios), len(names))},"
-        f" at most {number(max(ratios.values()))} × the next best"
-        for law, ratios in won.items()
-    )
-
-
-def _joints(some: list[str], joints: int) -> str:
-    if len(some) == joints:
-        return "every joint"
-    if len(some) <= _NAMED_JOINTS:
-        return " and ".join(some)
-    return f"{len(some)} of {joints} joints"
-
-
-def _same(compared: RecordedRuns, every: str) -> str:
-    partings = [parting for parting in compared.partings if parting is not None]
-    if not partings:
-        return f"the same at {every}"
-    has_same_begin = all(each.is_end and each.largest_rad is not None for each in partings)
-    return "the same until one ends" if has_same_begin else "not the same"
-
-
-def _parting_text(parting: Parting | None, first: str, every: str) -> str:
-    if parting is None:
-        return f"bit-identical to {first} at {every}"
-    if parting.largest_rad is None:
-        return f"has no tick at the time of one of {first}"
-    if parting.is_end:
-        return (
-            f"bit-identical to {first} at {every} before {parting.tick}, where one of the runs ends"
-        )
-    apart = number(parting.largest_rad, _MRAD, " mrad")
-    return (
-        f"differs from {first} from tick {parting.tick} on ({number(parting.time_s)} s); positions"
-        f" differ by at most {apart}"
-    )

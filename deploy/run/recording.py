@@ -49,11 +49,7 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     )
     log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
     scenario = setup.scenario
-    log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
-    arm = replace(setup.robot, base_rpy_rad=None)  # the scenario mounts it
-    log.attach(ROBOT_ATTACHMENT, "application/xml", arm.resolved_urdf().encode())
-    for key, file in data_files(scenario).items():
-        log.attach(DATA_FILES[key], "text/plain", file.read_bytes())
+    attach_scenario(log, setup)
     log.add_metadata(
         RUN_METADATA,
         {"scenario": scenario.name, "law": scenario.controller.name, "clock": clock, "link": link},
@@ -61,6 +57,15 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     if log.failure is not None:
         raise log.failure
     return log
+
+
+def attach_scenario(log: McapLog, setup: Setup) -> None:
+    """Attach everything needed to judge or repeat a run; what is attached last counts."""
+    log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
+    arm = replace(setup.robot, base_rpy_rad=None)  # the scenario mounts it
+    log.attach(ROBOT_ATTACHMENT, "application/xml", arm.resolved_urdf().encode())
+    for key, file in data_files(setup.scenario).items():
+        log.attach(DATA_FILES[key], "text/plain", file.read_bytes())
 
 
 def close_log(log: McapLog, lost: Counter[str], rejected: Counter[str]) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from controller.reference import sample_positions
-
-if TYPE_CHECKING:
-    from deploy.scenario.setup import Setup
+from deploy.scenario.checked_scenario import CheckedScenario
 
 Direction = Literal["both", "uplink", "downlink"]
 
@@ -19,7 +17,7 @@ _AT_A_TIME_S = 0.1
 _LATEST_CEILING_S = 5.0
 
 
-def held_arm_ceiling_ms(setup: Setup, direction: Direction = "both") -> float | None:
+def held_arm_ceiling_ms(setup: CheckedScenario, direction: Direction = "both") -> float | None:
     """Return the delay at which an arm that is held at its start leaves the funnel, ms.
 
     No law can start with a longer delay: until the first command acts, one round trip after the

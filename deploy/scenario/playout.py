@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import AUTO, LinkConfiguration
+from bus_schema.runtime.clock import TickGrid
 from controller.compensation.command_timeline import (
     GROWS_BY,
     LONGEST_HORIZON_NS,
@@ -15,6 +15,7 @@ from controller.compensation.command_timeline import (
     HorizonSettings,
 )
 from controller.configuration import LONGEST_HORIZON_MS
+from deploy.scenario.checked_scenario import CheckedScenario
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from plant_emulator.channel.delay_range import (
     configured_delays_ns,
@@ -24,9 +25,6 @@ from plant_emulator.channel.delay_range import (
     round_trip_ns,
     spare_at_start_ns,
 )
-
-if TYPE_CHECKING:
-    from deploy.scenario.setup import Setup
 
 EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
 """Key that sets an automatic play-out time, from the start of a run."""
@@ -47,7 +45,7 @@ _GROWS_BY_ON_NETWORK = 0.3
 """Growth of the horizon where delays vary at random: a burst may come soon."""
 
 
-def resolved_link(setup: Setup) -> LinkConfiguration:
+def resolved_link(setup: CheckedScenario) -> LinkConfiguration:
     """Return the section ``link`` with the play-out time that applies.
 
     Raises:
@@ -76,12 +74,17 @@ def resolved_link(setup: Setup) -> LinkConfiguration:
     return link
 
 
-def horizon_settings(setup: Setup) -> HorizonSettings:
-    """Return how the controller chooses the time from a state until its command acts."""
-    of_link, actuator = _of_link(setup), setup.scenario.plant.actuator
+def horizon_settings(setup: CheckedScenario, link: LinkConfiguration) -> HorizonSettings:
+    """Return how the controller chooses the time from a state until its command acts.
+
+    Args:
+        setup: the scenario.
+        link: its section ``link`` by `resolved_link`.
+    """
+    of_link, actuator = _of_link(setup, link), setup.scenario.plant.actuator
     actuator_ns = actuator.delay_steps(1e-9 * _grain_ns(setup)) * _grain_ns(setup)
     return of_link._replace(
-        row_ticks=_row_ticks(setup, of_link),
+        row_ticks=_row_ticks(setup, link, of_link),
         most_ns=min(of_link.most_ns + actuator_ns, LONGEST_HORIZON_NS),
         least_ns=of_link.least_ns + actuator_ns,
         first_ns=of_link.first_ns + actuator_ns,
@@ -90,14 +93,13 @@ def horizon_settings(setup: Setup) -> HorizonSettings:
     )
 
 
-def _grain_ns(setup: Setup) -> int:
+def _grain_ns(setup: CheckedScenario) -> int:
     """Return the length of a physics step."""
     return setup.grid.period_ns // setup.grid.substeps
 
 
-def _of_link(setup: Setup) -> HorizonSettings:
+def _of_link(setup: CheckedScenario, link: LinkConfiguration) -> HorizonSettings:
     """Return these settings without the actuators' dead time."""
-    link = setup.link
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     expected_ns = None if expected_ms is None else round(expected_ms * 1e6)
     if not link.plays_automatically:
@@ -120,53 +122,46 @@ def _of_link(setup: Setup) -> HorizonSettings:
     )
 
 
-def playout_range_ns(setup: Setup) -> tuple[int, int]:
+def playout_range_ns(
+    link: LinkConfiguration, horizon: HorizonSettings, grid: TickGrid
+) -> tuple[int, int]:
     """Return the time from a state until its torque acts, at the start of a run and later, ns.
 
     It has both values only where it is chosen automatically, for delays that vary. A command that
     comes late acts later.
     """
-    return _range_ns(setup, setup.horizon)
-
-
-def _range_ns(setup: Setup, horizon: HorizonSettings) -> tuple[int, int]:
-    if not setup.link.plays_automatically:
-        return setup.link.playout_ns, setup.link.playout_ns
-    chosen_ns = (horizon.first_ns, horizon.wanted_ns)
-    first_ns, later_ns = map(setup.grid.next_substep_ns, chosen_ns)
+    if not link.plays_automatically:
+        return link.playout_ns, link.playout_ns
+    first_ns, later_ns = map(grid.next_substep_ns, (horizon.first_ns, horizon.wanted_ns))
     return min(first_ns, LONGEST_HORIZON_NS), min(later_ns, LONGEST_HORIZON_NS)
 
 
-def levels(setup: Setup) -> bool:
+def levels(link: LinkConfiguration, horizon: HorizonSettings, grid: TickGrid) -> bool:
     """Whether every message of a run arrives before the play-out lets it act, at any time."""
-    return _levels(setup, setup.horizon)
-
-
-def _levels(setup: Setup, horizon: HorizonSettings) -> bool:
-    sides = setup.link.uplink, setup.link.downlink
+    sides = link.uplink, link.downlink
     up_ns, down_ns = map(largest_delay_ns, sides)
-    is_resent = setup.link.transport == "tcp" and any(map(loses, sides))
+    is_resent = link.transport == "tcp" and any(map(loses, sides))
     if up_ns is None or down_ns is None or is_resent:
         return False
-    first_ns, later_ns = _range_ns(setup, horizon)
+    first_ns, later_ns = playout_range_ns(link, horizon, grid)
     spare_ns = 0
     if later_ns > first_ns:
         spare_ns = spare_at_start_ns(sides, GROWS_BY)
     return min(first_ns + spare_ns, later_ns) >= up_ns + down_ns
 
 
-def _may_be_late(setup: Setup, horizon: HorizonSettings) -> bool:
+def _may_be_late(setup: CheckedScenario, link: LinkConfiguration, horizon: HorizonSettings) -> bool:
     """Whether commands may come too late, or several in a row not at all."""
-    sides = setup.link.uplink, setup.link.downlink
+    sides = link.uplink, link.downlink
     is_emulated = any(side != ChannelConfiguration() for side in sides)
     expected_ms = setup.scenario.controller.delay_compensation.expected_round_trip_ms
     if expected_ms is not None and not is_emulated:
         return True  # the delay of a real link, which may vary
     is_cut = any(fault.kind == "link_cut" for fault in setup.scenario.faults)
-    return is_cut or any(map(loses_in_a_row, sides)) or not _levels(setup, horizon)
+    return is_cut or any(map(loses_in_a_row, sides)) or not levels(link, horizon, setup.grid)
 
 
-def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
+def _row_ticks(setup: CheckedScenario, link: LinkConfiguration, horizon: HorizonSettings) -> int:
     """Return how many ticks lie between two rows of a command; 0 without a bridge.
 
     Raises:
@@ -176,7 +171,7 @@ def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
     given, bridge_ms = compensation.bridge_ms, 0.0
     if isinstance(given, float):
         bridge_ms = given
-    elif horizon.is_announced and compensation.learns_model and _may_be_late(setup, horizon):
+    elif horizon.is_announced and compensation.learns_model and _may_be_late(setup, link, horizon):
         bridge_ms = min(_BRIDGE_MS, setup.scenario.plant.command_timeout_ms)
         piece_ms = 1e-6 * PIECES * setup.grid.period_ns
         bridge_ms -= bridge_ms % piece_ms  # to whole ticks, and not beyond the time-out
@@ -189,7 +184,7 @@ def _row_ticks(setup: Setup, horizon: HorizonSettings) -> int:
     return math.ceil(1e6 * bridge_ms / (PIECES * setup.grid.period_ns))
 
 
-def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int, float]:
+def _emulated(setup: CheckedScenario, link: LinkConfiguration) -> tuple[int, int, float]:
     """Return the horizon at the start, the one to reach, and how fast, for the emulated link.
 
     At the start, what the link's schedule adds later counts only where the horizon does not grow to
@@ -207,7 +202,7 @@ def _emulated(setup: Setup, link: LinkConfiguration) -> tuple[int, int, float]:
     return min(wanted_ns - spare_ns, first_ns), wanted_ns, _GROWS_BY_ON_NETWORK
 
 
-def _bearable_ns(setup: Setup, share: float) -> int:
+def _bearable_ns(setup: CheckedScenario, share: float) -> int:
     """Return a share of the time for which the arm can be held at its start."""
     ceiling_ms = held_arm_ceiling_ms(setup)
     return round(share * (_EASILY_HELD_NS if ceiling_ms is None else 1e6 * ceiling_ms))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
@@ -16,13 +16,11 @@ from controller.laws.custom import EXTERNAL, LeftOut
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from controller.policies.configuration import is_address
+from deploy.scenario.checked_scenario import CheckedScenario
+from deploy.scenario.definition import ScenarioConfiguration
 from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
 from plant_emulator.interfaces.configuration import InterfaceConfiguration
 from plant_emulator.interfaces.settings import TORQUE
-
-if TYPE_CHECKING:
-    from deploy.scenario.definition import ScenarioConfiguration
-    from deploy.scenario.setup import Setup
 
 _SECTION = "plant.interface"
 _KEY = f"{_SECTION}.kind"
@@ -31,7 +29,7 @@ _OF_ITS_CONTROLLER = ("rate_hz", "clock_ppm", "phase_ms", "bandwidth_rad_s")
 """Keys of the section that only robots with a controller of their own have."""
 
 
-def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
+def law_for_robot(setup: CheckedScenario, link: LinkConfiguration, law: ControlLaw) -> ControlLaw:
     """Return a law whose commands are what the robot takes.
 
     A law of positions or velocities reads the reference ahead; the torque of another one moves the
@@ -40,7 +38,7 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
     scenario = setup.scenario
     controller, takes = scenario.controller, scenario.plant.interface.takes
     if isinstance(law, OuterLaw):
-        law.follow(setup.reference.copied(), preview_s(setup))
+        law.follow(setup.reference.copied(), preview_s(setup, link))
     else:
         _check_no_preview(setup)
     moves_model = takes != TORQUE and not (hasattr(law, "target") or isinstance(law, LeftOut))
@@ -54,24 +52,19 @@ def law_for_robot(setup: Setup, law: ControlLaw) -> ControlLaw:
     return Admittance(paced, model, setup.largest_torques_nm)
 
 
-def longest_step_s(setup: Setup) -> float:
+def longest_step_s(setup: CheckedScenario) -> float:
     """Return the time between states above which some were absent, for laws that send targets."""
-    return math.inf if takes_torque(setup) else 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
+    return math.inf if setup.takes_torque else 1e-9 * (ABSENCE_STATES * setup.grid.period_ns)
 
 
-def takes_torque(setup: Setup) -> bool:
-    """Whether the robot's drives follow torques."""
-    return setup.scenario.plant.interface.takes == TORQUE
-
-
-def interface_in_force(setup: Setup) -> InterfaceConfiguration:
+def interface_in_force(setup: CheckedScenario) -> InterfaceConfiguration:
     """Return the robot's interface with its clock against that of the control loop's ticks."""
     interface, controller = setup.scenario.plant.interface, setup.scenario.controller
     ppm = interface.clock_ppm - controller.clock_ppm
     return interface.model_copy(update={"clock_ppm": ppm})
 
 
-def preview_s(setup: Setup) -> float:
+def preview_s(setup: CheckedScenario, link: LinkConfiguration) -> float:
     """Return how far ahead of a state the reference is read.
 
     ``auto`` is the median round trip at the start, or the play-out time if that is longer, the lag
@@ -86,7 +79,7 @@ def preview_s(setup: Setup) -> float:
         return 1e-3 * controller.preview_ms
     if not interface.has_controller:
         return 0.0
-    link, period_s = setup.link, 1e-9 * setup.grid.period_ns
+    period_s = 1e-9 * setup.grid.period_ns
     ways = (way.model_copy(update={"schedule": ()}) for way in (link.uplink, link.downlink))
     up_ns, down_ns = map(configured_delays_ns, ways)
     usual_ns = round_trip_ns(up_ns, down_ns, 0.5)
@@ -96,7 +89,7 @@ def preview_s(setup: Setup) -> float:
     return round_trip_s + age_s + robot_lag_s(setup)
 
 
-def robot_lag_s(setup: Setup) -> float:
+def robot_lag_s(setup: CheckedScenario) -> float:
     """Return how far joints that move steadily are behind targets that have arrived.
 
     Raises:
@@ -114,7 +107,7 @@ def robot_lag_s(setup: Setup) -> float:
     return lag_s + float((drive.damping_nm_s / drive.stiffness_nm_rad).mean())
 
 
-def check_interface(setup: Setup) -> None:
+def check_interface(setup: CheckedScenario) -> None:
     """Check that the law gives what the robot takes, over a link that can carry it.
 
     Raises:
@@ -160,7 +153,7 @@ def _torque_lacking(robot: RobotDescription) -> str:
     return ""
 
 
-def _check_no_preview(setup: Setup) -> None:
+def _check_no_preview(setup: CheckedScenario) -> None:
     """Check that no preview is given to a controller that reads no reference ahead."""
     controller = setup.scenario.controller
     if controller.preview_ms != "auto":

@@ -1,39 +1,24 @@
-"""A scenario with all that it refers to, from which the parts of a run are created."""
+"""The parts of a run, created from a checked scenario."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from bus_schema.arrays import Vector
-from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
+from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MessageLayout
-from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.clock import TickGrid
 from controller.compensation.command_timeline import HorizonSettings
 from controller.control_loop import ControlTask
-from controller.funnel import Funnel
 from controller.manipulator_model import ManipulatorModel
-from controller.reference import Reference
-from deploy.scenario.checking.explanation import Origin
-from deploy.scenario.definition import ScenarioConfiguration
-from deploy.scenario.link_kinds.kind import LINK_KINDS, Arm, LinkKind, LinkRun
+from deploy.scenario.checked_scenario import CheckedScenario
+from deploy.scenario.link_kinds.kind import Arm, LinkRun
 from deploy.scenario.plant_count import FunnelCounter
-from deploy.scenario.playout import horizon_settings, resolved_link
-from deploy.scenario.robot_interface import (
-    interface_in_force,
-    law_for_robot,
-    longest_step_s,
-    takes_torque,
-)
+from deploy.scenario.playout import horizon_settings, levels, playout_range_ns, resolved_link
+from deploy.scenario.robot_interface import interface_in_force, law_for_robot, longest_step_s
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.fault import ScheduledAction
 from plant_emulator.faults.process_faults import plant_faults
@@ -41,75 +26,30 @@ from plant_emulator.interfaces.interface import RobotInterface
 from plant_emulator.plant_task import PlantTask
 from plant_emulator.robot_controller import RobotController
 
-_GIVEN_BY = {
-    "plant.actuator.rotor_inertia_kg_m2=": "rotor inertia",
-    "plant.friction.coulomb_": "dry friction",
-    "plant.friction.viscous_": "viscous friction",
-}
-"""Keys of the drives, and their names in the source of their numbers."""
-
 
 @dataclass(frozen=True)
-class Setup:
-    """A scenario with everything its values refer to, checked for consistency.
+class Setup(CheckedScenario):
+    """A checked scenario from which the parts of a run are created."""
 
-    Attributes:
-        source: the scenario file.
-        nominal: the arm with the masses of the controller's nominal model.
-        funnel: the bounds that laws and judge share.
-        gains: gains in use, expanded to the robot's joints.
-        start_position_rad: joint positions at the start, shape (joints,).
-        governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
-        overrides: values set in addition to the file, as ``dotted.key=value``.
-        given_by: the option that set them.
-    """
+    @cached_property
+    def link(self) -> LinkConfiguration:
+        """Section ``link`` of the scenario, with the play-out time that applies."""
+        return resolved_link(self)
 
-    scenario: ScenarioConfiguration
-    source: Path
-    robot: RobotDescription
-    nominal: RobotDescription
-    reference: Reference
-    funnel: Funnel
-    gains: Any
-    start_position_rad: Vector
-    governing_inertia_kg_m2: Vector
-    grid: TickGrid
-    overrides: tuple[str, ...] = ()
-    given_by: str = "--set"
+    @cached_property
+    def horizon(self) -> HorizonSettings:
+        """Settings by which a controller with delay compensation chooses when its commands act."""
+        return horizon_settings(self, self.link)
 
     @property
-    def origin(self) -> Origin:
-        """Origin of the scenario's values, for messages."""
-        return Origin(self.source, self.overrides, self.given_by)
+    def playout_range_ns(self) -> tuple[int, int]:
+        """Time from a state until its torque acts, at the start of a run and later, ns."""
+        return playout_range_ns(self.link, self.horizon, self.grid)
 
     @property
-    def drive_data(self) -> str:
-        """Source of the numbers of the arm and its drives, where a scenario or the arm names it.
-
-        What an override gives is estimated no longer.
-        """
-        named, estimated = self.scenario.robot.drive_data or "", self.robot.estimated
-        for key, what in _GIVEN_BY.items():
-            if any(each.startswith(key) for each in self.overrides):
-                named = re.sub(rf"{what}[^,;]*", f"{what} as given", named)
-        return named if estimated in named else ", ".join(filter(None, [estimated, named]))
-
-    @property
-    def ticks(self) -> int:
-        return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
-
-    @property
-    def answer_every(self) -> int:
-        """Ticks from one state that the controller answers to the next."""
-        controller = self.scenario.controller
-        return 1 if controller.process is None else controller.every
-
-    @property
-    def largest_torques_nm(self) -> Vector:
-        """Largest torques that act on the arm, shape (joints,); inf where there is no limit."""
-        limits = self.scenario.limits.of_plant(self.robot).torque_nm
-        saturation_nm = self.scenario.plant.actuator.saturation_nm
-        return limits if saturation_nm is None else np.minimum(limits, saturation_nm)
+    def is_levelled(self) -> bool:
+        """Whether every message of a run arrives before the play-out lets it act, at any time."""
+        return levels(self.link, self.horizon, self.grid)
 
     def control_task(self) -> ControlTask:
         """Return a new task for a controller."""
@@ -122,7 +62,9 @@ class Setup:
             robot=self.robot,
             reference=self.reference.copied(),  # a law can write into its arrays
             funnel=self.funnel.copied(),
-            law=law_for_robot(self, controller.build_law(self.gains, self.nominal, rotors)),
+            law=law_for_robot(
+                self, self.link, controller.build_law(self.gains, self.nominal, rotors)
+            ),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
@@ -132,28 +74,9 @@ class Setup:
                 self.horizon,
                 rotors,
             ),
-            sends_targets=controller.drive_feedback.enabled or not takes_torque(self),
+            sends_targets=controller.drive_feedback.enabled or not self.takes_torque,
             longest_step_s=longest_step_s(self),
         )
-
-    @property
-    def drive(self) -> DriveGains:
-        """Gains of the drives' own loops."""
-        interface = self.scenario.plant.interface
-        if not takes_torque(self):
-            inertia = self.governing_inertia_kg_m2
-            gains = critically_damped(inertia, interface.bandwidth_rad_s)
-            return self.scenario.plant.drive_feedback.gains(gains)
-        wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
-        if not (wanted.enabled or plant.enabled):
-            return no_drive_feedback(self.robot.joints)
-        return self.tuned_drive
-
-    @property
-    def tuned_drive(self) -> DriveGains:
-        """Gains to which drives with their own loops are tuned, even if they take no targets."""
-        wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
-        return plant.gains(critically_damped(self.governing_inertia_kg_m2, wanted.bandwidth_rad_s))
 
     def plant_task(
         self, *, lockstep: bool, process_actions: tuple[ScheduledAction, ...] = ()
@@ -180,16 +103,6 @@ class Setup:
             watch=partial(FunnelCounter, self.reference, self.funnel),
         )
 
-    @cached_property
-    def link(self) -> LinkConfiguration:
-        """Section ``link`` of the scenario, with the play-out time that applies."""
-        return resolved_link(self)
-
-    @cached_property
-    def horizon(self) -> HorizonSettings:
-        """Settings by which a controller with delay compensation chooses when its commands act."""
-        return horizon_settings(self)
-
     def layouts(self) -> dict[str, MessageLayout]:
         """Wire layouts of the topics of fixed size, by their names."""
         return {
@@ -200,11 +113,6 @@ class Setup:
             for topic in topics.TOPICS
             if topic is not topics.RUN_EVENTS
         }  # fmt: skip
-
-    @property
-    def link_kind(self) -> LinkKind[Any]:
-        """The scenario's kind of link."""
-        return LINK_KINDS[self.scenario.link.kind]()
 
     def link_run(
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None

@@ -49,7 +49,9 @@ class Egm(Stoppable):
             self._target = target.copy()
         if self._silence.is_over(arrived=target is not None):
             self.stop(TIMEOUT, -1, f"no correction for {1e3 * self._timeout_s:g} ms")
-        wanted = self._target[1] + self._gain_per_s * (self._target[0] - self._joints.position)
+        away = self._target[0] - self._joints.position
+        away[np.isnan(away)] = 0.0  # a target that gives a velocity alone
+        wanted = self._target[1] + self._gain_per_s * away
         return self._joints.change(self._share * (wanted - self._joints.velocity))
 
 

@@ -24,6 +24,16 @@ class Motion(NamedTuple):
     acceleration_rad_s2: Vector
 
 
+class FreeTorque(NamedTuple):
+    """Torque beside that of gravity, which the robot's controller adds.
+
+    Attributes:
+        torque_nm: shape (joints,).
+    """
+
+    torque_nm: Vector
+
+
 class Reflex(NamedTuple):
     """A stop that a robot's own controller decides.
 
@@ -93,7 +103,7 @@ class RobotInterface(Protocol):
     def start(self, position_rad: Vector) -> None:
         """Begin at rest at a position, shape (joints,)."""
 
-    def step(self, target: Matrix | None, measured: Matrix) -> Motion | Vector:
+    def step(self, target: Matrix | None, measured: Matrix) -> Motion | FreeTorque | Vector:
         """Return the motion, or the torque in N m, from this cycle on.
 
         Args:

@@ -8,8 +8,15 @@ from typing import Any, ClassVar
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.registry import Registry
+from bus_schema.robot_description import RobotDescription
 from plant_emulator.interfaces.interface import RobotInterface
 from plant_emulator.interfaces.settings import InterfaceSettings
+
+Address = tuple[str, int]
+
+
+def _directly(client: Address) -> Address:
+    return client
 
 
 class RobotServer(ABC):
@@ -23,13 +30,24 @@ class RobotServer(ABC):
     Attributes:
         interface: what moves the arm.
         ports: numbers of its ports, by what they are for.
-        relayed: name of the port whose traffic an emulated network delays.
+        relayed: name of the port whose traffic an emulated network delays; empty if datagrams
+            that the robot sends first are delayed instead.
+        calls_client: whether the robot itself sends first, to a port of `ports` at its client.
         joints: number of joints that its clients expect; None for any.
+        arm_kind: interface that the arm's drives are for, if clients choose it; None for the given.
+        description: of the arm, which is set before its ports are opened.
+        client_host: where that client is.
+        route: returns where datagrams for a client are to be sent: an emulated network, or itself.
     """
 
     ports: ClassVar[Mapping[str, int]]
-    relayed: ClassVar[str]
+    relayed: ClassVar[str] = ""
+    calls_client: ClassVar[bool] = False
     joints: ClassVar[int | None] = None
+    arm_kind: ClassVar[str | None] = None
+    description: RobotDescription
+    client_host: str = "127.0.0.1"
+    route: Callable[[Address], Address] = staticmethod(_directly)
     interface: RobotInterface
 
     @abstractmethod
@@ -67,14 +85,27 @@ class RobotServer(ABC):
     @property
     @abstractmethod
     def counts(self) -> dict[str, Any]:
-        """Counts of what clients asked for, and causes of stops, for a summary."""
+        """Counts of what clients asked for, for a summary.
+
+        ``stops``, if the robot has any, is a list of stops with ``time_s``, ``reason`` and
+        ``is_fault``: whether the robot decided it while its client wanted to go on.
+        """
 
 
+_ABB = "plant_emulator.robot_servers.abb.server:EgmServer"
+_FRANKA = "plant_emulator.robot_servers.franka.server:FrankaServer"
 _UNIVERSAL_ROBOTS = "plant_emulator.robot_servers.universal_robots.server:UniversalRobotsServer"
 ROBOT_SERVERS: Registry[type[RobotServer]] = Registry(
     "robot_servers",
     "plant.interface.kind",
     RobotServer,
-    {"servoj": _UNIVERSAL_ROBOTS, "speedj": _UNIVERSAL_ROBOTS},
+    {
+        "servoj": _UNIVERSAL_ROBOTS,
+        "speedj": _UNIVERSAL_ROBOTS,
+        "egm": _ABB,
+        "franka_position": _FRANKA,
+        "franka_velocity": _FRANKA,
+        "franka_torque": _FRANKA,
+    },
 )
 """Robots that answer vendors' clients, by the interface of the arm."""

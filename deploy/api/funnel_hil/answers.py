@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import laws_given
 from deploy.judge.run_rows import Row
-from deploy.reports.results import write_study
-from deploy.reports.studies.data_sheet_results import sheet_folder, sheet_parts, write_data_sheet
+from deploy.reports.studies.results import write_study
 from deploy.run.new_folder import new_folder
 from deploy.run.run_folder import ResultFolder, provenance
 from deploy.scenario.referenced_files import named_robot
-from deploy.study.data_sheet import DataSheet
+from deploy.studies.datasheet.data_sheet import DataSheet
+from deploy.studies.datasheet.results import sheet_folder, sheet_parts, write_data_sheet
 from deploy.study.study import StudyOfRuns
 from funnel_hil.results import Drawn, Study
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike, named_law
@@ -37,7 +37,7 @@ class Identification(Drawn):
     def __init__(
         self, found: Identified, summary: dict[str, Any], scenario: Path | None = None
     ) -> None:
-        from deploy.reports.identify_report import PANELS  # heavy
+        from deploy.studies.identify.page import PANELS  # heavy
 
         super().__init__(PANELS, found)
         self.summary, self.scenario, self._robot = summary, scenario, found.robot
@@ -81,7 +81,7 @@ def identify(
     from deploy.identify.identification import Wishes  # heavy
     from deploy.identify.identification import identify as identify_arm
     from deploy.identify.results import SCENARIO, check_is_free, summary_of, write_results
-    from deploy.reports.identify_report import write_identify_report
+    from deploy.studies.identify.page import write_identify_report
 
     if unknown := more.keys() - Wishes.__dataclass_fields__.keys():
         allowed = ", ".join(Wishes.__dataclass_fields__)

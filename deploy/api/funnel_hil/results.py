@@ -20,7 +20,7 @@ from deploy.reports.page import Panel
 from deploy.reports.results import Results
 from deploy.reports.runs.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
 from deploy.run.execute import JudgedRun
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.recorded import RecordedRuns
 
 if TYPE_CHECKING:

@@ -7,19 +7,17 @@ from pathlib import Path
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import laws_given
-from deploy.reports.results import (
-    comparison_results,
-    diff_results,
-    judge_rows,
-    write_results,
-    write_run,
-)
+from deploy.reports.results import write_results, write_run
+from deploy.reports.studies.results import judge_rows
 from deploy.run.execute import InProcess, JudgedRun, execute
 from deploy.run.network.links import check_link
 from deploy.run.new_folder import new_folder
 from deploy.run.run_folder import ResultFolder, RunFolder, provenance
 from deploy.scenario.study_keys import laws_beside
-from deploy.study.comparison.comparison import ComparedRuns, LawComparison, judged_again
+from deploy.studies.comparison.comparison import LawComparison
+from deploy.studies.comparison.results import comparison_results
+from deploy.studies.diff.results import diff_results
+from deploy.study.comparison.compared_runs import ComparedRuns, judged_again
 from deploy.study.comparison.recorded import KIND, recorded_runs
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike

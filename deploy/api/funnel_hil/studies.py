@@ -14,17 +14,17 @@ from controller.laws import COMPARED_LAWS, torque_laws
 from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
 from deploy.reports.kinds import study_type
-from deploy.reports.results import write_study
+from deploy.reports.studies.results import write_study
 from deploy.run.new_folder import new_folder
 from deploy.scenario.yaml_files import naming
-from deploy.study.benchmark.benchmark import Benchmark
-from deploy.study.benchmark.cells import BENCHMARK_DELAYS_MS, BENCHMARK_PREDICTORS
+from deploy.studies.benchmark.benchmark import Benchmark
+from deploy.studies.benchmark.cells import BENCHMARK_DELAYS_MS, BENCHMARK_PREDICTORS
+from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.folder import StudyFolder, here
 from deploy.study.execution.runner import Workers
 from deploy.study.execution.session import open_session
-from deploy.study.robustness import margin_study
 from deploy.study.study import PlannedRun, StudyOfRuns, row_of
-from deploy.study.sweep import Sweep
 from funnel_hil.results import Study
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike, named_law
 

@@ -15,7 +15,7 @@ from bus_schema.errors import InputError
 from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure import trace_import
 from deploy.measure.clocks import at_least, drift_ppm, without_drift
-from deploy.measure.time_units import check_interval, units_of
+from deploy.measure.time_units import Unit, check_interval, units_of
 from deploy.measure.trace_output import scenario_lines, write_trace
 from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
 
@@ -29,15 +29,6 @@ class Kind(StrEnum):
     CANDUMP = "candump"
     CSV = "csv"
     MCAP = "mcap"
-
-
-class Unit(StrEnum):
-    """Units of times."""
-
-    S = "s"
-    MS = "ms"
-    US = "us"
-    NS = "ns"
 
 
 _FOREIGN = (Kind.CANDUMP, Kind.CSV, Kind.MCAP)

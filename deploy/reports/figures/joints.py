@@ -25,7 +25,7 @@ from deploy.reports.figures.several_runs import (
 )
 from deploy.run.execute import JudgedRun
 from deploy.scenario.setup import Setup
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.recorded import ticks_in_common
 
 _TRUTH = topics.PLANT_TRUTH

@@ -15,7 +15,7 @@ from deploy.judge.findings.identified import identified, series, truth_of
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.reports.figures import style
 from deploy.reports.tables import Column, Table
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 from plant_emulator.faults.arm_faults import payload_steps
 
 _ROOM = 0.07

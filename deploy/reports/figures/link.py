@@ -13,7 +13,7 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 from plant_emulator.channel.trace import PERCENTS
 
 _DASHES = {"did": ("channel", "solid"), "trace": ("trace", "dash")}

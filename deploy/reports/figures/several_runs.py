@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix, Vector
 from deploy.reports.figures import style
 from deploy.reports.runs.run_numbers import SETTLING_BOUND, SETTLING_TIME, JointQuantity
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.settling import LONGEST_S, Start
 
 _ENVELOPE_S = 0.05

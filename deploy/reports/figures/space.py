@@ -17,7 +17,7 @@ from deploy.judge.run_data import RunData, stamps_s
 from deploy.reports.figures import style
 from deploy.reports.figures.several_runs import add_envelopes, colour_of, with_runs
 from deploy.reports.page import Motion
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 _FRAMES = 400
 _POINTS = 2000

@@ -12,25 +12,12 @@ from typing import Any, NamedTuple
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
-from deploy.reports.studies.study_texts import (
-    probe_at,
-    quoted_or_none,
-    quoted_text,
-    setting_text,
-    value_title,
-)
-from deploy.reports.tables import number, scaled
-from deploy.study.study import shown_value
+from deploy.reports.tables import scaled
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
-_HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
-_HEIGHT_PX = 430
-_FARTHEST_CEILING = 2.5
-"""Of the largest margin: a ceiling above this would flatten the bars."""
-_HEADROOM = 1.1
-_EFFECT_PX, _FRAME_PX = 26, 110
-_MOST_UPRIGHT = 6
-"""Bars whose figures have room side by side on a telephone; those of more are turned."""
+
+
+HEIGHT_PX = 430
 
 
 Runs = Mapping[str, Any]
@@ -130,7 +117,7 @@ def curves(
     study: DrawnStudy, lines: Sequence[Curve], x_title: str, quantity: StudyQuantity
 ) -> go.Figure | None:
     """Lines over a swept value, each with its spread from the lowest to the highest run."""
-    figure = style.new_figure(_HEIGHT_PX, x_title, quantity.axis)
+    figure = style.new_figure(HEIGHT_PX, x_title, quantity.axis)
     for line in lines:
         _add_curve(figure, study, line, quantity)
     if not any(value is not None for trace in figure.data for value in trace.y):
@@ -141,112 +128,6 @@ def curves(
     else:
         figure.update_yaxes(rangemode="tozero", range=quantity.axis_range)
     return figure
-
-
-def margin_bars(study: DrawnStudy, cases: Sequence[dict[str, Any]]) -> go.Figure:
-    """Margins as bars by law, side by side by setting, and a dotted line at a ceiling nearby.
-
-    Args:
-        study: the study.
-        cases: its cases of one arm.
-    """
-    figure = style.new_figure(_HEIGHT_PX, y_title=value_title(study.summary))
-    groups = list(dict.fromkeys(map(setting_text, cases)))
-    for index, group in enumerate(groups):
-        members = [case for case in cases if setting_text(case) == group]
-        decided = (probe_at(c, c["first_failure"]) or probe_at(c, c["margin"]) for c in members)
-        own = [style.palette(place) for place in range(len(members))]
-        figure.add_bar(
-            x=[style.plain(case["law"]) for case in members],
-            y=[quoted_or_none(case) or 0.0 for case in members],
-            text=[_without_unit(study, case) for case in members],
-            name=group or "as the scenario has it",
-            textposition="outside", cliponaxis=False,
-            constraintext="none", textangle=0 if len(cases) <= _MOST_UPRIGHT else -90,
-            textfont={"size": 10},
-            customdata=list(map(study.rerun_worst, decided)), hovertemplate="%{x}: %{text}",
-            marker={"color": style.palette(index) if len(groups) > 1 else own},
-        )  # fmt: skip
-    if len(groups) > 1:
-        style.add_legend(figure, [bars.name for bars in figure.data])
-    figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
-    figure.update_yaxes(rangemode="tozero")
-    ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
-    highest = max((quoted_or_none(case) or 0.0 for case in cases), default=0.0)
-    if ceilings and min(ceilings) <= _FARTHEST_CEILING * highest:
-        figure.add_hline(y=min(ceilings), line=style.DOTTED)
-        highest = max(min(ceilings), highest)
-        figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
-    return figure
-
-
-def _without_unit(study: DrawnStudy, case: dict[str, Any]) -> str:
-    """The number to quote of a case, for a bar on an axis that has the unit."""
-    unit = f" {study.summary['unit']}"
-    return quoted_text(case, study.summary).removesuffix(unit).replace("none", "–")
-
-
-def heat_map(
-    study: DrawnStudy,
-    x: tuple[str, Sequence[Any]],
-    y: tuple[str, Sequence[Any]],
-    rows: Sequence[Sequence[Runs | None]],
-    quantity: StudyQuantity,
-) -> go.Figure:
-    """Means over two swept keys.
-
-    Args:
-        study: the study.
-        x: title and values of the horizontal axis.
-        y: title and values of the vertical axis.
-        rows: a row per value of `y`; None leaves a field white.
-        quantity: what is drawn.
-    """
-    means = [
-        [None if runs is None else quantity.value(runs, "mean") for runs in row] for row in rows
-    ]
-    texts = [["" if mean is None else number(mean) for mean in row] for row in means]
-    crowded = len(x[1]) * len(y[1]) > 150
-    field = go.Heatmap(
-        x=[style.plain(shown_value(value)) for value in x[1]],
-        y=[style.plain(shown_value(value)) for value in y[1]],
-        z=means, zmin=0.0, zmax=max((m for row in means for m in row if m), default=1.0),
-        customdata=[list(map(study.rerun_worst, row)) for row in rows],
-        text=texts, texttemplate=None if crowded else "%{text}",
-        colorscale=_HEAT, xgap=1, ygap=1, hoverongaps=False,
-        colorbar={"title": {"text": quantity.axis, "side": "right"}, "thickness": 12},
-        hovertemplate="%{x} · %{y}: %{text}<extra></extra>",
-    )  # fmt: skip
-    height_px = 140 + max(240, min(34 * len(y[1]), 600))
-    figure = style.new_figure(height_px, x[0], y[0], [field])
-    figure.update_xaxes(type="category", showgrid=False)
-    return figure.update_yaxes(type="category", showgrid=False)
-
-
-def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure | None:
-    """One bar for each quantity, the first on top.
-
-    Args:
-        bars: names and effects, from −1 to 1.
-        chance_level: size of what may be chance.
-    """
-    if not bars:
-        return None
-    height_px = _FRAME_PX + _EFFECT_PX * len(bars)
-    figure = style.new_figure(height_px, "effect")
-    sizes = [effect for _, effect in bars]
-    beyond = [abs(effect) > chance_level for effect in sizes]
-    figure.add_bar(
-        y=[style.plain(name) for name, _ in bars], x=sizes, orientation="h",
-        marker={"color": [style.palette(0) if known else "#b8c4cc" for known in beyond]},
-        text=[f"{effect:+.2f}" for effect in sizes], textposition="outside", cliponaxis=False,
-        hovertemplate="%{y}: %{x:+.2f}<extra></extra>",
-    )  # fmt: skip
-    figure.add_vrect(
-        x0=-chance_level, x1=chance_level, fillcolor=style.BAND, line_width=0, layer="below"
-    )
-    figure.update_xaxes(range=[-1.1, 1.1])
-    return figure.update_yaxes(autorange="reversed", automargin=True)
 
 
 def _add_curve(figure: go.Figure, study: DrawnStudy, line: Curve, quantity: StudyQuantity) -> None:

@@ -21,7 +21,7 @@ from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
 from deploy.reports.figures.several_runs import colour_of
 from deploy.reports.runs.run_numbers import TIMES
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 _ROLES = (Role.PLANT, Role.CONTROLLER)
 _COLOURS = {

@@ -10,22 +10,21 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from deploy.judge.conditions import Conditions, conditions_of_recording
+from deploy.judge.conditions import conditions_of_recording
 from deploy.judge.findings.link_delays import link_sentence, playout_sentence
 from deploy.judge.metrics import RunResult
 from deploy.judge.result.transport import Channel
 from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.runs import comparison_tables as of_runs
 from deploy.reports.runs import run_numbers
 from deploy.reports.runs import run_tables as of_run
 from deploy.reports.runs.run_numbers import margin_place
 from deploy.reports.tables import margin_text, number, percent
-from deploy.reports.verdict_texts import verdict_on_laws, verdict_on_run, verdict_on_runs
+from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 if TYPE_CHECKING:
-    from deploy.study.comparison.recorded import RecordedRuns
+    pass
 
 
 def run_page(
@@ -55,7 +54,7 @@ def run_page(
                  "share of the ticks that met their deadline"),
             Fact("Digest", result.digest[:12], result.digest),
         ],
-        partial(_panels, "RUN_PANELS"),
+        partial(panels_of, "RUN_PANELS"),
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
         heading=f"{result.scenario} · {result.law} · {result.clock}",
@@ -63,7 +62,7 @@ def run_page(
             Cards([of_run.joint_table(result, from_s)]),
             Cards(of_run.confirmation_tables([result.confirmation])),
         ],
-        folded=(_folded_title([result]), [
+        folded=(folded_title([result]), [
             Cards([of_run.timing_table(result), of_run.health_table(result),
                    of_run.transport_table(result)], "three"),
             Cards([of_run.event_table(run.data)]),
@@ -75,7 +74,7 @@ def run_page(
     )  # fmt: skip
 
 
-def _folded_title(results: Sequence[RunResult]) -> str:
+def folded_title(results: Sequence[RunResult]) -> str:
     """Return the title of what is only read where something is odd in a run, and what is."""
     ways = [way for each in results for way in (each.transport.uplink, each.transport.downlink)]
     counts = {
@@ -128,65 +127,8 @@ def _link_lines(result: RunResult) -> list[str]:
     return lines
 
 
-def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[ComparedRuns]:
-    """Return the page of a comparison with at least one run."""
-    scenario, result = comparison.runs[0].data.setup.scenario, comparison.runs[0].result
-    confirmed = of_run.confirmation_tables(run.result.confirmation for run in comparison.runs)
-    return Page(
-        "comparison of control laws",
-        result.scenario,
-        verdict_on_laws(comparison),
-        [
-            Fact("Scenario", scenario.name),
-            Fact("Laws", str(len(comparison.runs))),
-            Fact("Duration", f"{scenario.duration_s:g} s"),
-            Fact("Rate", number(scenario.rate_hz, 1.0, " Hz")),
-            Fact("Seed", str(scenario.seed), "the same for all laws, like all other conditions"),
-            Fact("Nominal model", f"× {scenario.controller.model_scale:g}",
-                 "factor on masses and inertias of the nominal model"),
-            Fact("Clock", result.clock),
-        ],
-        partial(_panels, "LAW_PANELS"),
-        comparison,
-        conditions,
-        results=[
-            Cards([of_runs.verdict_table(comparison)]), Cards(confirmed),
-            Cards([of_runs.law_table(comparison, each) for each in run_numbers.BY_LAW], "three"),
-        ],
-        folded=(_folded_title([run.result for run in comparison.runs]), []),
-        end_s=max(run.result.duration_s for run in comparison.runs),
-        footer=("Each law has its own folder beside this report, with its recording. This command"
-               " writes the report of that run alone:"),
-        footer_code="funnel-hil report",
-        shares_library=True,
-    )  # fmt: skip
-
-
-def diff_page(compared: RecordedRuns, conditions: Conditions) -> Page[ComparedRuns]:
-    """Return the page of recorded runs side by side."""
-    differences = [of_runs.difference_table(compared)] if compared.differing else []
-    return Page(
-        "recorded runs side by side",
-        " · ".join(compared.labels),
-        verdict_on_runs(compared),
-        [Fact(label, str(place))
-         for label, place in zip(compared.labels, compared.paths, strict=True)],
-        partial(_panels, "RECORDED_PANELS"),
-        compared,
-        conditions,
-        results=[
-            Cards([of_runs.recorded_table(compared), *differences], "stacked"),
-            Cards(of_runs.recorded_joint_tables(compared), "three"),
-        ],
-        folded=(_folded_title([run.result for run in compared.runs]), [
-            Cards([of_runs.recorded_timing_table(compared), of_runs.recorded_counts(compared)],
-                  "stacked"),
-        ]),
-        footer="Each run was evaluated again from its recording, with its own scenario's funnel.",
-    )  # fmt: skip
-
-
-def _panels(name: str) -> list[Panel[ComparedRuns]]:
+def panels_of(name: str) -> list[Panel[ComparedRuns]]:
+    """Return the panels in a list of `run_panels`, which is heavy to import."""
     from deploy.reports.runs import run_panels  # heavy
 
     panels: list[Panel[ComparedRuns]] = getattr(run_panels, name)

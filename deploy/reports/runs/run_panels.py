@@ -16,7 +16,7 @@ from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.page import Content, Panel
 from deploy.reports.runs import run_numbers
 from deploy.scenario.yaml_text import values_of
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 T = TypeVar("T")
 RunsPanel = Panel[ComparedRuns]

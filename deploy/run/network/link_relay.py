@@ -43,17 +43,22 @@ class LinkRelay:
         target: where all is passed on to.
         link: its ``downlink`` is the way to the target, its ``uplink`` the way back.
         seed: of all that is random.
+        is_from_robot: the other way round, as the robot itself sends first.
 
     Attributes:
         begun_ns: instant of the monotonic clock at which the link's traces begin.
     """
 
     def __init__(
-        self, listener: socket.socket, target: Address, link: LinkConfiguration, seed: int
-    ) -> None:
+        self, listener: socket.socket, target: Address, link: LinkConfiguration, seed: int, *,
+        is_from_robot: bool = False,
+    ) -> None:  # fmt: skip
         self._listener, self._target = listener, target
         self._is_datagrams = listener.type == socket.SOCK_DGRAM
         ways = ((link.downlink, DOWNLINK), (link.uplink, UPLINK))
+        self._names = ("downlink", "uplink")
+        if is_from_robot:
+            ways, self._names = ways[::-1], self._names[::-1]
         self._there, self._back = self._directions = tuple(
             Direction(
                 open_channel(
@@ -97,7 +102,7 @@ class LinkRelay:
         values, counts = np.array(sorted(late.items()), dtype=np.int64).reshape(-1, 2).T
         channels = {
             name: way.channel.statistics().summary()
-            for name, way in (("downlink", self._there), ("uplink", self._back))
+            for name, way in zip(self._names, self._directions, strict=True)
         }
         for channel in channels.values():
             channel.pop("curves", None)

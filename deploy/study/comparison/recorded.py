@@ -21,7 +21,7 @@ from deploy.run.simulate import CLOCK as SIMULATED
 from deploy.scenario.effective import values_in_common
 from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 Rows = NDArray[np.intp]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deploy.judge.run_rows import Row
-from deploy.scenario.playout import EXPECTED, levels, playout_range_ns
+from deploy.scenario.playout import EXPECTED
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override
 from deploy.study.cases import Case, Setting
@@ -145,7 +145,7 @@ class PatternSearch(MarginSearch):
     def __post_init__(self) -> None:
         self._tick_ms = self.case.setting.base.grid.period_ns * 1e-6
         self._refined: set[int] = set()
-        self.is_levelled = levels(self.at_margin)
+        self.is_levelled = self.at_margin.is_levelled
         if not self.is_levelled:
             self._add(self._shaped(catalogue(self._tick_ms)))
             return
@@ -187,7 +187,7 @@ class PatternSearch(MarginSearch):
 
     @property
     def _playout_ms(self) -> float:
-        return round(1e-6 * playout_range_ns(self.at_margin)[1], 6)
+        return round(1e-6 * self.at_margin.playout_range_ns[1], 6)
 
     @property
     def _grows(self) -> bool:
@@ -197,7 +197,7 @@ class PatternSearch(MarginSearch):
     def _condition(self, row: Row) -> dict[str, Any]:
         """Return d, for which a guarantee holds, and how to set it where the scenario does not."""
         setting, d_ms = self.case.setting, self._playout_ms
-        first_ms, later_ms = (1e-6 * each for each in playout_range_ns(setting.base))
+        first_ms, later_ms = (1e-6 * each for each in setting.base.playout_range_ns)
         command, is_own = None, first_ms == later_ms == d_ms
         if not (is_own or self._grows):  # a command would set d from the start
             command = command_of(setting, [*setting.overrides, override(EXPECTED, d_ms)], row)

@@ -20,6 +20,8 @@ from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
 _READY, _DONE = 1, 2
 _COMMAND, _FLOAT = "input_int_register_0", "input_double_register_{}"
 _JOINTS = 6
+BY = "by the "
+"""Begin of the reason of a stop that somebody asked for."""
 _STOP_RAD_S2 = 20.0
 """Deceleration of a stop for which the client gives none."""
 
@@ -166,7 +168,7 @@ class ControlScript:
         self._silence_s = 1.0 / frequency_hz if frequency_hz > 0.0 else math.inf
 
     def _stop_script(self) -> None:
-        self.end("by the client")
+        self.end(f"{BY}client")
 
 
 _ACTIONS: Mapping[int, Callable[[ControlScript], None]] = {

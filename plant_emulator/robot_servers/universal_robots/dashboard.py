@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from plant_emulator.robot_servers.universal_robots.control_script import ControlScript
+from plant_emulator.robot_servers.universal_robots.control_script import BY, ControlScript
 from plant_emulator.robot_servers.universal_robots.rtde_port import VERSION
 
 GREETING = "Connected: Universal Robots Dashboard Server"
@@ -30,7 +30,7 @@ def answer(line: str, script: ControlScript) -> str:
     words = line.strip()
     command = words.lower()
     if command == "stop":
-        script.end("by the dashboard")
+        script.end(f"{BY}dashboard")
         return "Stopped"
     if command == "running":
         return f"Program running: {str(script.is_running).lower()}"

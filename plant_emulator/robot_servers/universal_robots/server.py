@@ -17,7 +17,7 @@ from plant_emulator.interfaces.servoj import ServoJSettings
 from plant_emulator.interfaces.settings import InterfaceSettings
 from plant_emulator.robot_servers.robot_server import RobotServer
 from plant_emulator.robot_servers.universal_robots import dashboard
-from plant_emulator.robot_servers.universal_robots.control_script import ControlScript
+from plant_emulator.robot_servers.universal_robots.control_script import BY, ControlScript
 from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
 from plant_emulator.robot_servers.universal_robots.rtde_port import RtdeClient
 from plant_emulator.robot_servers.universal_robots.variables import values_now
@@ -89,7 +89,10 @@ class UniversalRobotsServer(RobotServer):
 
     @property
     def counts(self) -> dict[str, Any]:
-        stops = [{"time_s": time_s, "reason": reason} for time_s, reason in self._script.stops]
+        stops = [
+            {"time_s": time_s, "reason": reason, "is_fault": not reason.startswith(BY)}
+            for time_s, reason in self._script.stops
+        ]
         return {"commands": dict(self._script.commands), "stops": stops}
 
     def _accept(self, listener: socket.socket, port: str) -> None:

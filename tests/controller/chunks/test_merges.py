@@ -117,12 +117,56 @@ def test_curve_keeps_its_limits_and_ends_on_the_chunk():
     _, merge = merge_of(merge="spline", spline=limits)
     old, new = answer(0.0, 0.5 * ACTION_S * np.arange(16)), answer(0.2, [0.3] * 16)
     found = merge.merged(old, new, 0.3)
-    place, speed = found.targets[:, 0, 0], found.targets[:, 1, 0]
+    place, speed = found.targets[found.row_at(0.3) :, :, 0].T
     assert place[0] == old.target_at(0.3)[0, 0]
     assert place[-1] == 0.3
     acceleration = np.diff(speed) / TICK_S
     assert np.abs(acceleration).max() <= 10.0 + 1e-6
     assert np.abs(np.diff(acceleration)).max() / TICK_S <= 200.0 + 1e-3
+
+
+def moving(at_s, jerk, offset, rows=400):
+    """A chunk with a row for each tick of a motion with constant jerk, from a common origin."""
+    times_s = at_s + TICK_S * np.arange(rows)
+    motion = [offset + jerk * times_s**3 / 6.0, jerk * times_s**2 / 2.0]
+    return Answer(
+        at_s, at_s, TICK_S, np.zeros((1, 1)), np.stack(motion, axis=1)[:, :, None], Holding()
+    )
+
+
+def test_whole_motion_keeps_the_jerk_limit_across_switches():
+    """A third difference is a mean of the jerk, so none passes the limit where the curve joins.
+
+    The motion has 5 rad/s³; it accelerates by 1 to 3 rad/s² at its switches, the second of which
+    falls within the curve of the first.
+    """
+    pytest.importorskip("ruckig")
+    limits = {"acceleration_rad_s2": 20.0, "jerk_rad_s3": 500.0}
+    _, merge = merge_of(merge="spline", spline=limits, period_ms=1.0, horizon=400)
+    in_force, found = moving(0.0, 5.0, 0.0), []
+    switches = {
+        0.2: moving(0.18, 5.0, 0.02),
+        0.26: moving(0.25, 5.0, -0.03),
+        0.6: moving(0.5, 5.0, 0),
+    }
+    for tick in range(850):
+        now_s = tick * TICK_S
+        if (new := switches.get(round(now_s, 6))) is not None:
+            before = in_force.target_at(now_s)
+            in_force = merge.merged(in_force, new, now_s)
+            np.testing.assert_array_equal(in_force.target_at(now_s), before)
+        found.append(in_force.target_at(now_s)[0, 0])
+    jerk = np.diff(found, 3) / TICK_S**3
+    assert 400.0 < np.abs(jerk).max() <= 505.0  # slopes of rows are off by half a tick's jerk
+    assert found[-1] == switches[0.6].target_at(0.849)[0, 0]
+
+
+def test_curve_does_not_change_when_the_law_is_asked():
+    """Half of 16 actions are left after eight, whichever rule joins the chunks."""
+    pytest.importorskip("ruckig")
+    _, law, _ = run(merge="spline")
+    _, other, _ = run(merge="replace")
+    assert law.asked_s == other.asked_s
 
 
 class Perfect:

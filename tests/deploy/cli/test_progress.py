@@ -11,10 +11,10 @@ from rich.console import Console
 from bus_schema.runtime.compiled import COMPILES, HAS_SAID
 from deploy.cli import run_and_simulate
 from deploy.cli.commands import LogLines
-from deploy.cli.study.studies import RunCounter
-from deploy.cli.terminal import progress as progress_module
-from deploy.cli.terminal.progress import CommandProgress
-from deploy.cli.terminal.show_run import status_handler
+from deploy.cli.show_run import status_handler
+from deploy.command import progress as progress_module
+from deploy.command.progress import CommandProgress
+from deploy.command.study_command import RunCounter
 from deploy.run.processes.status import StatusMessage
 from tests.waiting import HANG_S
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.cli.study import recorded
+from deploy.cli import recorded
 from deploy.run.stop_signals import STOPS
 from tests.deploy.own_laws import own_law
 
@@ -43,7 +43,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
 
 
 def test_a_run_is_ended_in_order(tmp_path, monkeypatch):
-    from deploy.cli.terminal.progress import CommandProgress  # what it shows is what it has got to
+    from deploy.command.progress import CommandProgress  # what it shows is what it has got to
 
     follow, asked = CommandProgress.follow, []
 

@@ -6,11 +6,14 @@ import socket
 
 import pytest
 
-from deploy.cli.robot_server import listening
-from deploy.run.exit_codes import INTERRUPTED
+from bus_schema.egm.messages import _TYPES
+from deploy.run.exit_codes import FINISHED, INTERRUPTED
+from deploy.run.network.live_feed import FeedReceiver
+from deploy.run.serve_robot import Place, network_of, open_robot
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.robot_servers.universal_robots.server import UniversalRobotsServer
+from tests.plant_emulator.robot_servers.test_abb_robot import sensor
 from tests.waiting import await_true
 from tests.warm_process import WarmProcess, output_of
 
@@ -19,7 +22,9 @@ from tests.warm_process import WarmProcess, output_of
     ("words", "message"),
     [
         (["paper_arm"], "has 3 driven joints: must have 6 for --interface servoj"),
-        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj' or 'speedj'"),
+        (["ur5e", "--interface", "rsi"], "--interface rsi: must be 'servoj', 'speedj', 'egm', "),
+        (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
+        (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
         (["ur5e_motors", "--network", "nowhere.csv"], "nowhere.csv"),
     ],
@@ -28,30 +33,27 @@ def test_what_it_cannot_serve_is_refused(words, message):
     assert message in " ".join(output_of("robot-server", *words, code=2).split())
 
 
-def test_it_leaves_its_motion_and_counts(tmp_path):
+def test_it_leaves_the_files_of_a_run_and_counts(tmp_path):
     words = ("--host", "127.0.0.59", "--duration", "0.05", "--network", "wired_lan")
     output = output_of("robot-server", "ur5e_motors", *words, "--out", tmp_path / "out")
     assert "ur5e_motors listens at 127.0.0.59: rtde 30004" in output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["ticks"] >= 50
     assert summary["completed"]
-    assert (summary["commands"], summary["stops"], summary["lag_ms"]) == ({}, [], 6 * [None])
-    assert summary["network"]["uplink"]["sent"] == 0
-    first, *rows = (tmp_path / "out" / "motion.csv").read_text().splitlines()
-    assert len(rows) == summary["ticks"] - summary["skipped"]
-    assert float(rows[-1].split(",")[0]) == pytest.approx(summary["duration_s"])
-    heads = first.split(",")
-    assert heads[:2] == ["time_s", "shoulder_pan_joint.position_rad"]
-    assert len(heads) == 13
+    assert (summary["robot_server"]["commands"], summary["robot_server"]["stops"]) == ({}, [])
+    assert (summary["lag_ms"], summary["verdict"]) == (6 * [None], "nothing")
+    assert summary["transport"]["uplink"]["sent"] == 0
+    names = {each.name for each in (tmp_path / "out").iterdir()}
+    assert {"run.mcap", "report.html", "manifest.json", "scenario.yaml"} <= names
 
 
-def test_no_tick_leaves_files_without_rows(tmp_path):
+def test_no_tick_leaves_a_summary(tmp_path):
     """1 ms at 200 Hz."""
     words = ("--host", "127.0.0.60", "--duration", "0.001", "--set", "rate_hz=200")
     output_of("robot-server", "ur5e_motors", *words, "--out", tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["ticks"], summary["lag_ms"]) == (0, 6 * [None])
-    assert len((tmp_path / "out" / "motion.csv").read_text().splitlines()) == 1
+    assert summary["verdict"] == "nothing"
 
 
 def test_an_interrupted_run_is_not_complete(tmp_path):
@@ -68,12 +70,16 @@ def ur5e():
     setup = load_setup("ur5e_motors", ["plant.interface.kind=servoj", "controller.law=streaming"])
     interface = setup.scenario.plant.interface
     server = UniversalRobotsServer(interface.settings, interface.period_s, lambda _: None)
-    yield server, setup
+    yield server, network_of(setup)
     server.close()
 
 
+def place_at(host):
+    return Place(host, "127.0.0.1", UniversalRobotsServer.ports)
+
+
 def test_an_error_of_the_run_is_not_reported_as_one_of_the_address(ur5e):
-    with pytest.raises(BrokenPipeError), listening(*ur5e, "127.0.0.62"):
+    with pytest.raises(BrokenPipeError), open_robot(*ur5e, place_at("127.0.0.62")):
         raise BrokenPipeError
 
 
@@ -81,6 +87,88 @@ def test_a_port_that_is_taken_is_reported_with_its_address(ur5e):
     with (
         socket.create_server(("127.0.0.63", 30004)),
         pytest.raises(ScenarioError, match=r"--host 127\.0\.0\.63: "),
-        listening(*ur5e, "127.0.0.63"),
+        open_robot(*ur5e, place_at("127.0.0.63")),
     ):
         pass
+
+
+def served_by(tmp_path, talk, *words):
+    """Serve a UR5e under EGM to a client by hand; the summary of its run."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.bind(("127.0.0.1", 0))
+        client.settimeout(30.0)
+        place = f"127.0.0.1:{client.getsockname()[1]}"
+        egm = ("--interface", "egm", "--client", place)
+        process = WarmProcess(
+            "robot-server", "ur5e_motors", *egm, *words, "--out", tmp_path / "out", "--no-report"
+        )
+        talk(client)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == FINISHED
+    return json.loads((tmp_path / "out" / "summary.json").read_text())
+
+
+def ramp(client, cycles, speed_deg_s=5.0, start=None):
+    """Answer states with positions of a ramp, as of their time, from where the arm was."""
+    for _ in range(cycles):
+        data, robot = client.recvfrom(1 << 16)
+        state = _TYPES["EgmRobot"].FromString(data)
+        begun_ms, home = start or (state.header.tm, list(state.feedBack.joints.joints))
+        start = begun_ms, home
+        moved = speed_deg_s * 1e-3 * (state.header.tm - begun_ms)
+        client.sendto(sensor([each + moved for each in home]), robot)
+    return start
+
+
+def test_a_run_has_the_lag_and_the_verdict_of_what_its_client_asked_for(tmp_path):
+    """Behind a ramp, the lag of a gain of 20/s is 1/20 s."""
+    summary = served_by(tmp_path, lambda client: ramp(client, 250))
+    assert summary["lag_ms"] == pytest.approx(6 * [50.0], abs=8.0)
+    assert summary["bounds"]["violation_fraction"] == 0.0
+    assert summary["law"] == "the robot's client"
+    assert summary["faults"] == []
+    assert summary["verdict"] == "kept"
+    again = output_of("report", tmp_path / "out", code=0)
+    assert "the robot's client" in again
+    assert (
+        json.loads((tmp_path / "out" / "summary.json").read_text())["lag_ms"] == (summary["lag_ms"])
+    )
+
+
+def test_a_stop_while_the_client_goes_on_is_a_fault_with_name_and_time(tmp_path):
+    """The time-out is 200 ms; the client pauses for longer, then sends again."""
+
+    def talk(client):
+        start = ramp(client, 20)
+        for _ in range(90):
+            client.recvfrom(1 << 16)
+        ramp(client, 20, start=start)
+
+    summary = served_by(tmp_path, talk)
+    [stop] = summary["robot_server"]["stops"]
+    assert stop["is_fault"]
+    assert stop["reason"] == "egm_communication_timeout: no correction for 200 ms"
+    assert summary["verdict"] == "faulted"
+    assert summary["faults"] == [
+        f"plant at {stop['time_s']:.3f} s: the robot stopped: {stop['reason']}"
+    ]
+
+
+def test_a_viewer_sees_the_run(tmp_path):
+    seen = []
+
+    def talk(client):
+        scenario = await_true(lambda: next((tmp_path / "out").glob("scenario.yaml"), None))
+        endpoint = load_setup(str(scenario)).scenario.link.plant_endpoint
+        receiver = FeedReceiver(endpoint)
+
+        def look():
+            ramp(client, 2)
+            snapshot = receiver.receive(0.05)
+            seen.extend(() if snapshot is None else [m.topic.name for m in snapshot.messages])
+            return {"joint_states", "plant_truth"} <= set(seen)
+
+        await_true(look)
+        receiver.close()
+
+    served_by(tmp_path, talk)

@@ -15,8 +15,8 @@ from deploy.scenario.checking.explanation import _keys, _sections
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.xacro_arguments import join_arguments
-from deploy.study.robustness import margin_study
-from deploy.study.sweep import load_sweep
+from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.sweep.sweep import load_sweep
 from tests.deploy.docs.pages import DOCS, PAGES, block, blocks, commands
 from tests.warm_process import ROOT
 

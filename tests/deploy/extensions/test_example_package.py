@@ -204,7 +204,7 @@ def test_refusal_names_the_entries_of_packages(override, named):
 
 @pytest.mark.usefixtures("example_package")
 def test_laws_of_packages_are_in_options_and_benchmark(funnel_hil):
-    from deploy.cli.study.benchmark_options import BenchmarkOptions
+    from deploy.studies.benchmark.command import BenchmarkOptions
 
     assert "impedance" in BenchmarkOptions().definition()["laws"]
     output = funnel_hil.output("compare", "paper_arm", "--laws", "nolaw", code=2)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 import funnel_hil as python
+from deploy.reports.kinds import RESULT_KINDS
 from tests.deploy.extensions.conftest import EXAMPLE
+from tests.warm_process import ROOT
 
 pytestmark = pytest.mark.usefixtures("example_package")
 STUDY = """
@@ -84,3 +87,28 @@ def test_each_extension_of_the_example_is_one_file() -> None:
     for name in one_each:
         text = (code / f"{name}.py").read_text()
         assert not any(f"funnel_hil_example.{other} import" in text for other in files - {name})
+
+
+KINDS = [name for name in RESULT_KINDS.shipped if name != "run"]
+
+
+def package_of(name: str) -> str:
+    return str(RESULT_KINDS.shipped[name]).rpartition(".kind:")[0]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_each_shipped_kind_is_one_package(name: str) -> None:
+    kind = RESULT_KINDS[name]
+    parts = [kind.study, kind.page, kind.gauged, kind.judged, kind.again]
+    assert kind.name == name
+    assert {each.__module__.rpartition(".")[0] for each in parts if each} == {package_of(name)}
+
+
+def test_only_kinds_and_python_import_kinds() -> None:
+    outside = [
+        file.relative_to(ROOT).parts[:2]
+        for room in ("bus_schema", "controller", "plant_emulator", "deploy")
+        for file in (ROOT / room).rglob("*.py")
+        if re.search(r"^ *from deploy\.studies\.", file.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    assert {folder for _, folder in outside} <= {"studies", "api", "bench"}

@@ -15,21 +15,22 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import write_json
 from deploy.api.funnel_hil.results import Run
-from deploy.cli.common import finish
-from deploy.cli.options import OneRunOptions
+from deploy.command.common import finish
+from deploy.command.options import OneRunOptions
 from deploy.judge.bounds import plant_count
 from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_rows import held, row
 from deploy.judge.verdict import verdict_of
 from deploy.reports.run_index import results_in
-from deploy.reports.runs.comparison_tables import status_cell
-from deploy.reports.verdict_texts import verdict_on_laws, verdict_on_run
+from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.studies.comparison.sentences import verdict_on_laws
+from deploy.studies.comparison.tables import status_cell
+from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.settling import settling_test
 from deploy.study.statistics import spread_of_runs
 

@@ -9,12 +9,12 @@ from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.vibration import vibrations
 from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_rows import reason_of, row, tolerated
-from deploy.reports.studies.margin_sentences import margin_sentences
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.margin import Margin
+from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.sentences import margin_sentences
 from tests.deploy.study.studies import Here, case_of, conduct
 from tests.deploy.study.theory.linear_arms import ARMS, RESOLUTION_MS, RESONANT, constant, exact_ms
 

@@ -11,8 +11,7 @@ from watched import playback, short_run
 from deploy.live.viewer import Viewer
 from deploy.reports.figures import study_figures, style
 from deploy.reports.html import write_page
-from deploy.reports.page import Page, Panel
-from deploy.reports.verdict_texts import ReportHead
+from deploy.reports.page import Page, Panel, ReportHead
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.html import write_page
-from deploy.reports.studies.benchmark_page import benchmark_page
+from deploy.studies.benchmark.page import benchmark_page
 
 
 def cell(arm, law, kept_ms, *, gains="given", plants=()):

@@ -13,14 +13,14 @@ from deploy.reports.figures.several_runs import joint_bars, settling, settling_f
 from deploy.reports.figures.space import tip_path
 from deploy.reports.html import write_page
 from deploy.reports.runs import run_panels
-from deploy.reports.runs.comparison_tables import law_table, verdict_table
 from deploy.reports.runs.run_numbers import BY_LAW, RMS_ERROR, SETTLING_TIME
-from deploy.reports.runs.run_pages import laws_page
-from deploy.reports.verdict_texts import verdict_on_laws
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.studies.comparison.page import laws_page
+from deploy.studies.comparison.sentences import verdict_on_laws
+from deploy.studies.comparison.tables import law_table, verdict_table
+from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.settling import SettlingTest, Start
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 

@@ -8,7 +8,7 @@ from deploy.reports.figures.link import delay_over_time
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 
 def drawn(*settings):

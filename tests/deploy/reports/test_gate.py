@@ -29,7 +29,7 @@ from deploy.reports.kinds import gauged
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.margin import Margin
+from deploy.studies.margin.margin import Margin
 from tests.warm_process import ROOT
 
 SHORT = ["--set", "duration_s=0.2", "--set", "metrics.from_s=0.1"]

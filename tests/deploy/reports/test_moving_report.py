@@ -19,13 +19,14 @@ from deploy.judge.run_data import build_run_data
 from deploy.reports.figures.space import arm_motion, tip_path
 from deploy.reports.figures.style import figure_json
 from deploy.reports.html import LIBRARY_FILE, library_address, share_library, write_page
-from deploy.reports.runs.run_pages import laws_page, run_page
+from deploy.reports.runs.run_pages import run_page
 from deploy.reports.runs.run_panels import RUN_PANELS
 from deploy.run.execute import JudgedRun
 from deploy.run.new_folder import new_folder
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.studies.comparison.page import laws_page
+from deploy.study.comparison.compared_runs import ComparedRuns
 
 MOST_BYTES = 5_000_000
 

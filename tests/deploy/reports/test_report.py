@@ -29,7 +29,7 @@ from deploy.reports.verdict_texts import PARTIAL, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.compared_runs import ComparedRuns
 from plant_emulator.physics.engines import ENGINES
 from tests.arms import INSTALLED, needs_bullet
 from tests.deploy.reports.page_order import assert_shows_before_it_tells

@@ -11,8 +11,8 @@ import pytest
 
 from deploy.judge.metrics import RunResult, summarise
 from deploy.reports.html import write_page
-from deploy.reports.results import study_page
 from deploy.reports.runs.run_pages import run_page
+from deploy.reports.studies.results import study_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.referenced_files import ROBOTS

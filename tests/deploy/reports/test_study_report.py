@@ -11,10 +11,10 @@ from rich.console import Console
 
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.html import write_page
-from deploy.reports.results import study_page
-from deploy.reports.studies.margin_pages import margin_page
-from deploy.reports.studies.sweep_page import sweep_page
+from deploy.reports.studies.results import study_page
 from deploy.reports.terminal import print_page
+from deploy.studies.margin.page import margin_page
+from deploy.studies.sweep.page import sweep_page
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 
 HOSTILE = "</script><script>alert(1)</script>"

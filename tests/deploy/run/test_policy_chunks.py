@@ -12,6 +12,7 @@ from deploy.judge.metrics import summarise
 from deploy.run.execute import InProcesses, execute, lockstep_setup
 from deploy.run.replay import replay
 from deploy.run.simulate import simulate
+from deploy.scenario.scenario import load_setup
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={{horizon: 16, period_ms: 40, {}}}"
@@ -59,6 +60,60 @@ def test_count_alignment_jumps_by_speed_times_delay(tmp_path):
     assert by_count["jump_rad"] == pytest.approx(expected_rad, rel=0.02)
     assert by_time["age_ms"]["largest"] == pytest.approx(100 + 8 * 40, abs=1)
     assert by_count["jump_joint"] == "j0"
+
+
+def test_jerk_of_smooth_targets_is_that_of_their_motion(tmp_path):
+    """The third derivative of −0.5 cos t is −0.5 sin t: RMS 0.5/√2 over a whole period."""
+    gains = "controller.gains.custom={rows: 64, spacing_s: 0.001, knows_velocity: true}"
+    found = summary(
+        tmp_path, "merge: replace", 10, "controller.chunks.period_ms=1",
+        "controller.chunks.horizon=64", f"duration_s={2 * math.pi:.3f}", gains,
+    )["chunks"]  # fmt: skip
+    assert found["jerk_rad_s3"] == pytest.approx(0.5, rel=1e-3)
+    assert found["jerk_rms_rad_s3"] == pytest.approx(0.5 / math.sqrt(2.0), rel=1e-3)
+    assert found["jerk_joint"] == "j0"
+
+
+def test_jerk_of_a_jump_is_twice_its_size_per_cube_of_an_action(tmp_path):
+    """Third differences of a step are its size times 1, −2 and 1."""
+    found = summary(
+        tmp_path, "merge: replace, ask_every: 320, align: count", 100, "duration_s=3",
+        "controller.chunks.period_ms=1", "controller.chunks.horizon=640",
+        "controller.gains.custom={rows: 640, spacing_s: 0.001, knows_velocity: true}",
+    )["chunks"]  # fmt: skip
+    assert found["jerk_rad_s3"] == pytest.approx(2.0 * found["jump_rad"] / 0.001**3, rel=0.01)
+
+
+def test_jump_of_the_tip_is_the_jump_of_the_joint_times_its_lever(tmp_path):
+    """A tip 0.3 m from the axis moves by a chord of the jump."""
+    setup = policy(tmp_path, "merge: replace, ask_every: 8, align: count", 100)
+    arm = (tmp_path / "arm.urdf").read_text()
+    tool = (
+        '<joint name="tool" type="fixed"><parent link="l1"/><child link="l2"/>'
+        '<origin xyz="0.3 0 0"/></joint><link name="l2"/></robot>'
+    )
+    (tmp_path / "arm.urdf").write_text(arm.replace("</robot>", tool))
+    setup = load_setup(str(setup.source), list(setup.overrides))
+    found = summarise(simulate(setup).data())["chunks"]
+    assert len(found["jumps"]) == found["switches"]
+    for jump in found["jumps"]:
+        assert jump["jump_mm"] == pytest.approx(600.0 * math.sin(jump["jump_rad"] / 2.0))
+    assert found["jump_mm"] == max(jump["jump_mm"] for jump in found["jumps"]) > 5.0
+
+
+@pytest.mark.parametrize("merge", CHUNK_MERGES.shipped)
+@pytest.mark.parametrize("more", ["ask_every: 6", "ask_when: 0.5"])
+def test_age_of_observations_is_at_most_delay_and_time_between_questions(tmp_path, merge, more):
+    """d + s: 100 + 6 · 40 or 8 · 40 ms; if the arm waits, a chunk of 640 ms and d."""
+    if merge == "spline":
+        pytest.importorskip("ruckig")
+    if merge == "synchronous":
+        more, bound_ms = "", 100 + 640 + 100
+    else:
+        bound_ms = 100 + (6 if more == "ask_every: 6" else 8) * 40
+    found = summary(tmp_path, f"merge: {merge}, {more}", 100, "duration_s=3")["chunks"]
+    assert found["age_bound_ms"] == pytest.approx(bound_ms)
+    assert bound_ms - 41 <= found["age_ms"]["largest"] <= bound_ms
 
 
 def test_a_jump_is_the_reason_of_a_loss(tmp_path):

@@ -134,8 +134,8 @@ def test_an_arm_at_constant_speed_is_behind_by_delay_and_lag(file, kind, tmp_pat
         setup = load_setup(str(file), [*common, preview, "duration_s=2"])
         errors = simulate(setup).data().true_errors_rad[:, 0]
         behind.append(-errors[errors.size // 2 :].mean())
-    expected = SPEED * preview_s(setup)
-    assert preview_s(setup) >= 20e-3 + robot_lag_s(setup)
+    expected = SPEED * preview_s(setup, setup.link)
+    assert preview_s(setup, setup.link) >= 20e-3 + robot_lag_s(setup)
     assert behind[0] == pytest.approx(expected, rel=0.02)
     assert abs(behind[1]) < 0.02 * expected
 
@@ -147,7 +147,7 @@ def test_a_preview_counts_the_delays_of_a_trace(file, tmp_path):
     links = (f"link.{way}.trace={{file: {trace}, start_s: 0}}" for way in ("uplink", "downlink"))
     robot = (KIND.format("rsi"), "plant.interface.rsi={dead_time_ms: 8, lag_ms: 0}")
     setup = load_setup(str(file), [STREAMING, *robot, *links])
-    assert preview_s(setup) == pytest.approx(32e-3)
+    assert preview_s(setup, setup.link) == pytest.approx(32e-3)
 
 
 def test_drives_that_go_on_along_their_targets_need_no_preview(file, tmp_path):

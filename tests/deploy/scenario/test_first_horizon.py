@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from deploy.scenario.held_arm import held_arm_ceiling_ms
-from deploy.scenario.playout import levels
 from deploy.scenario.scenario import load_setup
 
 ON = "controller.delay_compensation.enabled=true"
@@ -35,7 +34,7 @@ def test_a_horizon_begins_as_short_as_lets_it_grow_ahead_of_the_schedule(
     ]
     setup = setup_of(*channels)
     assert setup.horizon.first_ns == pytest.approx(1e6 * first_ms, abs=1)
-    assert levels(setup)
+    assert setup.is_levelled
 
 
 def test_changes_of_one_direction_count_beside_the_delay_of_the_other():
@@ -53,4 +52,4 @@ def test_delays_of_a_network_are_waited_for_as_long_as_the_arm_can_be_held_easil
     assert setup.horizon.first_ns == pytest.approx(0.15e6 * held_ms, abs=1)
     assert setup.horizon.wanted_ns == pytest.approx(0.4e6 * held_ms, abs=1)
     assert setup.horizon.most_ns == setup.horizon.wanted_ns
-    assert not levels(setup)
+    assert not setup.is_levelled

@@ -6,12 +6,12 @@ import random
 import threading
 from pathlib import Path
 
+from deploy.studies.margin.margin import Margin
+from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.dask_workers import packed, row_with
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
-from deploy.study.margin import Margin
 from deploy.study.study import row_of
-from deploy.study.sweep import Sweep
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"
 

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from controller.laws import TORQUE_LAWS
-from deploy.cli.study.benchmark_options import BenchmarkOptions
 from deploy.judge.run_rows import read_rows
 from deploy.judge.tested_with import require_same_test
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.benchmark.benchmark import Benchmark
-from deploy.study.benchmark.cells import (
+from deploy.studies.benchmark.benchmark import Benchmark
+from deploy.studies.benchmark.cells import (
     BENCHMARK_ARMS,
     CONSTANT,
     NETWORK,
@@ -22,6 +21,7 @@ from deploy.study.benchmark.cells import (
     PLANTS,
     tuned_gains,
 )
+from deploy.studies.benchmark.command import BenchmarkOptions
 from deploy.study.follow_ups.patterns import HANDFUL
 from tests.deploy.study.studies import Here, folder_of, made_up
 from tests.warm_process import here

@@ -9,7 +9,7 @@ import yaml
 from distributed import LocalCluster
 from distributed.security import Security
 
-from deploy.cli.study import studies
+from deploy.command import study_command as studies
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.dask_workers import DaskWorkers
 

@@ -18,11 +18,11 @@ from distributed.security import Security
 from pyarrow import parquet
 
 from bus_schema.runtime import compiled
+from deploy.studies.sweep.sweep import load_sweep
 from deploy.study.execution import dask_workers, law_code
 from deploy.study.execution.dask_workers import DaskWorkers
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
-from deploy.study.sweep import load_sweep
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.dask_parts import TRUSTED
 from tests.deploy.study.studies import Here

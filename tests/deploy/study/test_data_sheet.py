@@ -8,9 +8,9 @@ import re
 import pytest
 
 from deploy.reports.kinds import gauged
-from deploy.reports.studies.data_sheet_page import headline
+from deploy.studies.datasheet.data_sheet import DataSheet
+from deploy.studies.datasheet.page import headline
 from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
-from deploy.study.data_sheet import DataSheet
 from deploy.study.quoted import quoted
 from tests.deploy.own_laws import own_law
 from tests.deploy.reports.page_order import assert_shows_before_it_tells

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.judge.metrics import summarise
 from deploy.reports.kinds import gauged
-from deploy.reports.results import judge_rows
-from deploy.reports.studies.margin_sentences import margin_sentences
-from deploy.reports.studies.study_tables import disturbance_tables, help_tables, margin_table
+from deploy.reports.studies.results import judge_rows
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.studies.margin.command import MarginOptions, definition_with
+from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
 from deploy.study.execution.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
 from tests.deploy.study.studies import Here, case_of, conduct, made_up, margin_of

@@ -10,12 +10,12 @@ from pyarrow import parquet
 
 import funnel_hil as interface
 from deploy.judge.run_rows import read_rows
-from deploy.reports.results import write_study
+from deploy.reports.studies.results import write_study
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
+from deploy.studies.margin.margin_study import margin_study
 from deploy.study.execution.folder import StudyFolder, create_folder, find_folder, opened
 from deploy.study.execution.runner import carry_out
-from deploy.study.robustness import margin_study
 from tests.deploy.study.studies import NOISE, TIED, Here, limits, made_up, make_sweep, margin_of
 
 KEY = "controller.model_scale"

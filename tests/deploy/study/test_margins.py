@@ -8,26 +8,18 @@ import re
 import pytest
 
 from controller.laws import COMPARED_LAWS
-from deploy.cli.study.margin_options import MarginOptions, definition_with
-from deploy.reports.results import write_study
-from deploy.reports.studies.margin_sentences import margin_sentences
-from deploy.reports.studies.study_tables import margins_by_law
+from deploy.reports.studies.results import write_study
 from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
+from deploy.studies.margin.command import MarginOptions, definition_with
+from deploy.studies.margin.margin import Margin, MarginDefinition
+from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.tables import margins_by_law
 from deploy.study.execution.folder import create_folder
-from deploy.study.margin import Margin, MarginDefinition
 from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
-from tests.deploy.study.studies import (
-    NOISE,
-    Here,
-    case_of,
-    conduct,
-    limits,
-    made_up,
-    margin_of,
-)
+from tests.deploy.study.studies import NOISE, Here, case_of, conduct, limits, made_up, margin_of
 from tests.one_joint import pd_setup
 
 

@@ -12,13 +12,13 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from deploy.judge.metrics import summarise
-from deploy.reports.results import judge_rows
-from deploy.reports.studies.margin_sentences import margin_sentences
-from deploy.reports.studies.study_tables import margin_table, margins_by_law
+from deploy.reports.studies.results import judge_rows
 from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
-from deploy.scenario.playout import EXPECTED, playout_range_ns
+from deploy.scenario.playout import EXPECTED
 from deploy.scenario.scenario import load_setup
+from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.tables import margin_table, margins_by_law
 from deploy.study.follow_ups.patterns import catalogue, neighbours
 from plant_emulator.channel.pattern import share_in_pattern
 from tests.deploy.study.studies import Here, case_of, conduct, folder_of, made_up, margin_of
@@ -118,7 +118,7 @@ def test_a_guarantee_names_its_playout_and_how_to_set_it(
     # All runs under the guarantee use its d, whatever their own delays would choose.
     for run in work.submitted:
         if run.columns["pattern"] is not None and "link.playout_ms" not in given:
-            assert playout_range_ns(load_setup(run.scenario, run.overrides)) == 2 * (
+            assert load_setup(run.scenario, run.overrides).playout_range_ns == 2 * (
                 round(1e6 * d_ms),
             )
 
@@ -282,7 +282,7 @@ SHAPES = st.fixed_dictionaries(
 
 
 @settings(
-    max_examples=10, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate]
+    max_examples=6, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate]
 )
 @given(
     st.tuples(SHAPES, SHAPES),
@@ -303,8 +303,10 @@ def test_any_patterns_in_both_directions_give_the_motion_of_the_constant_delay(
     assert varied["timing"]["deadline_misses"] == constant["timing"]["deadline_misses"]
 
 
-@pytest.mark.parametrize("arm", ["paper_arm", "panda_motors"])
-@pytest.mark.parametrize(("period_ms", "largest_ms"), [(60, 16), (20, 48), (60, 48)])
+@pytest.mark.parametrize(
+    ("arm", "period_ms", "largest_ms"),
+    [("paper_arm", 60, 16), ("paper_arm", 20, 48), ("panda_motors", 60, 48)],
+)
 def test_a_square_wave_loses_without_playout_what_a_constant_delay_keeps(
     arm, period_ms, largest_ms
 ):

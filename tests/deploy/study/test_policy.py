@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from deploy.study.policy_sheet import recommended
+from deploy.studies.policy.policy_sheet import recommended
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.studies.study_tables import margins_by_law
 from deploy.reports.studies.study_texts import margin_figure
 from deploy.reports.tables import as_markdown
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.tables import margins_by_law
 from deploy.study import cases
 from deploy.study.cases import CasesDefinition
-from deploy.study.margin import Margin
 from deploy.study.quantities import excitation
 from tests.deploy.study.studies import Here, conduct, made_up
 

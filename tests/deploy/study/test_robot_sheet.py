@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bus_schema.user_files import read_text
-from deploy.cli.study.datasheet import DatasheetOptions, torque_sheet
 from deploy.reports.kinds import gauged
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.robot_sheet import RobotSheet, Way, limiter_key, run_row
+from deploy.studies.datasheet.command import DatasheetOptions, torque_sheet
+from deploy.studies.datasheet.robot_sheet import RobotSheet, Way, limiter_key, run_row
 from tests.deploy.study.theory.linear_arms import Arm
 from tests.warm_process import output_of
 

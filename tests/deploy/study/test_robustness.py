@@ -11,16 +11,17 @@ import yaml
 
 from deploy.reports.again import read_study
 from deploy.reports.html import write_page
-from deploy.reports.results import study_page
-from deploy.reports.studies.study_tables import robustness_table
+from deploy.reports.studies.results import study_page
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
+from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.robustness.robustness import Robustness
+from deploy.studies.robustness.tables import robustness_table
+from deploy.studies.sweep.sweep import Sweep, load_sweep
 from deploy.study.execution.folder import create_folder
 from deploy.study.plants import measured
-from deploy.study.robustness import Robustness, margin_study
 from deploy.study.study import SHIPPED
-from deploy.study.sweep import Sweep, load_sweep
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 from tests.deploy.study.studies import NOISE, TIED, Here, conduct, made_up
 

@@ -11,17 +11,17 @@ import pytest
 from bus_schema.link.configuration import KeyFolder
 from bus_schema.messages.topics import Role
 from controller.laws import COMPARED_LAWS
-from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.run.execute import lockstep_setup
 from deploy.run.network.keys import create_authority, issue
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, parse_override
-from deploy.study.comparison.comparison import LawComparison
-from deploy.study.margin import Margin
-from deploy.study.robustness import margin_study
+from deploy.studies.comparison.comparison import LawComparison
+from deploy.studies.margin.command import MarginOptions, definition_with
+from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.sweep.sweep import Sweep
 from deploy.study.study import PlannedRun, row_of
-from deploy.study.sweep import Sweep
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import Here, conduct, made_up
 

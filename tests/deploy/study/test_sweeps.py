@@ -10,13 +10,13 @@ import yaml
 
 from controller.laws import LAWS
 from deploy.reports.html import write_page
-from deploy.reports.results import study_page
+from deploy.reports.studies.results import study_page
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
+from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.sweep.sweep import load_sweep
 from deploy.study.execution.folder import create_folder, find_folder
-from deploy.study.robustness import margin_study
 from deploy.study.study import row_of
-from deploy.study.sweep import load_sweep
 from tests.deploy.study.studies import (
     TIED,
     Here,

@@ -12,7 +12,7 @@ import pytest
 
 import controller
 import funnel_hil
-from deploy.reports.results import judge_rows
+from deploy.reports.studies.results import judge_rows
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.folder import find_folder, opened, require_same_provenance
 from deploy.study.execution.provenance import provenance_of_law

@@ -8,8 +8,9 @@ import pytest
 
 from deploy.judge.gate import build_gate
 from deploy.reports.kinds import gauged
-from deploy.reports.studies.margin_sentences import margin_sentences, robustness_sentences
-from deploy.study.robustness import margin_study
+from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.robustness.sentences import robustness_sentences
 from tests.deploy.study.studies import Here, conduct, made_up
 
 DELAYED = {"duration_s": 4.0, "limit": 2, "offsets": [1.0], "seeds": 1}

@@ -13,7 +13,7 @@ from controller.laws import COMPARED_LAWS, LAWS
 from controller.laws.fixed_time_model_based import FixedTimeModelBased
 from controller.laws.pid import Pid
 from controller.laws.sliding_mode import SlidingMode
-from deploy.cli.common import parse_laws
+from deploy.command.common import parse_laws
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_rows import row, write_rows
 from deploy.reports.runs import run_panels
@@ -21,7 +21,7 @@ from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.comparison.comparison import LawComparison
+from deploy.studies.comparison.comparison import LawComparison
 from tests.damage import damage_at
 
 SHORTLY = {"duration_s": 0.3, "metrics.from_s": 0.1}

@@ -14,18 +14,18 @@ import pytest
 import funnel_hil as interface
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.reports.results import write_run
-from deploy.reports.runs.comparison_tables import (
-    difference_table,
-    recorded_joint_tables,
-    recorded_table,
-    recorded_timing_table,
-)
-from deploy.reports.verdict_texts import verdict_on_runs
 from deploy.run.execute import JudgedRun
 from deploy.run.recording import record_failures
 from deploy.run.run_folder import RunFolder, read_summary
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from deploy.studies.diff.sentences import verdict_on_runs
+from deploy.studies.diff.tables import (
+    difference_table,
+    recorded_joint_tables,
+    recorded_table,
+    recorded_timing_table,
+)
 from deploy.study.comparison.recorded import recorded_runs
 from tests.damage import damage_at
 from tests.deploy.own_laws import own_law

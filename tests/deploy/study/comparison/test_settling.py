@@ -5,16 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.reports.verdict_texts import settling_sentence
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import LawComparison
-from deploy.study.comparison.settling import (
-    SETTLING,
-    SettlingTest,
-    Start,
-    offset_of,
-    settling_test,
-)
+from deploy.studies.comparison.comparison import LawComparison
+from deploy.studies.comparison.sentences import settling_sentence
+from deploy.study.comparison.settling import SETTLING, SettlingTest, Start, offset_of, settling_test
 
 
 def test_every_start_is_off_by_its_size_on_the_scenarios_side():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.reports.studies.margin_sentences import margin_sentences
-from deploy.reports.studies.theory_sentences import theory_sentences
-from deploy.study.margin import Margin
+from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.theory_sentences import theory_sentences
 from tests.deploy.study.studies import Here, conduct, made_up
 from tests.deploy.study.theory.linear_arms import (
     ARMS,

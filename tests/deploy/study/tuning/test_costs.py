@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deploy.study.tuning.costs import UNFINISHED, delay_cost, error_cost
+from deploy.studies.tune.costs import UNFINISHED, delay_cost, error_cost
 
 SETUP = SimpleNamespace(
     funnel=SimpleNamespace(final_rad=0.01),

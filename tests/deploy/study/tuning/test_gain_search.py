@@ -11,7 +11,7 @@ from bus_schema.errors import InputError
 from controller.laws import TORQUE_LAWS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import plain
-from deploy.study.tuning.gain_search import FIXED, GainSearch
+from deploy.studies.tune.gain_search import FIXED, GainSearch
 
 pytest.importorskip("cma", reason="the extra tuning is not installed")
 START = {"stiffness": [100.0, 50.0], "damping": 10.0, "integral": 0.0, "power": 0.5}

@@ -12,8 +12,8 @@ import pytest
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.tuning.places import TuneDefinition, judged
-from deploy.study.tuning.tuning import Tuning
+from deploy.studies.tune.runs import TuneDefinition, judged
+from deploy.studies.tune.tuning import Tuning
 from tests.warm_process import output_of
 
 pytest.importorskip("cma", reason="the extra tuning is not installed")

@@ -11,17 +11,10 @@ from deploy.judge.run_rows import Row, held
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.gauges import GaugedSummary
 from deploy.reports.kinds import ResultKind
-from deploy.reports.page import Fact, Page
-from deploy.reports.verdict_texts import ReportHead, level_of
+from deploy.reports.page import Fact, Page, ReportHead, level_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import override, validated
-from deploy.study.study import (
-    PlannedRun,
-    StudyDefinition,
-    StudyOfRuns,
-    scenario_name,
-    shown_value,
-)
+from deploy.study.study import PlannedRun, StudyDefinition, StudyOfRuns, scenario_name, shown_value
 
 
 class PayloadsDefinition(StudyDefinition):
@@ -91,9 +84,4 @@ def payloads_page(study: DrawnStudy) -> Page[DrawnStudy]:
     return Page("payloads", summary["name"], head, facts, list, study)
 
 
-PAYLOADS = ResultKind(
-    "payloads",
-    GaugedPayloads,
-    page_at="funnel_hil_example.payloads:payloads_page",
-    study_at="funnel_hil_example.payloads:Payloads",
-)
+PAYLOADS = ResultKind(Payloads.kind, GaugedPayloads, Payloads, payloads_page)

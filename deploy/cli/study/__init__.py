@@ -1,1 +1,0 @@
-"""Commands for many runs, comparisons of runs, and recorded runs."""

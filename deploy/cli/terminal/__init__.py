@@ -1,1 +1,0 @@
-"""Terminal output of commands: results and progress."""

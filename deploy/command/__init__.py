@@ -1,0 +1,1 @@
+"""Parts that commands share: options, progress, gates, and how a study is carried out."""

@@ -1,0 +1,59 @@
+"""Parts of pages about cases: their curves by arm, and the names of their values."""
+
+from __future__ import annotations
+
+from deploy.reports.figures import study_figures
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
+from deploy.reports.page import Fact, Panel
+from deploy.reports.studies import study_texts as texts
+from deploy.reports.studies.study_texts import Summary
+
+_MOST_NAMED = 8
+"""Lines of which each has its entry in the legend; of more, colours and patterns have."""
+
+
+def curves_panel(
+    summary: Summary, arm: str, own: list[Summary], name: str, quantity: StudyQuantity,
+    caption: str, title: str = "",
+) -> Panel[DrawnStudy]:  # fmt: skip
+    """A line for each case of an arm: laws by colour, or of one law its settings.
+
+    Lines are dashed without compensation, and dash-dotted with feedback at the drives. Points
+    of loops that already run are hollow.
+    """
+    laws = list(dict.fromkeys(case["law"] for case in summary["cases"]))
+    has_key = len(own) > _MOST_NAMED and len(laws) > 1
+    settings = list(dict.fromkeys(map(texts.setting_text, summary["cases"])))
+    lines = []
+    for case in own:
+        law, setting = laws.index(case["law"]), settings.index(texts.setting_text(case))
+        dash = (case["compensation"] is False) + 2 * bool(case["drive_feedback"])
+        tried = case["probes"] if "probes" in case else case["values"]
+        points = [(runs["value"], runs) for runs in tried if runs["runs"]]
+        colour = law if len(laws) > 1 else setting
+        key = (case["law"], texts.setting_text(case)) if has_key else None
+        lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"], key))
+    return Panel(
+        "Plants" if name == "kept" else arm, f"{name}-{arm}", title or quantity.title,
+        lambda study: study_figures.curves(study, lines, texts.value_title(summary), quantity),
+        caption, is_clickable=True,
+    )  # fmt: skip
+
+
+def value_name(case: Summary, tried: Summary, summary: Summary) -> str:
+    """Return the name of a value that was tried in a case."""
+    return f"{texts.case_title(case)}, {texts.value_text(tried['value'], summary)}"
+
+
+def durations(summary: Summary) -> Fact:
+    """Return the duration of a run on each arm."""
+    durations = summary["duration_s"].items()
+    return Fact("Duration of a run", ", ".join(f"{arm} {length:g} s" for arm, length in durations))
+
+
+def cases_by_arm(summary: Summary) -> dict[str, list[Summary]]:
+    """Group cases by their arm."""
+    found: dict[str, list[Summary]] = {}
+    for case in summary["cases"]:
+        found.setdefault(case["arm"], []).append(case)
+    return found

@@ -1,0 +1,1 @@
+"""Benchmarks: laws and predictors on the same runs."""

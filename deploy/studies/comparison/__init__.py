@@ -1,0 +1,1 @@
+"""Comparisons: a scenario under several laws."""

@@ -1,0 +1,90 @@
+"""The verdict on several laws, in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from deploy.judge.result.section import PerJoint
+from deploy.reports.page import ReportHead
+from deploy.reports.tables import number
+from deploy.reports.verdict_texts import (
+    bounds_sentence,
+    head_of_runs,
+    is_sound,
+    recording_sentences,
+)
+
+if TYPE_CHECKING:
+    from deploy.run.execute import JudgedRun
+    from deploy.study.comparison.compared_runs import ComparedRuns
+    from deploy.study.comparison.settling import SettlingTest
+
+
+_NAMED_JOINTS = 2
+
+
+def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
+    """The verdict on a comparison."""
+    runs = comparison.runs
+    kept = sum(run.kept_bounds for run in runs)
+    headline = f"{kept} of {len(runs)} laws kept their bounds"
+    if all(is_sound(run) for run in runs) and kept in (0, len(runs)):
+        headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
+    unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
+    head = head_of_runs(runs, headline, [*unread, *_ranking(comparison), *settled])
+    faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
+    return replace(head, printed=[*unread, *settled, *faulted])
+
+
+def settling_sentence(test: SettlingTest) -> str:
+    """Say in one sentence how a law settled from near and far."""
+    times = [start.settling_time_s for start in test.starts]
+    known = [time for time in times if time is not None]
+    farthest = number(max((start.distance_rad for start in test.starts), default=None))
+    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
+    slowest = f", at most {number(max(known))} s" if known else ""
+    return (
+        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
+        f"{slowest}{bound}"
+    )
+
+
+def _ranking(comparison: ComparedRuns) -> list[str]:
+    """Name the most precise law that kept its bounds, joint by joint, and the smoothest."""
+    kept = [run for run in comparison.runs if run.kept_bounds]
+    sentences = []
+    numbers: dict[str, dict[str, PerJoint | None]] = {
+        "Smallest RMS error": {run.law: run.result.tracking.rms_rad for run in kept},
+        "Smallest total variation of torque": {
+            run.law: run.result.torque.total_variation_nm_per_s for run in kept
+        },
+    }
+    for what, by_law in numbers.items():
+        competing = {law: values for law, values in by_law.items() if values is not None}
+        if len(competing) > 1:
+            sentences.append(f"{what}: {_winners(competing, kept)}.")
+    return sentences
+
+
+def _winners(competing: dict[str, list[float]], kept: list[JudgedRun]) -> str:
+    """Name the smallest number on each joint, and its distance from the next best."""
+    names = kept[0].result.tracking.joint_names
+    won: dict[str, dict[str, float]] = {}
+    for joint, name in enumerate(names):
+        first, second = sorted(competing, key=lambda law: competing[law][joint])[:2]
+        ratio = competing[first][joint] / max(competing[second][joint], 1e-300)
+        won.setdefault(first, {})[name] = ratio
+    return "; ".join(
+        f"{law} on {_joints(list(ratios), len(names))},"
+        f" at most {number(max(ratios.values()))} × the next best"
+        for law, ratios in won.items()
+    )
+
+
+def _joints(some: list[str], joints: int) -> str:
+    if len(some) == joints:
+        return "every joint"
+    if len(some) <= _NAMED_JOINTS:
+        return " and ".join(some)
+    return f"{len(some)} of {joints} joints"

@@ -1,0 +1,1 @@
+"""Data sheets: how much delay an arm takes, on one page."""

@@ -1,0 +1,259 @@
+"""The page of a data sheet: one sentence, one figure, the worst window, and what helps."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import plotly.graph_objects as go
+
+from deploy.reports.figures import joints, link, space, style
+from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
+from deploy.reports.studies import study_texts as texts
+from deploy.reports.studies.study_tables import TableColumn
+from deploy.reports.tables import ABSENT, Column, Table, table_of
+from deploy.run.execute import JudgedRun
+from deploy.studies.datasheet.data_sheet import any_pattern_ms
+from deploy.studies.margin.sentences import model_text
+from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
+from deploy.studies.margin.theory_sentences import theory_sentences
+from deploy.studies.robustness.sentences import robustness_sentences
+from deploy.studies.robustness.tables import robustness_table
+from deploy.study.cases import DRIVE_FEEDBACK
+from deploy.study.comparison.compared_runs import ComparedRuns
+from deploy.study.losses import share_kept
+from deploy.study.study import rows_by
+
+Summary = dict[str, Any]
+_HEIGHT_PX = 430
+_MOST_POINTS = 400
+
+
+class DrawnSheet(NamedTuple):
+    """A data sheet: its summary, and the run on the worst window of the network."""
+
+    summary: Summary
+    window: JudgedRun | None
+
+
+def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
+    """Return the page of a data sheet."""
+    summary = sheet.summary
+    parts = summary["parts"]
+    margin, plants = parts["margin"], parts.get("plants")
+    head, *more = summary["headline"]
+    cards = [] if "network" not in parts else [_network_table(summary)]
+    cards += [*help_tables(margin, "margin/"), margin_table(margin)]
+    cards += disturbance_tables(margin)
+    cards += [] if plants is None else [robustness_table(plants)]
+    return Page(
+        "data sheet",
+        summary["name"],
+        verdict=ReportHead("mixed", head, more),
+        facts=[
+            Fact("Arm", summary["arm"]),
+            Fact("Law", summary["law"]),
+            Fact("Network", summary["network"] or "none given"),
+            Fact("Runs", f"{summary['runs']}"),
+        ],
+        panels=lambda: _panels(sheet),
+        subject=sheet,
+        conditions=summary["conditions"],
+        results=[Cards(cards, "stacked")],
+        footer="Each part has a report of its own, in the folders beside this file.",
+    )  # fmt: skip
+
+
+def headline(summary: Summary) -> list[str]:
+    """Return the answer in one sentence, then its conditions and the rest.
+
+    The answer is the network's verdict, or without a network the number to quote. That number has
+    what is not known of the arm at its worst; the exact arm is the best case.
+    """
+    parts = summary["parts"]
+    margin, plants = parts["margin"], parts.get("plants")
+    cases = {case["compensation"]: case for case in margin["cases"]}
+    sentences = []
+    if (network := parts.get("network")) is not None:
+        sentences += _network_sentences(summary, network["points"])
+    sentences += [*_quoted_sentences(summary, margin), _best_case_sentence(margin, cases[True])]
+    doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
+    sentences += [f"Not tested: {each}" for each in doubts]
+    if plants is not None:
+        sentences += robustness_sentences(plants)[:1]
+    if summary["runs_failed"]:
+        causes = (part.get("commonest_error") for part in parts.values())
+        sentences.append(
+            f"{summary['runs_failed']} of {summary['runs']} runs failed, most often:"
+            f" {next(filter(None, causes), 'unknown')}."
+        )
+    return [*sentences, *theory_sentences({**margin, "cases": [cases[False]]})]
+
+
+def _quoted_sentences(summary: Summary, margin: Summary) -> list[str]:
+    """The number to quote, of the better of both settings; then both, and what decided them."""
+    best = texts.furthest_case(margin["cases"])
+    (other,) = (case for case in margin["cases"] if case is not best)
+    numbers = [
+        f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}"
+        for case in (best, other)
+    ]
+    quote = f"{texts.quoted_text(best, margin)} {texts.setting_text(best)}"
+    return [
+        f"{summary['arm']} under {summary['law']}: quote a round trip of {quote}.",
+        f"Round trips: {'; '.join(numbers)}{texts.unknowns_text(margin)}.",
+    ]
+
+
+def _best_case_sentence(margin: Summary, on: Summary) -> str:
+    """Name the delay of the exact arm with compensation, which is the best case."""
+    any_ms = any_pattern_ms(on)
+    if any_ms is None:
+        return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
+    or_more = " or more" if on["first_failure"] is None else ""
+    d_ms = on.get("guaranteed_d_ms")
+    playout = "" if d_ms is None else f", commands acting {d_ms:.9g} ms after their states"
+    return (
+        f"Best case{model_text([on])}: with compensation any delay up to {any_ms:g}"
+        f" ms{or_more} (messages in order, none lost{playout}), constant"
+        f" {texts.margin_text(on, margin)}."
+    )
+
+
+def _network_sentences(summary: Summary, points: list[Summary]) -> list[str]:
+    """Count the lost windows of the network; then their conditions, and what keeps more."""
+
+    def kept(one: Summary) -> str:
+        return f"{one['runs_kept']} of {one['runs']}"
+
+    equipment = _by_equipment(points)
+    plain = [one for one in equipment if not one["drive_feedback"]]
+    own, best = (max(each, key=lambda one: float(one["runs_kept"])) for each in (plain, equipment))
+    lost, name = own["runs"] - own["runs_kept"], Path(summary["network"]).name
+    interval = texts.interval_text(share_kept(own["runs_kept"], own["runs"]))
+    verdict = f"lost in {lost} of {own['runs']}" if lost else f"kept in {kept(own)}"
+    sentences = [
+        f"{name}: {verdict} windows {texts.equipment_text(own)}.",
+        f"Windows of {summary['duration_s']:g} s; 95 % interval of the kept share: {interval}.",
+    ]
+    if best["runs_kept"] > own["runs_kept"]:
+        sentences.append(
+            f"Kept in {kept(best)} {texts.equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true."
+        )
+    return sentences
+
+
+def _by_equipment(points: list[Summary]) -> list[Summary]:
+    """Sum up the windows of a network that had the same equipment."""
+    found = []
+    for own in rows_by(points, lambda point: str(point["values"][2:])).values():
+        _, _, compensation, *feedback = own[0]["values"]
+        worst = min(own, key=_smallest_margin)
+        found.append({
+            "compensation": compensation,
+            "drive_feedback": feedback[0] if feedback else None,
+            "runs": sum(point["runs"] for point in own),
+            "runs_kept": sum(point["runs_kept"] for point in own),
+            "losses": sum((Counter(point["losses"]) for point in own), Counter()),
+            "loss_joints": sum((Counter(point["loss_joints"]) for point in own), Counter()),
+            "worst_point": worst["worst_point"],
+        })  # fmt: skip
+    return found
+
+
+def _smallest_margin(point: Summary) -> float:
+    """The smallest margin of the runs of a point; of runs that failed there is none."""
+    lowest: float | None = point["margin_min"]["lowest"]
+    return -math.inf if lowest is None else lowest
+
+
+def _network_table(summary: Summary) -> Table:
+    """Windows of the network that were kept, with what may help."""
+    columns: list[TableColumn] = [
+        (Column("Compensation", is_text=True), lambda one: texts.COMPENSATION[one["compensation"]]),
+        (Column("Drive feedback", is_text=True),
+         lambda one: texts.COMPENSATION[one["drive_feedback"]]),
+        (Column("Windows kept", brief="Kept"), lambda one: f"{one['runs_kept']} of {one['runs']}"),
+        (Column("95 % interval"),
+         lambda one: texts.interval_text(share_kept(one["runs_kept"], one["runs"]))),
+        (Column("Lost by", is_text=True), lambda one: texts.losses_text(one) or ABSENT),
+        (Column("The worst, in the folder of this page", brief=None, is_text=True),
+         lambda one: f"funnel-hil simulate network/scenarios/{one['worst_point']}.yaml"),
+    ]  # fmt: skip
+    note = (
+        f"Each window is {summary['duration_s']:g} s of the network, the same in both directions."
+        " Windows begin at places spread evenly over the network, and one just before its worst"
+        " half second: this one is no random place, so the share and its interval are rather low."
+    )
+    title = f"Windows of {Path(summary['network']).name} in which bounds are kept"
+    rows = _by_equipment(summary["parts"]["network"]["points"])
+    return table_of(title, columns, rows, note)
+
+
+def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
+    panels = [
+        Panel(
+            "Delay", "share-kept", "Share of runs or plants that keep their bounds", _share_kept,
+            "Lines: runs of the exact arm at a constant delay, and uncertain plants. Dotted: the"
+            " margin for any pattern of delays. Grey: round trips of the network's worst window.",
+        )
+    ]  # fmt: skip
+    if (window := sheet.window) is None:
+        return panels
+    runs = ComparedRuns([window])
+    return [
+        *panels,
+        Panel("Worst window", "window-delay", "Delay of commands",
+              lambda _: link.delay_over_time(runs),
+              "From a state until its command arrives, and until it acts. The cross is the command"
+              " in force when an error left its bounds for the first time."),
+        Panel("Worst window", "window-error", "True errors inside their bounds",
+              lambda _: joints.error_in_funnel(runs), "Red marks are ticks outside the funnel."),
+        Panel("Worst window", "window-motion", "The arm in the worst window",
+              lambda _: space.arm_motion(window.data), "Grey: where the reference wants it."),
+    ]  # fmt: skip
+
+
+def _share_kept(sheet: DrawnSheet) -> go.Figure:
+    parts = sheet.summary["parts"]
+    figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "share (%)")
+    if sheet.window is not None:
+        trips_ms = np.sort(link.arrivals(sheet.window.data)[1])
+        share = 100.0 * np.arange(1, len(trips_ms) + 1) / max(1, len(trips_ms))
+        every = max(1, len(trips_ms) // _MOST_POINTS)
+        figure.add_scatter(
+            x=trips_ms[::every], y=share[::every], name="share of the network's round trips below",
+            line_color="#bbbbbb", fill="tozeroy", mode="lines",
+        )  # fmt: skip
+    for index, case in enumerate(parts["margin"]["cases"]):
+        probes = sorted(case["probes"], key=lambda probe: float(probe["value"]))
+        name, colour = texts.equipment_text(case), style.palette(index)
+        figure.add_scatter(
+            x=[probe["value"] for probe in probes],
+            y=[100.0 * probe["runs_kept"] / probe["runs"] for probe in probes],
+            name=name, mode="lines+markers", line_color=colour, line_shape="hv",
+        )  # fmt: skip
+        _mark(figure, f"any pattern, {name}", any_pattern_ms(case), colour, "dot")
+        theory_ms = (case.get("theory") or {}).get("constant_ms")
+        _mark(figure, "linear theory, constant delay", theory_ms, style.INK, "dash")
+    for case in (parts.get("plants") or {"cases": ()})["cases"]:
+        figure.add_scatter(
+            x=[at["value"] for at in case["values"]],
+            y=[100.0 * at["fraction"] for at in case["values"]],
+            name="uncertain plants", mode="lines+markers", line_color=style.palette(2),
+        )  # fmt: skip
+    figure.update_yaxes(range=[0.0, 103.0])
+    style.put_legend_on_top(figure, 1 + len(figure.data) // 3)
+    return figure
+
+
+def _mark(figure: go.Figure, name: str, at_ms: float | None, colour: str, dash: str) -> None:
+    """Draw a margin as an upright line, with its value in the legend."""
+    if at_ms is not None:
+        figure.add_scatter(
+            x=[at_ms, at_ms], y=[0.0, 100.0], name=f"{name}: {at_ms:g} ms", mode="lines",
+            line={"color": colour, "dash": dash, "width": 1},
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Margins: the largest delay, or other quantity, at which each law keeps its bounds."""

@@ -1,0 +1,1 @@
+"""Policies: how long their inference may take, with each merge of chunks."""

@@ -1,0 +1,1 @@
+"""Margins over uncertain plants: the share that keeps its bounds at each value."""

@@ -1,0 +1,1 @@
+"""Sweeps: every point of a grid with every seed."""

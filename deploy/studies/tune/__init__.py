@@ -1,0 +1,1 @@
+"""Tunings: a search for the gains of laws."""

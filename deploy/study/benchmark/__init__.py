@@ -1,1 +1,0 @@
-"""The benchmark: laws and predictors on arms, networks and uncertain plants, run alike."""

@@ -1,1 +1,0 @@
-"""Tuning: the gains of laws, found by one search."""

@@ -1,0 +1,1 @@
+"""A Franka arm's controller behind libfranka's research interface, as ``pylibfranka`` uses it."""
