@@ -1,7 +1,7 @@
 """Robot client of LeRobot's policy server (gRPC service ``transport.AsyncInference``).
 
-It needs grpcio alone: the messages of the service are a few bytes around a pickle, which
-`controller.policies.foreign_pickles` writes and reads.
+Its messages are a few bytes around a pickle, which `controller.policies.foreign_pickles` writes
+and reads.
 """
 
 from __future__ import annotations
@@ -10,6 +10,9 @@ import pickle
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
+
+from google.protobuf.message import DecodeError
+from google.protobuf.wrappers_pb2 import BytesValue
 
 from controller.policies.client import (
     NoAnswerError,
@@ -50,7 +53,7 @@ class LeRobotClient(PolicyClient):
         self._channel = grpc.insecure_channel(self._place, unlimited)
         self._call("Ready", b"", timeout_s, waits=True)
         setup = pickled_instance("RemotePolicyConfig", self._instructions())
-        self._call("SendPolicyInstructions", _field(1, setup), timeout_s)
+        self._call("SendPolicyInstructions", _message(setup), timeout_s)
 
     def ask(self, observation: Observation, timeout_s: float) -> object:
         robot, values = self._robot, dict[str, object](observation.images)
@@ -136,36 +139,27 @@ def _error_of(error: Any, method: str, timeout_s: float, *, is_connecting: bool)
 
 
 def _in_messages(data: bytes) -> Iterator[bytes]:
-    """Split a transfer into messages ``Observation``."""
+    """Split a transfer into messages ``Observation``: its state, number 1, and bytes, number 2."""
     for begin in range(0, len(data), _BYTES_IN_MESSAGE):
         end = begin + _BYTES_IN_MESSAGE
         state = _END if end >= len(data) else _MIDDLE if begin else _BEGIN
-        yield bytes([1 << 3, state]) + _field(2, data[begin:end])
+        yield bytes([1 << 3, state, 2 << 3 | 2]) + _message(data[begin:end])[1:]
 
 
-def _field(number: int, data: bytes) -> bytes:
-    """Return a field of bytes of a protobuf message."""
-    head, left = bytearray([number << 3 | 2]), len(data)
-    while left > 0x7F:
-        head.append(left & 0x7F | 0x80)
-        left >>= 7
-    return bytes(head) + bytes([left]) + data
+def _message(data: bytes) -> bytes:
+    """Return a message ``PolicySetup``; like ``Actions`` it has one field, of bytes, number 1."""
+    message: bytes = BytesValue(value=data).SerializeToString()
+    return message
 
 
 def _data_of(message: bytes) -> bytes:
-    """Return the bytes of a message that has at most one field of bytes, number 1.
+    """Return the bytes in a message ``Actions``.
 
     Raises:
         PolicyServerError: it is another message.
     """
-    if not message:
-        return b""
-    size, at = 0, 1
-    while at < len(message):
-        size |= (message[at] & 0x7F) << 7 * (at - 1)
-        at += 1
-        if message[at - 1] < 0x80:
-            break
-    if message[0] != 1 << 3 | 2 or len(message) != at + size:
-        raise PolicyServerError(f"its answer is no message Actions: {message[:24]!r}")
-    return message[at:]
+    try:
+        data: bytes = BytesValue.FromString(message).value
+    except DecodeError:
+        raise PolicyServerError(f"its answer is no message Actions: {message[:24]!r}") from None
+    return data

@@ -228,7 +228,7 @@ def after(count, bad):
         (np.zeros((5, 1)), "an answer has 5 rows: must be 16"),
         (np.full((ROWS, 1), np.nan), "action 0 has nan for joint 1: must be finite"),
         (b"", "answered without actions"),
-        (b"\x08\x01", "no message Actions"),
+        (b"\x0a\x7f\x01", "no message Actions"),
         (field(b"garbage"), "cannot be read"),
         (lambda _: time.sleep(3), "did not answer GetActions within 2 s"),
         (lambda _: 1 / 0, "GetActions failed with UNKNOWN"),
