@@ -268,16 +268,6 @@ class ControllerConfiguration(StrictModel):
             )
         return self
 
-    @model_validator(mode="after")
-    def _has_lengths_of_chunks(self) -> ControllerConfiguration:
-        chunks = self.chunks
-        if is_address(self.law) and not (chunks and chunks.horizon and chunks.period_ms):
-            raise ValueError(
-                f"law {self.law} needs chunks.horizon, the actions of an answer, and"
-                " chunks.period_ms, the time between two of them"
-            )
-        return self
-
     @field_validator("process")
     @classmethod
     def _is_there(cls, process: Any, info: ValidationInfo) -> Any:
@@ -370,10 +360,16 @@ class ControllerConfiguration(StrictModel):
         if are_left_out():
             return LeftOut(len(joint_names))
         chunks = self.chunks
-        assert chunks is not None  # ensured by a validator, as are its lengths
-        assert chunks.horizon is not None
-        period_s = chunks.action_period_s(math.nan)
-        return ServedPolicy(self.law, self.policy_server, joint_names, chunks.horizon, period_s)
+        if chunks is None or chunks.horizon is None or chunks.period_ms is None:
+            given = None if chunks is None else chunks.model_dump(exclude_unset=True)
+            allowed = (
+                "must have horizon, the actions of an answer, and period_ms, the time between two"
+                " of them, with a policy server"
+            )
+            raise ConfigurationError("controller.chunks", given, allowed, ["controller.law"])
+        return ServedPolicy(
+            self.law, self.policy_server, joint_names, chunks.horizon, 1e-3 * chunks.period_ms
+        )
 
     def nominal_model(
         self,

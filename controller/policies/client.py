@@ -46,7 +46,7 @@ class Robot:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a policy sees.
+    """Input of a policy.
 
     Attributes:
         number: of the question; those of two clients of a server differ.

@@ -319,7 +319,7 @@ def test_server_that_dies_for_good_stops_the_run(tmp_path, start):
     [
         ("controller.law=lerobot://nowhere", "policy server as lerobot://host:port"),
         ("controller.law=lerobot://host:0", "policy server as lerobot://host:port"),
-        ("controller.chunks={horizon: 16}", "needs chunks.horizon"),
+        ("controller.chunks={horizon: 16}", "must have horizon, the actions of an answer"),
         ("controller.policy_server.lerobot=null", "must have policy_type and checkpoint"),
         ("controller.policy_server.state=[]", "controller.policy_server.state"),
         ("controller.policy_server.state=[torque]", "controller.policy_server.state"),
