@@ -67,7 +67,9 @@ class DataSheet:
 
     def margin(self) -> StudyOfRuns:
         """Return the search for margins, without and with delay compensation, for any pattern."""
-        quick: dict[str, Any] = {"seeds": [1], "offsets": [1.0], "disturbances": None}
+        quick: dict[str, Any] = {
+            "seeds": [1], "offsets": [1.0], "disturbances": None, "thorough": False
+        }  # fmt: skip
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.law], "running": [False],
             "compensation": [False, True], "pattern": "any", "what_helps": True,

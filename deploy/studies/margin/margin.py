@@ -36,6 +36,7 @@ _OF_PATTERNS = (
     "worst_pattern", "patterns", "disturbances",
 )  # fmt: skip
 """Keys of the findings about patterns of delays."""
+_FEW_PARTS = 3
 _MOST_VARIANTS = 200
 """Of a follow-up, for each start; their numbers do not depend on what is tried before them."""
 
@@ -58,6 +59,8 @@ class MarginDefinition(CasesDefinition):
         smaller_rotors: where rotors are estimated, search again with a tenth of them.
         model_errors: factors on the scenario's own ``controller.model_scale``; up to the margin, it
             is searched again with each of them.
+        thorough: false tries a handful of patterns, and fewer values with `smaller_rotors` and
+            `model_errors`.
     """
 
     seeds: Seeds = Field(default=[1, 2])
@@ -69,6 +72,7 @@ class MarginDefinition(CasesDefinition):
     what_helps: bool = False
     smaller_rotors: bool = False
     model_errors: list[Positive] = Field(default_factory=list)
+    thorough: bool = True
 
 
 class Margin(StudyOfCases):
@@ -120,6 +124,7 @@ class Margin(StudyOfCases):
             "unknowns": unknown or None,  # as in older baselines
             "resolution": steps.resolution,
             "limit": steps.value(steps.limit),
+            **({} if wanted.thorough else {"thorough": False}),  # which older baselines lack
         }
 
     def _steps(self, setting: Setting) -> Steps:
@@ -212,13 +217,21 @@ class Margin(StudyOfCases):
         limited = replace(steps, first=margin, limit=margin)
         for number, (name, change) in enumerate(self._unknowns(setting).items(), 3):
             variants = changed(case, name, change, number * block)
-            yield name, MarginSearch(limited, variants=variants, hints=[margin])
+            parts = {} if wanted.thorough else {"parts": _FEW_PARTS}
+            yield name, MarginSearch(limited, variants=variants, hints=[margin], **parts)
         if wanted.pattern is not None:
             at_margin = load_setup(setting.scenario, setting.at(steps.value(margin)))
             # Without delay all patterns hold.
             yield (
                 "patterns",
-                PatternSearch(limited, {0: True}, parts=1, case=case, at_margin=at_margin),
+                PatternSearch(
+                    limited,
+                    {0: True},
+                    parts=1,
+                    case=case,
+                    at_margin=at_margin,
+                    is_thorough=wanted.thorough,
+                ),
             )
             if wanted.disturbances is not None:
                 values = sorted({margin, margin // 2, margin // 4}, reverse=True)

@@ -133,12 +133,14 @@ class PatternSearch(MarginSearch):
     Attributes:
         case: the case with this margin.
         at_margin: its scenario with the constant delay of this margin.
+        is_thorough: whether to try a catalogue of patterns where the play-out does not level them.
         is_levelled: whether the play-out levels all delays up to it.
         worst_overrides: overrides of the run with the worst pattern, once that is known.
     """
 
     case: Case
     at_margin: Setup
+    is_thorough: bool = True
     is_levelled: bool = False
     worst_overrides: tuple[str, ...] = ()
 
@@ -146,18 +148,20 @@ class PatternSearch(MarginSearch):
         self._tick_ms = self.case.setting.base.grid.period_ns * 1e-6
         self._refined: set[int] = set()
         self.is_levelled = self.at_margin.is_levelled
-        if not self.is_levelled:
+        if self.is_thorough and not self.is_levelled:
             self._add(self._shaped(catalogue(self._tick_ms)))
             return
-        setting, starts = self.case.setting, self.case.variants
-        found = splits(setting, self.steps.value(self.steps.limit))
         self._add(self._shaped([*HANDFUL, *bursts(self._tick_ms)]))
-        self._add(divided(start, split, setting) for split in found for start in starts)
+        if self.is_levelled:
+            setting, starts = self.case.setting, self.case.variants
+            found = splits(setting, self.steps.value(self.steps.limit))
+            self._add(divided(start, split, setting) for split in found for start in starts)
 
     def next(self) -> int | None:
         """Return the value to try next, with more variants if it is the last one that held."""
         steps = super().next()
-        if steps is None and self.margin and not (self.is_levelled or self.margin in self._refined):
+        is_refined = self.is_levelled or not self.is_thorough or self.margin in self._refined
+        if steps is None and self.margin and not is_refined:
             steps = self.margin
             self._refined.add(steps)
             worst = worst_of(self.rows[steps])["pattern"]

@@ -72,6 +72,16 @@ def test_without_playout_the_worst_pattern_is_found(tmp_path):
     assert "4 ms; every pattern: 4 ms, " in as_markdown(margins_by_law(summary))
 
 
+def test_a_quick_search_tries_six_patterns_at_each_value_and_no_neighbours(tmp_path):
+    """Four of a handful and two kinds of bursts, at 8 and at 4 ms."""
+    margin = patterns_of(thorough=False)
+    _, folder = conduct(margin, tmp_path / "out", Here(squares_lose, seed=3))
+    case = case_of(margin, folder)
+    assert (case["worst_pattern"]["margin"], case["patterns"]["tried"]) == (4.0, 12)
+    assert margin.own_test["thorough"] is False
+    assert "thorough" not in patterns_of().own_test  # as in older baselines
+
+
 def test_a_neighbour_that_loses_lowers_the_margin(tmp_path):
     """At 8 ms only patterns that begin later lose, and of the catalogue none does."""
 
