@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import cache
 from pathlib import PurePath
 from typing import Annotated, Any, Literal, cast
@@ -58,6 +58,9 @@ from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
+from controller.policies.configuration import PolicyServerConfiguration, is_address
+from controller.policies.served_law import ServedLaw
+from controller.policies.served_policy import ServedPolicy
 from controller.slow_law import AnswerTiming, ChunkRules, SlowLaw
 
 LONGEST_HORIZON_MS = 1e-6 * LONGEST_HORIZON_NS
@@ -75,8 +78,8 @@ def is_program(name: str) -> bool:
 
 
 def is_law_name(name: str) -> bool:
-    """Whether ``controller.law`` may have this value: a law, a custom one, or a process."""
-    return name in LAWS or name == PROCESS or is_custom(name)
+    """Whether a name is a law, a custom one, a policy server's address, or a process."""
+    return name in LAWS or name == PROCESS or is_custom(name) or is_address(name)
 
 
 def _to_word(value: Any) -> Any:
@@ -187,13 +190,15 @@ class ControllerConfiguration(StrictModel):
     """The controller.
 
     Attributes:
-        law: name of the control law, ``module:Class`` for your own law, or ``external`` for a law
-            in a program; ``process`` if a process is given.
+        law: name of the control law, ``module:Class`` for your own law, ``external`` for a law
+            in a program, or the address of a policy server, ``lerobot://host:port`` or
+            ``openpi://host:port``; ``process`` if a process is given.
         process: your own controller on the bus instead of a law: a program and its arguments,
             started in the current folder, without a shell.
         gains: gains by law. A law without an entry derives its gains from the arm's nominal
             inertia.
         external: the program of law ``external``.
+        policy_server: what the client of a policy server sends, and how long it waits.
         model: URDF or MJCF file with the masses of the nominal model, for the same joints; by
             default those of the arm.
         model_scale: factor on masses and inertias of the nominal model, including rotors.
@@ -221,6 +226,7 @@ class ControllerConfiguration(StrictModel):
     process: Annotated[tuple[Word, ...] | None, Field(min_length=1, validate_default=True)] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     external: ExternalLawConfiguration | None = None
+    policy_server: PolicyServerConfiguration = PolicyServerConfiguration()
     model: str | None = None
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     rotor_scale: NonNegative = 1.0
@@ -248,8 +254,9 @@ class ControllerConfiguration(StrictModel):
     def _known(cls, law: str) -> str:
         if not is_law_name(law):
             raise ValueError(
-                f"one of {', '.join(LAWS)}, module:Class for your own law, or {EXTERNAL} for your"
-                f" own program{likely_law(law)}"
+                f"one of {', '.join(LAWS)}, module:Class for your own law, {EXTERNAL} for your"
+                " own program, or a policy server as lerobot://host:port or openpi://host:port"
+                f"{likely_law(law)}"
             )
         return law
 
@@ -316,7 +323,7 @@ class ControllerConfiguration(StrictModel):
             ConfigurationError: the number of a gain's values does not fit the arm, or the law
                 cannot be loaded.
         """
-        if self.law in (EXTERNAL, PROCESS):
+        if self.law in (EXTERNAL, PROCESS) or is_address(self.law):
             return {}
         if self.law not in LAWS:
             return self.gains["custom"]
@@ -342,10 +349,27 @@ class ControllerConfiguration(StrictModel):
             assert self.external is not None  # ensured by a validator
             law_type = ExternalTargetLaw if self.external.targets else ExternalLaw
             return law_type(self.external, robot.effort_limits_nm)
+        if is_address(self.law):
+            return self._served_policy(robot.joint_names)
         model = self.nominal_model(robot, rotors_kg_m2)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
         return LAWS[self.law].build(gains, model, robot.effort_limits_nm)
+
+    def _served_policy(self, joint_names: Sequence[str]) -> ControlLaw:
+        if are_left_out():
+            return LeftOut(len(joint_names))
+        chunks = self.chunks
+        if chunks is None or chunks.horizon is None or chunks.period_ms is None:
+            given = None if chunks is None else chunks.model_dump(exclude_unset=True)
+            allowed = (
+                "must have horizon, the actions of an answer, and period_ms, the time between two"
+                " of them, with a policy server"
+            )
+            raise ConfigurationError("controller.chunks", given, allowed, ["controller.law"])
+        return ServedPolicy(
+            self.law, self.policy_server, joint_names, chunks.horizon, 1e-3 * chunks.period_ms
+        )
 
     def nominal_model(
         self,
@@ -449,6 +473,8 @@ class ControllerConfiguration(StrictModel):
             merge, chunks.action_period_s(period_s), chunks.horizon, chunks.share_left,
             chunks.ask_every, chunks.align,
         )  # fmt: skip
+        if isinstance(law, ServedPolicy):
+            return ServedLaw(law, timing, rules)
         return SlowLaw(law, timing, rules)
 
     def answer_age_s(self, period_s: float) -> float:

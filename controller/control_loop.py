@@ -105,6 +105,7 @@ class ControlLoop:
             task.law_name, task.limits, self.tracking.motion, self._torques_nm[0]
         )
         self._target_of_law = getattr(task.law, "target", None) if task.sends_targets else None
+        self._new_answers: Callable[[], list[str]] | None = getattr(task.law, "new_answers", None)
         self._start_ns = link.start_ns
         self._feedback: CommandFeedback | None = None
         self.stamp_ns = -1
@@ -304,6 +305,8 @@ class ControlLoop:
             self._change_mode(Trigger.COMMAND, "first torque sent")
         if self._guard.hits:
             self._count_limit_hits()
+        if self._new_answers is not None:
+            self._events += [(EventKind.ANSWER, each) for each in self._new_answers()]
         if self._events:
             self._publish_events()
 

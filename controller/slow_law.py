@@ -7,7 +7,7 @@ force once its inference time is over. An answer may be a chunk: rows for the ne
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.randomness import plain_generator
@@ -62,6 +62,30 @@ class ChunkRules:
     align: Literal["time", "count"] = "time"
 
 
+class OpenQuestion(Protocol):
+    """A question whose answer is not in force yet."""
+
+    def answer_at(self, now_s: float) -> Answer | None:
+        """Return the answer if it is there at a time; else None."""
+
+    def wait(self) -> Answer | None:
+        """Return the answer as soon as it is known."""
+
+
+@dataclass(frozen=True)
+class WaitingAnswer:
+    """An answer that is known, and waits until its inference time is over."""
+
+    answer: Answer | None
+    ready_s: float
+
+    def answer_at(self, now_s: float) -> Answer | None:
+        return self.answer if now_s >= self.ready_s else None
+
+    def wait(self) -> Answer | None:
+        return self.answer
+
+
 class SlowLaw:
     """A law of which one question at a time is open.
 
@@ -91,7 +115,7 @@ class SlowLaw:
         self._row_s = self._rules.action_s or timing.period_s
         self.diagnostics = law.diagnostics
         self._in_force: Answer | None = None
-        self._coming: Answer | None = None
+        self._open: OpenQuestion | None = None
         self._forget()
 
     def reset(self) -> None:
@@ -108,14 +132,13 @@ class SlowLaw:
         """Torque in force at a state, N m, shape (joints,)."""
         now_s = tracking.time_s
         self._since_s += tracking.step_s
-        if self._coming is not None and now_s >= self._ready_s - NEAR * self._timing.period_s:
-            self._take_over(self._coming, now_s)
-        if self._states % self._timing.every == 0 and self._coming is None and self._wants(now_s):
-            answer = self._ask(tracking)
-            if self._in_force is None or self._ready_s <= now_s:
+        if self._open is not None and (answer := self._open.answer_at(now_s)) is not None:
+            self._take_over(answer, now_s)
+        if self._states % self._timing.every == 0 and self._open is None and self._wants(now_s):
+            self._open = asked = self._ask(tracking)
+            answer = asked.wait() if self._in_force is None else asked.answer_at(now_s)
+            if answer is not None:
                 self._take_over(answer, now_s)
-            else:
-                self._coming = answer
         self._states += 1
         acting = self._in_force
         assert acting is not None
@@ -130,10 +153,10 @@ class SlowLaw:
     def _forget(self) -> None:
         self._random = plain_generator(self._timing.seed)
         self._states = self._asked = 0
-        self._asked_s = self._ready_s = self._since_s = 0.0
+        self._asked_s = self._since_s = 0.0
         self._rules.merge.reset()
         self.log = ChunkLog(has_targets=self._own_target is not None)
-        self._in_force = self._coming = None
+        self._in_force = self._open = None
 
     def _wants(self, now_s: float) -> bool:
         """Whether the law is to be asked at a state."""
@@ -149,7 +172,7 @@ class SlowLaw:
         return left <= rules.ask_when * actions + NEAR
 
     def _take_over(self, answer: Answer, now_s: float) -> None:
-        old, self._coming = self._in_force, None
+        old, self._open = self._in_force, None
         if old is None:
             self._in_force = answer
             return
@@ -158,18 +181,24 @@ class SlowLaw:
         self._in_force = self._rules.merge.merged(old, answer, now_s)
         self.log.note_switch(old, self._in_force, now_s)
 
-    def _ask(self, tracking: Tracking) -> Answer:
-        self._tell(tracking.time_s)
-        torques, targets = self._answers(tracking)
-        jitter_s = self._timing.jitter_s
-        jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
-        inference_s = self._timing.first_s if self._asked == 1 else self._timing.inference_s
+    def _ask(self, tracking: Tracking) -> OpenQuestion:
+        now_s = tracking.time_s
+        self._tell(now_s)
+        self._note_question(now_s)
+        return self._waiting(self._as_answer(now_s, *self._answers(tracking)), None)
+
+    def _note_question(self, now_s: float) -> None:
         self._asked += 1
-        self._asked_s = now_s = tracking.time_s
-        self._ready_s = now_s + max(0.0, inference_s + jitter_s)
-        return self._checked(
-            Answer(now_s, now_s, self._row_s, torques, targets, self._timing.holding)
-        )
+        self._asked_s = now_s
+
+    def _waiting(self, answer: Answer, ready_s: float | None) -> WaitingAnswer:
+        """Return an answer that acts from a time on; None for its configured inference time."""
+        if ready_s is None:
+            jitter_s = self._timing.jitter_s
+            jitter_s *= self._random.uniform(-1.0, 1.0) if jitter_s else 1.0
+            inference_s = self._timing.first_s if self._asked == 2 else self._timing.inference_s
+            ready_s = answer.asked_s + max(0.0, inference_s + jitter_s)
+        return WaitingAnswer(answer, ready_s - NEAR * self._timing.period_s)
 
     def _answers(self, tracking: Tracking) -> tuple[Matrix, Matrix]:
         """Return torques and targets of the law, whose step is the time since its last question."""
@@ -192,7 +221,13 @@ class SlowLaw:
         if guidance is not None:
             self._guide(*guidance)
 
-    def _checked(self, answer: Answer) -> Answer:
+    def _as_answer(self, asked_s: float, torques: Matrix, targets: Matrix) -> Answer:
+        """Return the answer to a question.
+
+        Raises:
+            ValueError: it has another number of rows than the horizon.
+        """
+        answer = Answer(asked_s, asked_s, self._row_s, torques, targets, self._timing.holding)
         horizon = self._rules.horizon
         if horizon is not None and answer.rows != horizon:
             raise ValueError(

@@ -15,10 +15,10 @@ COMMANDS_RECEIVED = "commands_received"
 
 
 class EventKind(StrEnum):
-    """Kinds of run events. `COUNTS` and `ENDED` carry JSON, the others a sentence.
+    """Kinds of run events. `COUNTS`, `ENDED` and `ANSWER` carry JSON, the others a sentence.
 
     `INJECTED` reports that a scheduled fault begins or ends, `FAULT` what went wrong. `ENDED` is
-    the last message of a process.
+    the last message of a process. `ANSWER` is a chunk of actions from a policy server.
     """
 
     STARTED = "started"
@@ -28,6 +28,7 @@ class EventKind(StrEnum):
     FAULT = "fault"
     INJECTED = "injected"
     STOPPED = "stopped"
+    ANSWER = "answer"
     COUNTS = "counts"
     ENDED = "ended"
 

@@ -60,7 +60,10 @@ def parse_laws(text: str | None, option: str = "--laws") -> list[str] | None:
         raise ScenarioError(f"{option} {text!r}: must name one or more of {', '.join(LAWS)}")
     for law in named:
         if not is_law_name(law):
-            allowed = f"{', '.join(LAWS)}, {PROCESS}, module:Class for your own law, or {EXTERNAL}"
+            allowed = (
+                f"{', '.join(LAWS)}, {PROCESS}, module:Class for your own law, {EXTERNAL}, or a"
+                " policy server as lerobot://host:port or openpi://host:port"
+            )
             raise ScenarioError(f"{option} {shown(law)}: must be one of {allowed}{likely_law(law)}")
     return named
 

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.recording.mcap_log import LogContents
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop
+from controller.policies.served_law import ServedLaw
 from deploy.judge.run_data import digest
 from deploy.run.recording import RUN_METADATA
 from deploy.scenario.setup import Setup
@@ -71,7 +73,10 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     if master_skips:
         link.start_ns = 0
         answered, missing = _states_answered(setup, contents)
-    loop = ControlLoop(setup.control_task(), link)
+    task = setup.control_task()
+    if isinstance(task.law, ServedLaw):
+        task.law.answer_from(_served_answers(contents))
+    loop = ControlLoop(task, link)
     loop.warm_up()
     has_status = setup.link_kind.brings_plant_status
     statuses = _statuses_beside(contents) if has_status else [None] * len(answered)
@@ -120,6 +125,17 @@ def _answered_states(contents: LogContents) -> int | None:
                 counts = event.values()
                 return int(counts["cycles"]) + int(counts["late"])
     return None
+
+
+def _served_answers(contents: LogContents) -> list[dict[str, Any]]:
+    """Return the answers of a policy server, for `ServedLaw.answer_from`."""
+    answers = []
+    for payload in contents.payloads[topics.RUN_EVENTS.name]:
+        with contextlib.suppress(InvalidMessageError):
+            event = RunEvent.decode(payload)
+            if (event.source, event.kind) == (Role.CONTROLLER, EventKind.ANSWER):
+                answers.append(event.values())
+    return answers
 
 
 def _states_answered(setup: Setup, contents: LogContents) -> tuple[list[bytes], str]:

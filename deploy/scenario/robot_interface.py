@@ -15,6 +15,7 @@ from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL, LeftOut
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
+from controller.policies.configuration import is_address
 from deploy.scenario.checked_scenario import CheckedScenario
 from deploy.scenario.definition import ScenarioConfiguration
 from plant_emulator.channel.delay_range import configured_delays_ns, round_trip_ns
@@ -161,11 +162,17 @@ def _check_no_preview(setup: CheckedScenario) -> None:
 
 
 def _check_targets_arrive(scenario: ScenarioConfiguration) -> None:
-    """Check that drives or a robot take the targets of a program."""
+    """Check that drives or a robot take the targets of a program or a policy server."""
     controller = scenario.controller
-    if controller.law != EXTERNAL or controller.external is None or not controller.external.targets:
+    if controller.drive_feedback.enabled or scenario.plant.interface.takes != TORQUE:
         return
-    if not controller.drive_feedback.enabled and scenario.plant.interface.takes == TORQUE:
+    if is_address(controller.law):
+        allowed = (
+            "must not be a policy server, unless controller.drive_feedback.enabled is true or a"
+            " robot takes positions or velocities"
+        )
+        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
+    if controller.law == EXTERNAL and controller.external and controller.external.targets:
         allowed = (
             "must be false, unless controller.drive_feedback.enabled is true or a robot takes"
             " positions or velocities"

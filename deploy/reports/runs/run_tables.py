@@ -135,8 +135,9 @@ def transport_table(result: RunResult) -> Table:
 
 
 def event_table(run: RunData) -> Table:
-    """Everything that was announced, in order, but for counts, which have their own table."""
-    events = [event for event in run.events if event.kind != EventKind.COUNTS]
+    """Everything that was announced, in order, but for counts and a policy server's answers."""
+    hidden_kinds = (EventKind.COUNTS, EventKind.ANSWER)
+    events = [event for event in run.events if event.kind not in hidden_kinds]
     rows = [
         [f"{event.stamp_ns * 1e-9:.3f}", event.source, event.kind, _detail(event)]
         for event in events[:_SHOWN_EVENTS]

@@ -22,6 +22,7 @@ from bus_schema.runtime.realtime import raise_priority, use_batch_scheduling
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.errors import ControllerError
+from controller.policies.served_law import ServedLaw
 from deploy.run.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.run.network.links import check_link, require_keys, require_own_controller
 from deploy.run.network.live_feed import LiveFeed
@@ -138,7 +139,10 @@ def controller(options: RoleOptions, reporter: StatusReporter) -> int:
     link = None
     try:
         link = setup.link_kind.open_controller(run)
-        loop = ControlLoop(setup.control_task(), link)
+        task = setup.control_task()
+        if setup.scenario.clock == "realtime" and isinstance(task.law, ServedLaw):
+            task.law.answer_in_real_time()
+        loop = ControlLoop(task, link)
         failure = _failure_of(loop.warm_up)
         reporter.report(
             "note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}"

@@ -11,6 +11,7 @@ import typer
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from controller.chunks.configuration import CHUNK_MERGES
+from controller.policies.configuration import is_address
 from deploy.command.common import leave, parse_laws, say_warnings
 from deploy.command.options import ScenarioArgument, taking
 from deploy.command.study_command import carried_out
@@ -29,7 +30,13 @@ from deploy.studies.policy.policy_sheet import PolicySheet, recommended, shipped
 class PolicyOptions(WorkerOptions):
     """The options of `policy`."""
 
-    law: Annotated[str, typer.Argument(metavar="MODULE:CLASS", help="The policy.")]
+    law: Annotated[
+        str,
+        typer.Argument(
+            metavar="POLICY",
+            help="MODULE:CLASS, or a server: lerobot://HOST:PORT or openpi://HOST:PORT.",
+        ),
+    ]
     scenario: ScenarioArgument = "paper_arm"
     merges: Annotated[
         str | None, typer.Option(metavar="A,B,…", help="Merges to try; by default all but waiting.")
@@ -52,7 +59,9 @@ def policy(options: PolicyOptions) -> None:
     time, jumps, ages of observations, and the tip's error. After an interruption or a kill, the
     same command continues.
     """
-    parse_laws(options.law, "MODULE:CLASS")
+    parse_laws(options.law, "POLICY")
+    if is_address(options.law) and options.workers is None and options.scheduler is None:
+        options = replace(options, workers=1)  # a server of LeRobot has one client
     sheet = PolicySheet(
         options.scenario, options.law, _merges(options.merges), options.network, options.at,
         options.limit, options.resolution, options.fixed(),

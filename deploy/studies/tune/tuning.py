@@ -15,6 +15,7 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import InputError, did_you_mean
 from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL, default_gains
+from controller.policies.configuration import is_address
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row
 from deploy.scenario import study_keys
@@ -271,8 +272,8 @@ def _lasting(duration_s: float, setup: Setup) -> list[str]:
 
 def _start_of(law: str, setup: Setup) -> Gains:
     """Return the gains that a scenario gives, or that a law has by itself."""
-    if law == EXTERNAL:
-        raise InputError("has no gains here: must be a law, not a program")
+    if law == EXTERNAL or is_address(law):
+        raise InputError("has no gains here: must be a law, not a program or a server")
     given = plain(setup.gains)
     return given if law in LAWS else {**default_gains(law), **given}
 
