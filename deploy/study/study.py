@@ -223,9 +223,9 @@ def failed(run: PlannedRun, error: str) -> Row:
     return {**failed_row(run.seed, error), **run.columns, "point": run.point}
 
 
-def rows_by(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
+def rows_by(rows: Iterable[Value], key: Callable[[Value], str]) -> dict[str, list[Value]]:
     """Group rows by a common property, such as their point."""
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[Value]] = {}
     for each in rows:
         found.setdefault(key(each), []).append(each)
     return found

@@ -114,13 +114,6 @@ class DataSheet:
         return margin_study(values, _SOURCE)
 
 
-def any_pattern_ms(case: Mapping[str, Any]) -> float | None:
-    """Return up to which delay a case of margins held for every pattern; None for none."""
-    worst, guaranteed = case.get("worst_pattern"), case.get("guaranteed")
-    found: float | None = case["margin"] if worst is None else worst["margin"]
-    return found if guaranteed is None else float(guaranteed)
-
-
 def worst_window(rows: list[Row]) -> Row:
     """Return the worst run on a network with compensation alone."""
     own = [row for row in rows if row[COMPENSATION] and not row.get(DRIVE_FEEDBACK)]

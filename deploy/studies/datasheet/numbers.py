@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from deploy.judge.gate import Finite, Gauged
 from deploy.reports.gauges import MM, GaugedSummary, Part
-from deploy.studies.margin.numbers import GaugedMargins
-from deploy.studies.robustness.numbers import GaugedRobustness
+from deploy.studies.margin.result import MarginResult
+from deploy.studies.robustness.result import RobustnessResult
 
 
 class _Parts(Part):
-    margin: GaugedMargins
-    plants: GaugedRobustness | None = None
+    margin: MarginResult
+    plants: RobustnessResult | None = None
 
 
 class GaugedDataSheet(GaugedSummary):
@@ -44,7 +44,7 @@ class GaugedRobotSheet(GaugedSummary):
     group = "robot_datasheet"
     other_units = (MM,)
     arm: str
-    margin: GaugedMargins
+    margin: MarginResult
     ways: list[_Way]
 
     def numbers(self) -> Iterator[Gauged]:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.studies.study_texts import margin_figure
 from deploy.reports.tables import as_markdown
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.tables import margins_by_law
+from deploy.studies.margin.texts import margin_figure
 from deploy.study import cases
 from deploy.study.cases import CasesDefinition
 from deploy.study.quantities import excitation
@@ -94,7 +95,9 @@ def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, hol
 def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
     study = margin_of(compensation=[True], running=[False, True], limit=64)
     _, folder = conduct(study, tmp_path / "out", Here(made_up))
-    assert as_markdown(margins_by_law(study.summary(folder.rows))).splitlines() == [
+    assert as_markdown(
+        margins_by_law(MarginResult.model_validate(study.summary(folder.rows)))
+    ).splitlines() == [
         "| law | paper_arm, with compensation | paper_arm, with compensation, running |",
         "| --- | --- | --- |",
         "| `smc` | ≥ 64 ms | ≥ 64 ms |",
