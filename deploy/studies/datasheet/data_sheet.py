@@ -17,7 +17,7 @@ from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.sweep.sweep import Sweep
-from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
+from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK
 from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
 from plant_emulator.channel.trace_file import read_trace

@@ -27,9 +27,9 @@ from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.sentences import robustness_sentences
 from deploy.studies.robustness.tables import robustness_table
 from deploy.studies.sweep.result import Point, SweepResult
-from deploy.study.cases import DRIVE_FEEDBACK
 from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.losses import share_kept
+from deploy.study.settings import DRIVE_FEEDBACK
 from deploy.study.study import rows_by
 
 Summary = dict[str, Any]

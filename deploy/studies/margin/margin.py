@@ -16,7 +16,8 @@ from deploy.scenario.checking.warnings import require_hold
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, StudyOfCases
+from deploy.study.cases import CASE_COLUMNS, Case, StudyOfCases
+from deploy.study.definition import Different, Seeds
 from deploy.study.doubts import doubts
 from deploy.study.follow_ups import disturbances, remedies, unknowns
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
@@ -25,10 +26,12 @@ from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
 from deploy.study.margin_search import MarginSearch, Steps
+from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import Variant
 from deploy.study.quoted import quoted
+from deploy.study.settings import CasesDefinition, Setting
 from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
-from deploy.study.study import ONE_START, Different, PlannedRun, Seeds
+from deploy.study.study import ONE_START
 from deploy.study.trials.sequential_test import SequentialTest
 
 _OF_PATTERNS = (

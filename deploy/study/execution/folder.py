@@ -44,7 +44,8 @@ from deploy.study.execution.provenance import (
     law_files,
     provenance_of_law,
 )
-from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
+from deploy.study.planned_run import PlannedRun
+from deploy.study.study import StudyOfRuns, digest_of
 
 STUDY_FILE = "study.yaml"
 _PROVENANCES_FILE = "provenance.json"

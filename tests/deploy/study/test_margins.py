@@ -16,9 +16,9 @@ from deploy.studies.margin.margin import Margin, MarginDefinition
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.tables import margins_by_law
+from deploy.study.definition import SHIPPED
 from deploy.study.execution.folder import create_folder
 from deploy.study.margin_search import MarginSearch, Steps
-from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import NOISE, Here, case_of, conduct, limits, made_up, margin_of
 from tests.one_joint import pd_setup

@@ -16,8 +16,8 @@ from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.tables import margins_by_law
 from deploy.studies.margin.texts import margin_figure
 from deploy.study import cases
-from deploy.study.cases import CasesDefinition
 from deploy.study.quantities import excitation
+from deploy.study.settings import CasesDefinition, settings
 from tests.deploy.study.studies import Here, conduct, made_up
 
 SETUP = load_setup("paper_arm")
@@ -109,7 +109,7 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
     given = []
     monkeypatch.setattr(cases, "load_setup", lambda _, overrides: given.append(overrides) or SETUP)
     for asked in (None, [False, True]):
-        list(cases.settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked), {}))
+        list(settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked), {}))
     key = "controller.drive_feedback.enabled"
     found = [[text for text in overrides if key in text] for overrides in given]
     assert found == [[], [f"{key}=false"], [f"{key}=true"]]

@@ -20,9 +20,9 @@ from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.robustness import Robustness
 from deploy.studies.robustness.tables import robustness_table
 from deploy.studies.sweep.sweep import Sweep, load_sweep
+from deploy.study.definition import SHIPPED
 from deploy.study.execution.folder import create_folder
 from deploy.study.plants import measured
-from deploy.study.study import SHIPPED
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 from tests.deploy.study.studies import NOISE, TIED, Here, conduct, made_up
 
