@@ -15,7 +15,6 @@ from deploy.studies.margin.margin import Margin
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.tables import margins_by_law
 from deploy.studies.margin.texts import margin_figure
-from deploy.study import cases
 from deploy.study.quantities import excitation
 from deploy.study.settings import CasesDefinition, settings
 from tests.deploy.study.studies import Here, conduct, made_up
@@ -107,7 +106,9 @@ def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
 
 def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
     given = []
-    monkeypatch.setattr(cases, "load_setup", lambda _, overrides: given.append(overrides) or SETUP)
+    monkeypatch.setattr(
+        "deploy.study.settings.load_setup", lambda _, overrides: given.append(overrides) or SETUP
+    )
     for asked in (None, [False, True]):
         list(settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked), {}))
     key = "controller.drive_feedback.enabled"
