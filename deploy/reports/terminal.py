@@ -25,8 +25,6 @@ STYLES: dict[Status | Level, str] = {
 _WHOLE_LETTERS, _WHOLE_IN_HEADINGS = 24, 7
 _WIDEST = 10_000
 _LEAST = 8
-
-
 _MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
 _LONGEST = 80
 """Conditions that a terminal shows, and of how many letters at most."""

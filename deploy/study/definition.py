@@ -18,8 +18,6 @@ from deploy.scenario.xacro_arguments import split_arguments
 from deploy.scenario.yaml_files import find_yaml, override, read_yaml
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
-
-
 _MOST_SEEDS = 10_000
 
 

@@ -90,8 +90,6 @@ class Setting:
 
 
 COMPENSATION = "controller.delay_compensation.enabled"
-
-
 DRIVE_FEEDBACK = "controller.drive_feedback.enabled"
 
 

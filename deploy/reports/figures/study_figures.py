@@ -16,8 +16,6 @@ from deploy.reports.studies.study_result import Runs, Spread
 from deploy.reports.tables import scaled
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
-
-
 HEIGHT_PX = 430
 
 

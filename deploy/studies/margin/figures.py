@@ -15,11 +15,7 @@ from deploy.studies.margin.texts import quoted_text
 
 _FARTHEST_CEILING = 2.5
 """Of the largest margin: a ceiling above this would flatten the bars."""
-
-
 _HEADROOM = 1.1
-
-
 _MOST_UPRIGHT = 6
 """Bars whose figures have room side by side on a telephone; those of more are turned."""
 

@@ -16,7 +16,7 @@ class _Parts(Part):
     plants: RobustnessResult | None = None
 
 
-class GaugedDataSheet(GaugedSummary):
+class DataSheetResult(GaugedSummary):
     """A data sheet: its margin with compensation, and that of its uncertain plants."""
 
     group = "datasheet"
@@ -38,7 +38,7 @@ class _Way(Part):
     tip_largest_mm: Finite | None
 
 
-class GaugedRobotSheet(GaugedSummary):
+class RobotSheetResult(GaugedSummary):
     """A robot's data sheet: its margins, and the largest error of its tip in each way."""
 
     group = "robot_datasheet"
