@@ -14,7 +14,7 @@ from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin import Margin
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.tables import margins_by_law
-from deploy.studies.margin.texts import margin_figure
+from deploy.studies.margin.texts import margin_text
 from deploy.study.quantities import excitation
 from deploy.study.settings import CasesDefinition, settings
 from tests.deploy.study.studies import Here, conduct, made_up
@@ -80,7 +80,8 @@ def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, hol
     summary = study.summary(folder.rows)
     (case,) = summary["cases"]
     assert (case["margin"], case["first_failure"]) == found
-    assert margin_figure(case) == text
+    result = MarginResult.model_validate(summary)
+    assert margin_text(result.cases[0], result) == f"{text} {result.unit}".rstrip()
     assert case["held_arm_ceiling_ms"] is None
     own = {"plant.payload_kg": 0.0, "controller.model_scale": 0.9}[key]
     assert min(abs(probe["value"] - own) for probe in case["probes"]) == 0.0
