@@ -16,7 +16,7 @@ from deploy.run.console import Console
 from deploy.run.new_folder import remove_results
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import FAULTS, ScenarioError
-from deploy.study.study import SHIPPED as SHIPPED_STUDIES
+from deploy.study.definition import SHIPPED as SHIPPED_STUDIES
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(help="Folder that contains the folders of results.")]

@@ -13,7 +13,7 @@ from deploy.command.study_command import run_study
 from deploy.command.study_options import WorkerOptions
 from deploy.reports.kinds import study_type
 from deploy.scenario.yaml_files import naming
-from deploy.study.study import study_values
+from deploy.study.definition import study_values
 
 
 @dataclass(kw_only=True)

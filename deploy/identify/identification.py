@@ -16,11 +16,12 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
-from deploy.identify.base_parameters import SEEN, Z_95, Grouping, Interval, grouping
-from deploy.identify.currents import Constants, Payload, constants_by_weight, payload_of
+from deploy.identify.base_parameters import SEEN, Z_95, Grouping, grouping
+from deploy.identify.currents import Constants, constants_by_weight, payload_of
 from deploy.identify.fit import Fit, fit, prior_of
+from deploy.identify.identified import Identified
 from deploy.identify.not_seen import not_seen
-from deploy.identify.quality import predicted_before, relative_errors, residual_notes
+from deploy.identify.quality import residual_notes
 from deploy.identify.regression import ROTOR, Trial, split, trial_of
 from deploy.identify.robot_log import RobotLog, read_robot_log
 from deploy.identify.signals import checked, cutoff_hz, moves, samples_of
@@ -53,59 +54,6 @@ class Wishes:
     held_out: float = 1.0 / 3.0
     constants: Vector | None = None
     payload_kg: float | None = None
-
-
-@dataclass(frozen=True)
-class Identified:
-    """An identified arm.
-
-    Attributes:
-        robot: the arm as its file has it.
-        model: likewise.
-        group: its base parameters.
-        drives: motors and friction before.
-        fit: what was found.
-        training: motions that were fitted.
-        held_out: motions that were not.
-        logs: names of the files of both.
-        constants: torque per current; None for logs with torques.
-        payload: what the log with a payload carries; None without.
-        dead_time_s: from commanded to measured positions, and half of its interval; None without.
-        not_seen: a sentence for each value that stays as it was.
-        notes: what was changed in the logs, and what residuals show.
-    """
-
-    robot: RobotDescription
-    model: ManipulatorModel
-    group: Grouping
-    drives: Drives
-    fit: Fit
-    training: list[Trial]
-    held_out: list[Trial]
-    logs: tuple[list[str], list[str]]
-    constants: Constants | None
-    payload: Payload | None
-    dead_time_s: tuple[float, float] | None
-    not_seen: list[str]
-    notes: list[str]
-
-    def errors(self, *, before: bool = False) -> Vector:
-        """Return relative RMS errors of the held-out torques, shape (joints,)."""
-        of = (lambda t: predicted_before(self.fit, t)) if before else self.fit.predicted
-        measured = np.concatenate([each.torque * self.fit.constants for each in self.held_out])
-        return relative_errors(np.concatenate([of(each) for each in self.held_out]), measured)
-
-    def term(self, joint: int, term: int) -> Interval:
-        """Return a parameter of a joint."""
-        found, has = self.fit, self.fit.has_term[joint, term]
-        before = float(found.prior.terms[joint, term])
-        if not has:
-            value = before if term == ROTOR else 0.0
-            return Interval(value, math.nan, before, seen=False)
-        sd = float(found.terms_sd[joint, term])
-        seen = bool(sd < SEEN * found.prior.terms_sd[joint, term])
-        seen = seen and not (term == ROTOR and self.group.of_rotor[joint].any())
-        return Interval(float(found.terms[joint, term]), Z_95 * sd, before, seen)
 
 
 def identify(

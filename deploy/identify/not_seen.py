@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deploy.identify.base_parameters import link_masses
+from deploy.identify.identified import Identified
 from deploy.identify.regression import COULOMB, ROTOR, TERMS, VISCOUS
 from deploy.identify.signals import moves
-
-if TYPE_CHECKING:
-    from deploy.identify.identification import Identified
 
 
 def not_seen(found: Identified) -> list[str]:

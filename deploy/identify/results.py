@@ -15,7 +15,7 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.robot_description import load_robot
 from bus_schema.urdf.checks import joint_ends
 from deploy.identify.base_parameters import Interval, base_values, link_masses
-from deploy.identify.identification import Identified
+from deploy.identify.identified import Identified
 from deploy.identify.problem import bodies_of
 from deploy.identify.regression import (
     COULOMB,

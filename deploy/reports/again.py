@@ -11,7 +11,8 @@ from deploy.reports.studies.results import study_results, write_study
 from deploy.run.execute import JudgedRun
 from deploy.run.run_folder import RunFolder, RunFolderError, load_run, read_summary
 from deploy.scenario.yaml_files import ScenarioError, naming, read_yaml
-from deploy.study.execution.folder import STUDY_FILE, StudyFolder, changes_since
+from deploy.study.execution.folder import StudyFolder
+from deploy.study.execution.identity import STUDY_FILE, changes_since
 from deploy.study.execution.runner import retrace
 from deploy.study.study import StudyOfRuns
 

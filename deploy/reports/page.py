@@ -5,17 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
-
-if TYPE_CHECKING:
-    pass
-
 import base64
-from collections.abc import Callable
-from dataclasses import field
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +59,6 @@ class Motion:
 
     def frames(self) -> dict[str, Any]:
         """Times and points for the page, ready for JSON."""
-        from deploy.reports.figures.style import typed_array  # heavy
-
         _, traces, points, _ = self.points.shape
         arrays = {"times": typed_array(self.times_s), "points": typed_array(self.points.ravel())}
         return {"traces": traces, "points_of_each": points, **arrays}
@@ -203,3 +194,10 @@ class ReportHead:
 def level_of(kept: int, total: int) -> Level:
     """The level of so many runs or points that kept their bounds."""
     return "good" if kept == total else "mixed" if kept else "bad"
+
+
+def typed_array(values: NDArray[Any]) -> dict[str, str]:
+    """Return numbers as plotly.js has them in one dimension, with the seven digits that show."""
+    with np.errstate(over="ignore"):  # of a run that diverged: what is too large is not drawn
+        data = np.ascontiguousarray(values, dtype="<f4").tobytes()
+    return {"dtype": "f4", "bdata": base64.b64encode(data).decode()}

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+from rich.cells import cell_len, set_cell_size
+
 from bus_schema.foreign_text import markdown_table
 from deploy.judge.conditions import conditions_line
 
@@ -185,3 +187,12 @@ def as_markdown(table: Table) -> str:
     header = [column.title for column in table.columns]
     rows = ([cell.text for cell in row] for row in table.cells)
     return markdown_table(header, rows).rstrip("\n")
+
+
+def without_middle(text: str, width: int) -> str:
+    """A text in so many columns of a terminal, its middle left out where it is longer."""
+    if cell_len(text) <= width:
+        return text
+    head = set_cell_size(text, width // 2)
+    tail = set_cell_size(text[::-1], width - 1 - width // 2)[::-1]
+    return f"{head}…{tail}"

@@ -8,14 +8,14 @@ from typing import Any
 
 from rich import box
 from rich import table as rich_table
-from rich.cells import cell_len, set_cell_size
+from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
 from bus_schema.configuration import shortened
 from deploy.judge.conditions import conditions_line
 from deploy.reports.page import Level, Page, ReportHead
-from deploy.reports.tables import Column, Status, Table
+from deploy.reports.tables import Column, Status, Table, without_middle
 
 STYLES: dict[Status | Level, str] = {
     "": "", "best": "bold", "mixed": "bold",
@@ -25,8 +25,6 @@ STYLES: dict[Status | Level, str] = {
 _WHOLE_LETTERS, _WHOLE_IN_HEADINGS = 24, 7
 _WIDEST = 10_000
 _LEAST = 8
-
-
 _MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
 _LONGEST = 80
 """Conditions that a terminal shows, and of how many letters at most."""
@@ -145,15 +143,6 @@ def print_conditions(console: Console, conditions: Mapping[str, str]) -> None:
 
 def _heading(column: Column) -> Text:
     return Text("\n".join(filter(None, (column.brief or column.heading, column.unit))))
-
-
-def without_middle(text: str, width: int) -> str:
-    """A text in so many columns of a terminal, its middle left out where it is longer."""
-    if cell_len(text) <= width:
-        return text
-    head = set_cell_size(text, width // 2)
-    tail = set_cell_size(text[::-1], width - 1 - width // 2)[::-1]
-    return f"{head}…{tail}"
 
 
 def width_of(rows: Sequence[Sequence[str]]) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from deploy.judge.run_rows import Row
-from deploy.study.cases import Setting
 from deploy.study.quantities import RAMP_FOR_S, RAMP_FROM_S
+from deploy.study.settings import Setting
 from deploy.study.statistics import NO_EFFECT, without_effect
 
 TIME_CONSTANTS = 10

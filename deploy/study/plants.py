@@ -25,7 +25,7 @@ from deploy.scenario.uncertainty import (
     split_keys,
 )
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, plain, read_yaml
-from deploy.study.study import SHIPPED, StudyDefinition
+from deploy.study.definition import SHIPPED, StudyDefinition
 
 RANGES = SHIPPED / "ranges"
 _MOST_PLANTS = 1000

@@ -18,7 +18,8 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.robot_description import load_robot
-from deploy.identify.identification import Identified, Wishes, identify
+from deploy.identify.identification import Wishes, identify
+from deploy.identify.identified import Identified
 from deploy.identify.quality import predicted_before
 from deploy.scenario.referenced_files import find_urdf
 

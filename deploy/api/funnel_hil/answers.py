@@ -23,7 +23,7 @@ from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLik
 from funnel_hil.studies import OnProgress, session_of, written_scenarios
 
 if TYPE_CHECKING:
-    from deploy.identify.identification import Identified
+    from deploy.identify.identified import Identified
 
 
 class Identification(Drawn):

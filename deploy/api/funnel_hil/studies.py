@@ -24,7 +24,8 @@ from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.folder import StudyFolder, here
 from deploy.study.execution.runner import Workers
 from deploy.study.execution.session import open_session
-from deploy.study.study import PlannedRun, StudyOfRuns, row_of
+from deploy.study.planned_run import PlannedRun, row_of
+from deploy.study.study import StudyOfRuns
 from funnel_hil.results import Study
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike, named_law
 

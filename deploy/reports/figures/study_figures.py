@@ -5,23 +5,18 @@ The command that runs a point again is its `customdata`, which the page shows on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
+from deploy.reports.studies.study_result import Runs, Spread
 from deploy.reports.tables import scaled
 
 _DASHES = ("solid", "dash", "dashdot", "longdash")  # dots are for limits
-
-
 HEIGHT_PX = 430
-
-
-Runs = Mapping[str, Any]
-"""Several runs of one point or value, as they stand in a summary."""
 
 
 class DrawnStudy(NamedTuple):
@@ -34,7 +29,7 @@ class DrawnStudy(NamedTuple):
         """Return the command that repeats the worst of some runs; empty for none."""
         if runs is None:
             return ""
-        return self.rerun(runs["worst_point"] if "worst_point" in runs else runs["worst_points"][0])
+        return self.rerun(runs.worst_point or runs.worst_points[0])
 
 
 @dataclass(frozen=True)
@@ -64,13 +59,13 @@ class StudyQuantity:
 
         The share of plants has its interval as spread, that of lost runs has none.
         """
-        spread = runs.get(self.key)
+        spread: Spread | None = getattr(runs, self.key, None)
         if self is RUNS_LOST:
-            spread = {which: 1.0 - runs["runs_kept"] / runs["runs"]}
+            spread = Spread(mean=1.0 - runs.runs_kept / runs.runs)
         if self is PLANTS_KEPT:
-            low, high = runs.get("interval_95", runs["wilson_95"]) or (None, None)
-            spread = {"mean": runs["fraction"], "lowest": low, "highest": high}
-        return scaled(spread[which], self.factor) if spread else None
+            low, high = runs.interval or (None, None)
+            spread = Spread(mean=runs.fraction, lowest=low, highest=high)
+        return None if spread is None else scaled(getattr(spread, which), self.factor)
 
 
 TICKS_OUTSIDE = StudyQuantity(

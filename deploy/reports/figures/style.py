@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 import plotly.io as pio
-from numpy.typing import NDArray
 from plotly.io.json import to_json_plotly
 from plotly.subplots import make_subplots
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages.topics import Topic
 from deploy.judge.run_data import RunData
-from deploy.reports.terminal import without_middle
+from deploy.reports.page import typed_array
+from deploy.reports.tables import without_middle
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 INK, MUTED, GRID, BAND, ALARM = "#1f2933", "#7b8794", "#e9edf1", "rgba(0,114,178,0.11)", "#c0392b"
@@ -241,13 +241,6 @@ def figure_json(figure: go.Figure) -> str:
 def with_template(figure: dict[str, Any]) -> dict[str, Any]:
     """Return a figure's JSON with the common template."""
     return {**figure, "layout": {**figure["layout"], "template": template()}}
-
-
-def typed_array(values: NDArray[Any]) -> dict[str, str]:
-    """Return numbers as plotly.js has them in one dimension, with the seven digits that show."""
-    with np.errstate(over="ignore"):  # of a run that diverged: what is too large is not drawn
-        data = np.ascontiguousarray(values, dtype="<f4").tobytes()
-    return {"dtype": "f4", "bdata": base64.b64encode(data).decode()}
 
 
 def _packed(value: Any) -> Any:

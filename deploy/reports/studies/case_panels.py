@@ -5,15 +5,22 @@ from __future__ import annotations
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
 from deploy.reports.page import Fact, Panel
-from deploy.reports.studies import study_texts as texts
-from deploy.reports.studies.study_texts import Summary
+from deploy.reports.studies.case_result import (
+    Case,
+    CasesResult,
+    TriedValue,
+    case_name,
+    case_title,
+    setting_text,
+)
+from deploy.reports.studies.study_texts import value_text, value_title
 
 _MOST_NAMED = 8
 """Lines of which each has its entry in the legend; of more, colours and patterns have."""
 
 
 def curves_panel(
-    summary: Summary, arm: str, own: list[Summary], name: str, quantity: StudyQuantity,
+    summary: CasesResult[Case], arm: str, own: list[Case], name: str, quantity: StudyQuantity,
     caption: str, title: str = "",
 ) -> Panel[DrawnStudy]:  # fmt: skip
     """A line for each case of an arm: laws by colour, or of one law its settings.
@@ -21,39 +28,38 @@ def curves_panel(
     Lines are dashed without compensation, and dash-dotted with feedback at the drives. Points
     of loops that already run are hollow.
     """
-    laws = list(dict.fromkeys(case["law"] for case in summary["cases"]))
+    laws = list(dict.fromkeys(case.law for case in summary.cases))
     has_key = len(own) > _MOST_NAMED and len(laws) > 1
-    settings = list(dict.fromkeys(map(texts.setting_text, summary["cases"])))
+    settings = list(dict.fromkeys(map(setting_text, summary.cases)))
     lines = []
     for case in own:
-        law, setting = laws.index(case["law"]), settings.index(texts.setting_text(case))
-        dash = (case["compensation"] is False) + 2 * bool(case["drive_feedback"])
-        tried = case["probes"] if "probes" in case else case["values"]
-        points = [(runs["value"], runs) for runs in tried if runs["runs"]]
+        law, setting = laws.index(case.law), settings.index(setting_text(case))
+        dash = (case.compensation is False) + 2 * bool(case.drive_feedback)
+        points = [(runs.value, runs) for runs in case.tried if runs.runs]
         colour = law if len(laws) > 1 else setting
-        key = (case["law"], texts.setting_text(case)) if has_key else None
-        lines.append(Curve(texts.case_name(case), colour, dash, points, case["running"], key))
+        key = (case.law, setting_text(case)) if has_key else None
+        lines.append(Curve(case_name(case), colour, dash, points, case.running, key))
     return Panel(
         "Plants" if name == "kept" else arm, f"{name}-{arm}", title or quantity.title,
-        lambda study: study_figures.curves(study, lines, texts.value_title(summary), quantity),
+        lambda study: study_figures.curves(study, lines, value_title(summary), quantity),
         caption, is_clickable=True,
     )  # fmt: skip
 
 
-def value_name(case: Summary, tried: Summary, summary: Summary) -> str:
+def value_name(case: Case, tried: TriedValue, summary: CasesResult[Case]) -> str:
     """Return the name of a value that was tried in a case."""
-    return f"{texts.case_title(case)}, {texts.value_text(tried['value'], summary)}"
+    return f"{case_title(case)}, {value_text(tried.value, summary)}"
 
 
-def durations(summary: Summary) -> Fact:
+def durations(summary: CasesResult[Case]) -> Fact:
     """Return the duration of a run on each arm."""
-    durations = summary["duration_s"].items()
+    durations = summary.duration_s.items()
     return Fact("Duration of a run", ", ".join(f"{arm} {length:g} s" for arm, length in durations))
 
 
-def cases_by_arm(summary: Summary) -> dict[str, list[Summary]]:
+def cases_by_arm(summary: CasesResult[Case]) -> dict[str, list[Case]]:
     """Group cases by their arm."""
-    found: dict[str, list[Summary]] = {}
-    for case in summary["cases"]:
-        found.setdefault(case["arm"], []).append(case)
+    found: dict[str, list[Case]] = {}
+    for case in summary.cases:
+        found.setdefault(case.arm, []).append(case)
     return found

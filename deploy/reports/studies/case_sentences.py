@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from deploy.reports.studies.study_texts import Summary, case_title
+from collections.abc import Sequence
+
+from deploy.reports.studies.case_result import Case, CaseResult, CasesResult, case_title
 
 _NOT_WORTH_A_WORD = 0.995
 
 
-def saved_runs(summary: Summary) -> list[str]:
+def saved_runs(summary: CasesResult[Case]) -> list[str]:
     """Name the runs and the simulated time that were enough; nothing if that was all."""
-    saved = summary.get("saved")
-    if not saved or saved["simulated_s"] >= _NOT_WORTH_A_WORD * saved["planned_s"]:
+    saved = summary.saved
+    if not saved or saved.simulated_s >= _NOT_WORTH_A_WORD * saved.planned_s:
         return []
-    share = 100 * saved["simulated_s"] / saved["planned_s"]
+    share = 100 * saved.simulated_s / saved.planned_s
     return [
-        f"{summary['runs']} of {saved['runs_planned']} planned runs were needed, and"
-        f" {saved['runs_ended_early']} stopped after their loss: {share:.0f} % of the planned"
+        f"{summary.runs} of {saved.runs_planned} planned runs were needed, and"
+        f" {saved.runs_ended_early} stopped after their loss: {share:.0f} % of the planned"
         " simulated time."
     ]
 
 
-def doubts(summary: Summary) -> list[str]:
+def doubts(cases: Sequence[CaseResult]) -> list[str]:
     """A sentence for each reason why the runs of cases do not show their margins."""
     names: dict[str, list[str]] = {}
-    for case in summary.get("cases", ()):
-        for doubt in case.get("doubts", ()):
+    for case in cases:
+        for doubt in case.doubts:
             names.setdefault(doubt, []).append(case_title(case))
-    return [f"Not tested: {doubt} ({'; '.join(cases)})." for doubt, cases in names.items()]
+    return [f"Not tested: {doubt} ({'; '.join(named)})." for doubt, named in names.items()]

@@ -1,36 +1,36 @@
-"""Results of sweeps and margins as tables."""
+"""Columns of tables of cases."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from deploy.reports.studies import study_texts as texts
+from deploy.reports.studies.case_result import COMPENSATION, Case, CasesResult
+from deploy.reports.studies.study_texts import ceiling_text
 from deploy.reports.tables import Cell, Column, Value
 
-Summary = dict[str, Any]
-TableColumn = tuple[Column, Callable[[Summary], Cell | Value]]
+TableColumn = tuple[Column, Callable[[Any], Cell | Value]]
 """A column, and what a case or a point of a study has in it."""
 
 _UNREMARKABLE = ("", "starting", None)
 _OPTIONAL: list[TableColumn] = [
     (Column("Compensation", brief="Compen-\nsation", is_text=True),
-     lambda case: texts.COMPENSATION[case["compensation"]]),
+     lambda case: COMPENSATION[case.compensation]),
     (Column("Drive feedback", brief="Drive\nfeedback", is_text=True),
-     lambda case: texts.COMPENSATION[case["drive_feedback"]]),
-    (Column("Loop", is_text=True), lambda case: "running" if case["running"] else "starting"),
-    (Column("Held-arm ceiling", brief=None), texts.ceiling_text),
+     lambda case: COMPENSATION[case.drive_feedback]),
+    (Column("Loop", is_text=True), lambda case: "running" if case.running else "starting"),
+    (Column("Held-arm ceiling", brief=None), ceiling_text),
 ]  # fmt: skip
 
 
-def case_columns(summary: Summary) -> list[TableColumn]:
+def case_columns(summary: CasesResult[Case]) -> list[TableColumn]:
     """Return the columns that describe a case, without those that are empty for all."""
     return [
-        (Column("Arm", is_text=True), lambda case: case["arm"]),
-        (Column("Law", is_text=True), lambda case: case["law"]),
+        (Column("Arm", is_text=True), lambda case: case.arm),
+        (Column("Law", is_text=True), lambda case: case.law),
         *(
             (column, text)
             for column, text in _OPTIONAL
-            if any(text(case) not in _UNREMARKABLE for case in summary["cases"])
+            if any(text(case) not in _UNREMARKABLE for case in summary.cases)
         ),
     ]

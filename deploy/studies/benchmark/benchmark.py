@@ -28,11 +28,13 @@ from deploy.studies.benchmark.cells import (
     places_of,
 )
 from deploy.studies.tune.runs import DELAYS
-from deploy.study.cases import COMPENSATION
+from deploy.study.definition import scenario_name
 from deploy.study.losses import share_kept
+from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
+from deploy.study.settings import COMPENSATION
 from deploy.study.statistics import worst
-from deploy.study.study import PlannedRun, StudyOfRuns, scenario_name
+from deploy.study.study import StudyOfRuns
 
 _CELLS_FILE = "cells.csv"
 

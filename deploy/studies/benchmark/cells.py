@@ -20,10 +20,10 @@ from deploy.scenario import study_keys
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
 from deploy.studies.tune.runs import DELAYS, REAL_ARM
-from deploy.study.cases import COMPENSATION
+from deploy.study.definition import Different
 from deploy.study.follow_ups.patterns import HANDFUL
 from deploy.study.plants import UncertainDefinition, draw_plants
-from deploy.study.study import Different
+from deploy.study.settings import COMPENSATION
 
 NO_PREDICTOR = "none"
 BENCHMARK_ARMS = ("paper_arm", "panda_motors", "ur10e_motors", "iiwa_motors")

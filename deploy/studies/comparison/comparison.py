@@ -25,7 +25,9 @@ from deploy.study.comparison.settling import (
     offset_of,
     settling_test,
 )
-from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
+from deploy.study.definition import Different, StudyDefinition, scenario_name
+from deploy.study.planned_run import PlannedRun
+from deploy.study.study import StudyOfRuns
 
 
 class ComparisonDefinition(StudyDefinition):

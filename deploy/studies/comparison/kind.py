@@ -5,7 +5,7 @@ from __future__ import annotations
 from deploy.judge.verdict import Verdict
 from deploy.reports.kinds import COMPLETE, OLDER, ResultKind, Summary, completeness, run_verdict
 from deploy.studies.comparison.comparison import LawComparison
-from deploy.studies.comparison.numbers import GaugedComparison
+from deploy.studies.comparison.result import ComparisonResult
 from deploy.studies.comparison.results import judged, laws_again
 from deploy.study.comparison.compared_runs import KIND as NAME
 
@@ -24,5 +24,5 @@ def _worst_law(summary: Summary) -> str:
 
 
 KIND = ResultKind(
-    NAME, GaugedComparison, LawComparison, judged=judged, again=laws_again, listed=_worst_law
+    NAME, ComparisonResult, LawComparison, judged=judged, again=laws_again, listed=_worst_law
 )

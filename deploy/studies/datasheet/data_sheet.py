@@ -17,7 +17,7 @@ from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.sweep.sweep import Sweep
-from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
+from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK
 from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
 from plant_emulator.channel.trace_file import read_trace
@@ -114,13 +114,6 @@ class DataSheet:
             "set": self._set(),
         }  # fmt: skip
         return margin_study(values, _SOURCE)
-
-
-def any_pattern_ms(case: Mapping[str, Any]) -> float | None:
-    """Return up to which delay a case of margins held for every pattern; None for none."""
-    worst, guaranteed = case.get("worst_pattern"), case.get("guaranteed")
-    found: float | None = case["margin"] if worst is None else worst["margin"]
-    return found if guaranteed is None else float(guaranteed)
 
 
 def worst_window(rows: list[Row]) -> Row:

@@ -12,24 +12,36 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import joints, link, space, style
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
-from deploy.reports.studies import study_texts as texts
+from deploy.reports.studies.case_result import COMPENSATION, equipment_text, setting_text
+from deploy.reports.studies.study_result import Runs
 from deploy.reports.studies.study_tables import TableColumn
+from deploy.reports.studies.study_texts import interval_text, losses_text
 from deploy.reports.tables import ABSENT, Column, Table, table_of
 from deploy.run.execute import JudgedRun
-from deploy.studies.datasheet.data_sheet import any_pattern_ms
+from deploy.studies.margin import texts
+from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.sentences import model_text
 from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
 from deploy.studies.margin.theory_sentences import theory_sentences
+from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.sentences import robustness_sentences
 from deploy.studies.robustness.tables import robustness_table
-from deploy.study.cases import DRIVE_FEEDBACK
+from deploy.studies.sweep.result import Point, SweepResult
 from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.losses import share_kept
+from deploy.study.settings import DRIVE_FEEDBACK
 from deploy.study.study import rows_by
 
 Summary = dict[str, Any]
 _HEIGHT_PX = 430
 _MOST_POINTS = 400
+
+
+class Windows(Runs):
+    """The windows of a network that had the same equipment."""
+
+    compensation: bool | None
+    drive_feedback: bool | None
 
 
 class DrawnSheet(NamedTuple):
@@ -43,7 +55,7 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
     """Return the page of a data sheet."""
     summary = sheet.summary
     parts = summary["parts"]
-    margin, plants = parts["margin"], parts.get("plants")
+    margin, plants = _margins(summary), _plants(summary)
     head, *more = summary["headline"]
     cards = [] if "network" not in parts else [_network_table(summary)]
     cards += [*help_tables(margin, "margin/"), margin_table(margin)]
@@ -74,13 +86,13 @@ def headline(summary: Summary) -> list[str]:
     what is not known of the arm at its worst; the exact arm is the best case.
     """
     parts = summary["parts"]
-    margin, plants = parts["margin"], parts.get("plants")
-    cases = {case["compensation"]: case for case in margin["cases"]}
+    margin, plants = _margins(summary), _plants(summary)
+    cases = {case.compensation: case for case in margin.cases}
     sentences = []
     if (network := parts.get("network")) is not None:
-        sentences += _network_sentences(summary, network["points"])
+        sentences += _network_sentences(summary, _points(network))
     sentences += [*_quoted_sentences(summary, margin), _best_case_sentence(margin, cases[True])]
-    doubts = dict.fromkeys(each for case in cases.values() for each in case["doubts"])
+    doubts = dict.fromkeys(each for case in cases.values() for each in case.doubts)
     sentences += [f"Not tested: {each}" for each in doubts]
     if plants is not None:
         sentences += robustness_sentences(plants)[:1]
@@ -90,31 +102,44 @@ def headline(summary: Summary) -> list[str]:
             f"{summary['runs_failed']} of {summary['runs']} runs failed, most often:"
             f" {next(filter(None, causes), 'unknown')}."
         )
-    return [*sentences, *theory_sentences({**margin, "cases": [cases[False]]})]
+    return [*sentences, *theory_sentences(margin.model_copy(update={"cases": [cases[False]]}))]
 
 
-def _quoted_sentences(summary: Summary, margin: Summary) -> list[str]:
+def _margins(summary: Summary) -> MarginResult:
+    return MarginResult.model_validate(summary["parts"]["margin"])
+
+
+def _plants(summary: Summary) -> RobustnessResult | None:
+    found = summary["parts"].get("plants")
+    return None if found is None else RobustnessResult.model_validate(found)
+
+
+def _points(network: Summary) -> list[Point]:
+    return SweepResult.model_validate(network).points
+
+
+def _quoted_sentences(summary: Summary, margin: MarginResult) -> list[str]:
     """The number to quote, of the better of both settings; then both, and what decided them."""
-    best = texts.furthest_case(margin["cases"])
-    (other,) = (case for case in margin["cases"] if case is not best)
+    best = texts.furthest_case(margin.cases)
+    (other,) = (case for case in margin.cases if case is not best)
     numbers = [
         f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}"
         for case in (best, other)
     ]
-    quote = f"{texts.quoted_text(best, margin)} {texts.setting_text(best)}"
+    quote = f"{texts.quoted_text(best, margin)} {setting_text(best)}"
     return [
         f"{summary['arm']} under {summary['law']}: quote a round trip of {quote}.",
         f"Round trips: {'; '.join(numbers)}{texts.unknowns_text(margin)}.",
     ]
 
 
-def _best_case_sentence(margin: Summary, on: Summary) -> str:
+def _best_case_sentence(margin: MarginResult, on: MarginCase) -> str:
     """Name the delay of the exact arm with compensation, which is the best case."""
-    any_ms = any_pattern_ms(on)
+    any_ms = on.any_pattern
     if any_ms is None:
         return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
-    or_more = " or more" if on["first_failure"] is None else ""
-    d_ms = on.get("guaranteed_d_ms")
+    or_more = " or more" if on.first_failure is None else ""
+    d_ms = on.guaranteed_d_ms
     playout = "" if d_ms is None else f", commands acting {d_ms:.9g} ms after their states"
     return (
         f"Best case{model_text([on])}: with compensation any delay up to {any_ms:g}"
@@ -123,65 +148,63 @@ def _best_case_sentence(margin: Summary, on: Summary) -> str:
     )
 
 
-def _network_sentences(summary: Summary, points: list[Summary]) -> list[str]:
+def _network_sentences(summary: Summary, points: list[Point]) -> list[str]:
     """Count the lost windows of the network; then their conditions, and what keeps more."""
 
-    def kept(one: Summary) -> str:
-        return f"{one['runs_kept']} of {one['runs']}"
+    def kept(one: Windows) -> str:
+        return f"{one.runs_kept} of {one.runs}"
 
     equipment = _by_equipment(points)
-    plain = [one for one in equipment if not one["drive_feedback"]]
-    own, best = (max(each, key=lambda one: float(one["runs_kept"])) for each in (plain, equipment))
-    lost, name = own["runs"] - own["runs_kept"], Path(summary["network"]).name
-    interval = texts.interval_text(share_kept(own["runs_kept"], own["runs"]))
-    verdict = f"lost in {lost} of {own['runs']}" if lost else f"kept in {kept(own)}"
+    plain = [one for one in equipment if not one.drive_feedback]
+    own, best = (max(each, key=lambda one: float(one.runs_kept)) for each in (plain, equipment))
+    lost, name = own.runs - own.runs_kept, Path(summary["network"]).name
+    interval = interval_text(own)
+    verdict = f"lost in {lost} of {own.runs}" if lost else f"kept in {kept(own)}"
     sentences = [
-        f"{name}: {verdict} windows {texts.equipment_text(own)}.",
+        f"{name}: {verdict} windows {equipment_text(own)}.",
         f"Windows of {summary['duration_s']:g} s; 95 % interval of the kept share: {interval}.",
     ]
-    if best["runs_kept"] > own["runs_kept"]:
+    if best.runs_kept > own.runs_kept:
         sentences.append(
-            f"Kept in {kept(best)} {texts.equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true."
+            f"Kept in {kept(best)} {equipment_text(best)}: add --set {DRIVE_FEEDBACK}=true."
         )
     return sentences
 
 
-def _by_equipment(points: list[Summary]) -> list[Summary]:
+def _by_equipment(points: list[Point]) -> list[Windows]:
     """Sum up the windows of a network that had the same equipment."""
     found = []
-    for own in rows_by(points, lambda point: str(point["values"][2:])).values():
-        _, _, compensation, *feedback = own[0]["values"]
-        worst = min(own, key=_smallest_margin)
-        found.append({
-            "compensation": compensation,
-            "drive_feedback": feedback[0] if feedback else None,
-            "runs": sum(point["runs"] for point in own),
-            "runs_kept": sum(point["runs_kept"] for point in own),
-            "losses": sum((Counter(point["losses"]) for point in own), Counter()),
-            "loss_joints": sum((Counter(point["loss_joints"]) for point in own), Counter()),
-            "worst_point": worst["worst_point"],
-        })  # fmt: skip
+    for own in rows_by(points, lambda point: str(point.values[2:])).values():
+        _, _, compensation, *feedback = own[0].values
+        runs, kept = (sum(getattr(point, key) for point in own) for key in ("runs", "runs_kept"))
+        found.append(Windows(
+            compensation=compensation, drive_feedback=feedback[0] if feedback else None,
+            runs=runs, runs_kept=kept, **share_kept(kept, runs),
+            losses=sum((Counter(point.losses) for point in own), Counter()),
+            loss_joints=sum((Counter(point.loss_joints) for point in own), Counter()),
+            worst_point=min(own, key=_smallest_margin).worst_point,
+        ))  # fmt: skip
     return found
 
 
-def _smallest_margin(point: Summary) -> float:
+def _smallest_margin(point: Point) -> float:
     """The smallest margin of the runs of a point; of runs that failed there is none."""
-    lowest: float | None = point["margin_min"]["lowest"]
+    lowest = None if point.margin_min is None else point.margin_min.lowest
     return -math.inf if lowest is None else lowest
 
 
 def _network_table(summary: Summary) -> Table:
     """Windows of the network that were kept, with what may help."""
     columns: list[TableColumn] = [
-        (Column("Compensation", is_text=True), lambda one: texts.COMPENSATION[one["compensation"]]),
+        (Column("Compensation", is_text=True), lambda one: COMPENSATION[one.compensation]),
         (Column("Drive feedback", is_text=True),
-         lambda one: texts.COMPENSATION[one["drive_feedback"]]),
-        (Column("Windows kept", brief="Kept"), lambda one: f"{one['runs_kept']} of {one['runs']}"),
+         lambda one: COMPENSATION[one.drive_feedback]),
+        (Column("Windows kept", brief="Kept"), lambda one: f"{one.runs_kept} of {one.runs}"),
         (Column("95 % interval"),
-         lambda one: texts.interval_text(share_kept(one["runs_kept"], one["runs"]))),
-        (Column("Lost by", is_text=True), lambda one: texts.losses_text(one) or ABSENT),
+         lambda one: interval_text(one)),
+        (Column("Lost by", is_text=True), lambda one: losses_text(one) or ABSENT),
         (Column("The worst, in the folder of this page", brief=None, is_text=True),
-         lambda one: f"funnel-hil simulate network/scenarios/{one['worst_point']}.yaml"),
+         lambda one: f"funnel-hil simulate network/scenarios/{one.worst_point}.yaml"),
     ]  # fmt: skip
     note = (
         f"Each window is {summary['duration_s']:g} s of the network, the same in both directions."
@@ -189,7 +212,7 @@ def _network_table(summary: Summary) -> Table:
         " half second: this one is no random place, so the share and its interval are rather low."
     )
     title = f"Windows of {Path(summary['network']).name} in which bounds are kept"
-    rows = _by_equipment(summary["parts"]["network"]["points"])
+    rows = _by_equipment(_points(summary["parts"]["network"]))
     return table_of(title, columns, rows, note)
 
 
@@ -218,7 +241,7 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
 
 
 def _share_kept(sheet: DrawnSheet) -> go.Figure:
-    parts = sheet.summary["parts"]
+    margin, plants = _margins(sheet.summary), _plants(sheet.summary)
     figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "share (%)")
     if sheet.window is not None:
         trips_ms = np.sort(link.arrivals(sheet.window.data)[1])
@@ -228,21 +251,21 @@ def _share_kept(sheet: DrawnSheet) -> go.Figure:
             x=trips_ms[::every], y=share[::every], name="share of the network's round trips below",
             line_color="#bbbbbb", fill="tozeroy", mode="lines",
         )  # fmt: skip
-    for index, case in enumerate(parts["margin"]["cases"]):
-        probes = sorted(case["probes"], key=lambda probe: float(probe["value"]))
-        name, colour = texts.equipment_text(case), style.palette(index)
+    for index, case in enumerate(margin.cases):
+        probes = sorted(case.probes, key=lambda probe: probe.value)
+        name, colour = equipment_text(case), style.palette(index)
         figure.add_scatter(
-            x=[probe["value"] for probe in probes],
-            y=[100.0 * probe["runs_kept"] / probe["runs"] for probe in probes],
+            x=[probe.value for probe in probes],
+            y=[100.0 * probe.runs_kept / probe.runs for probe in probes],
             name=name, mode="lines+markers", line_color=colour, line_shape="hv",
         )  # fmt: skip
-        _mark(figure, f"any pattern, {name}", any_pattern_ms(case), colour, "dot")
-        theory_ms = (case.get("theory") or {}).get("constant_ms")
+        _mark(figure, f"any pattern, {name}", case.any_pattern, colour, "dot")
+        theory_ms = None if case.theory is None else case.theory.constant_ms
         _mark(figure, "linear theory, constant delay", theory_ms, style.INK, "dash")
-    for case in (parts.get("plants") or {"cases": ()})["cases"]:
+    for robust in () if plants is None else plants.cases:
         figure.add_scatter(
-            x=[at["value"] for at in case["values"]],
-            y=[100.0 * at["fraction"] for at in case["values"]],
+            x=[at.value for at in robust.values],
+            y=[100.0 * (at.fraction or 0.0) for at in robust.values],
             name="uncertain plants", mode="lines+markers", line_color=style.palette(2),
         )  # fmt: skip
     figure.update_yaxes(range=[0.0, 103.0])

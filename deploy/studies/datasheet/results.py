@@ -18,9 +18,10 @@ from deploy.run.run_folder import ResultFolder, RunFolder, load_run, read_summar
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
-from deploy.studies.datasheet.data_sheet import DataSheet, any_pattern_ms, worst_window
+from deploy.studies.datasheet.data_sheet import DataSheet, worst_window
 from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
 from deploy.studies.datasheet.robot_sheet import RobotSheet
+from deploy.studies.margin.result import MarginResult
 from deploy.study.study import StudyOfRuns, digest_of
 
 FILE = "datasheet.yaml"
@@ -85,7 +86,9 @@ def sheet_parts(
     parts = {"margin": do(margin, out / "margin")[0]}
     if windows is not None:
         parts["network"], rows = do(windows, out / "network")
-    plants = sheet.of_plants(any_pattern_ms(parts["margin"]["cases"][-1]) or 0.0)
+    plants = sheet.of_plants(
+        MarginResult.model_validate(parts["margin"]).cases[-1].any_pattern or 0.0
+    )
     if plants is not None:
         parts["plants"] = do(plants, out / "plants")[0]
     return parts, _written_window(windows, rows, out)

@@ -11,10 +11,11 @@ import plotly.graph_objects as go
 from deploy.judge.verdict import Verdict
 from deploy.reports.figures import style
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
-from deploy.reports.studies import study_texts as texts
 from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.tables import ABSENT, Cell, Column, Table, number, table_of
 from deploy.studies.datasheet.robot_sheet import NO_NETWORK, SHOWN_MS
+from deploy.studies.margin import texts
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.tables import margin_table
 from deploy.studies.margin.theory_sentences import theory_sentences
 from deploy.study.study import rows_by
@@ -28,6 +29,7 @@ _OPTIONS = ("preview", "limiter", "compensation")
 def robot_sheet_page(summary: Summary) -> Page[Summary]:
     """Return the page of a robot's data sheet."""
     head, *more = summary["headline"]
+    margin = MarginResult.model_validate(summary["margin"])
     return Page(
         "data sheet",
         summary["name"],
@@ -44,7 +46,7 @@ def robot_sheet_page(summary: Summary) -> Page[Summary]:
         ],
         subject=summary,
         conditions=summary["conditions"],
-        results=[Cards([_ways_table(summary), margin_table(summary["margin"])], "stacked"),
+        results=[Cards([_ways_table(summary), margin_table(margin)], "stacked"),
                  Cards([_runs_table(summary)], "stacked")],
         footer="The search for margins has a report of its own: margin/report.html.",
     )  # fmt: skip
@@ -52,14 +54,14 @@ def robot_sheet_page(summary: Summary) -> Page[Summary]:
 
 def headline(summary: Summary) -> list[str]:
     """Return what the tip does with and without a preview, the reflexes, and the margin."""
-    margin = summary["margin"]
+    margin = MarginResult.model_validate(summary["margin"])
     tip = filter(None, (_tip_sentence(summary, law) for law in _laws(summary)))
     return [
         *tip,
         *_kept_sentences(summary),
         *_reflex_sentences(summary),
         _margin_sentence(summary, margin),
-        *theory_sentences({**margin, "cases": margin["cases"][:1]}),
+        *theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]})),
     ]
 
 
@@ -188,13 +190,13 @@ def _reflexes_text(runs: list[Summary]) -> str:
     return ", ".join(sentences)
 
 
-def _margin_sentence(summary: Summary, margin: Summary) -> str:
+def _margin_sentence(summary: Summary, margin: MarginResult) -> str:
     """The number to quote of the loop around the robot."""
     numbers = [
         f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}".rstrip()
-        for case in margin["cases"]
+        for case in margin.cases
     ]
-    law = margin["cases"][0]["law"]
+    law = margin.cases[0].law
     return f"{summary['arm']}, {summary['interface']} under {law}: quote a round trip of" + (
         f" {'; '.join(numbers)}."
     )

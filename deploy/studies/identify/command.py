@@ -15,8 +15,9 @@ from bus_schema.errors import InputError
 from bus_schema.robot_description import RobotDescription
 from deploy.command.options import IncludeOption, JointsOption, MassOption, taking
 from deploy.identify.design import design, write_design
-from deploy.identify.identification import Identified, Wishes
+from deploy.identify.identification import Wishes
 from deploy.identify.identification import identify as identify_arm
+from deploy.identify.identified import Identified
 from deploy.identify.results import RANGES, SCENARIO, check_is_free, write_results
 from deploy.measure.time_units import Unit
 from deploy.reports.terminal import print_table

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from deploy.identify.identification import Identified
+from deploy.identify.identified import Identified
 from deploy.identify.quality import predicted_before
 from deploy.identify.regression import (
     COULOMB,

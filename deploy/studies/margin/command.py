@@ -21,7 +21,7 @@ from deploy.scenario.interface_choice import (
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, option_value, read_yaml
 from deploy.studies.margin.margin_study import margin_study
-from deploy.study.study import SHIPPED, is_sweep
+from deploy.study.definition import SHIPPED, is_sweep
 
 
 @dataclass(kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deploy.reports.kinds import ResultKind
 from deploy.studies.margin.margin import Margin
-from deploy.studies.margin.numbers import GaugedMargins
 from deploy.studies.margin.page import margin_page
+from deploy.studies.margin.result import MarginResult
 
-KIND = ResultKind(Margin.kind, GaugedMargins, Margin, margin_page)
+KIND = ResultKind(Margin.kind, MarginResult, Margin, margin_page)

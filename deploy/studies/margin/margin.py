@@ -16,8 +16,9 @@ from deploy.scenario.checking.warnings import require_hold
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import CASE_COLUMNS, Case, CasesDefinition, Setting, StudyOfCases
-from deploy.study.doubts import doubts
+from deploy.studies.margin.findings import search_findings
+from deploy.study.cases import CASE_COLUMNS, Case, StudyOfCases
+from deploy.study.definition import Different, Seeds
 from deploy.study.follow_ups import disturbances, remedies, unknowns
 from deploy.study.follow_ups.disturbances import DisturbanceSizes
 from deploy.study.follow_ups.expected_loss import first_loss, theory_beside
@@ -25,10 +26,11 @@ from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
 from deploy.study.margin_search import PARTS, MarginSearch, Steps
+from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import Variant
 from deploy.study.quoted import quoted
-from deploy.study.statistics import badness, in_order, seeds_of, spread_of_runs
-from deploy.study.study import ONE_START, Different, PlannedRun, Seeds
+from deploy.study.settings import CasesDefinition, Setting
+from deploy.study.study import ONE_START
 from deploy.study.trials.sequential_test import SequentialTest
 
 _OF_PATTERNS = (
@@ -292,7 +294,7 @@ class Margin(StudyOfCases):
         search = self.searches[index]
         found = {
             **case.findings,
-            **_search_findings(search, case, self.columns),
+            **search_findings(search, case, self.columns),
             **self._follow_up_findings(index),
             "theory": self.theories.get(index) if search.next() is None else None,
         }
@@ -312,47 +314,3 @@ class Margin(StudyOfCases):
                 kind = remedies if name == "what_helps" else disturbances
                 found[name] = kind.findings(setting, search)
         return found | unknowns.findings(searches, self._unknowns(setting))
-
-
-def _search_findings(
-    search: MarginSearch, case: Case, columns: Mapping[str, str]
-) -> dict[str, Any]:
-    all_rows = [row for rows in search.rows.values() for row in rows]
-    value, others = search.value, _margins_elsewhere(search)
-    low, high = search.widest_gap or (0, 0)
-    return {
-        **search.ends(),
-        "widest_gap": round((high - low) * search.steps.resolution, 9),
-        "margin_on": {on: value(steps) for on, steps in others.items()},
-        "held_again": list(map(value, search.held_again)),
-        "seeds": seeds_of(all_rows),
-        "doubts": doubts(case.setting, all_rows, columns),
-        "probes": [
-            {
-                "value": value(steps),
-                "held": search.outcomes.get(steps),
-                "points": sorted({row["point"] for row in rows}),
-                "worst_point": max(in_order(rows), key=badness)["point"],
-                **spread_of_runs(in_order(rows)),
-            }
-            for steps, rows in sorted(search.rows.items())
-        ],
-    }
-
-
-def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:
-    """Return the last tried value up to which all were kept, by other physics, in steps."""
-    kept = {steps: list(map(_kept_elsewhere, rows)) for steps, rows in sorted(search.rows.items())}
-    found: dict[str, int | None] = {}
-    for physics in dict.fromkeys(name for rows in kept.values() for row in rows for name in row):
-        found[physics] = None
-        for steps, rows in kept.items():
-            if not all(row.get(physics) for row in rows):
-                break
-            found[physics] = steps
-    return found
-
-
-def _kept_elsewhere(row: Row) -> dict[str, bool]:
-    """Whether a run kept its bounds, by other physics; nothing is known of a failed run."""
-    return dict(zip(row.get("confirmed_on") or (), row.get("confirmed_kept") or (), strict=True))

@@ -1,16 +1,16 @@
-"""Pages of margins: of one arm as it is, and over uncertain plants."""
+"""The page of margins."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
-from deploy.reports.studies import study_texts as texts
 from deploy.reports.studies.case_panels import cases_by_arm, curves_panel, durations, value_name
+from deploy.reports.studies.case_result import case_title
+from deploy.reports.studies.study_texts import ceiling_text, value_text
 from deploy.reports.tables import ABSENT
 from deploy.studies.margin.figures import margin_bars
+from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.sentences import (
     brief_margin_sentences,
     margin_headline,
@@ -24,17 +24,15 @@ from deploy.studies.margin.tables import (
 )
 from deploy.study.study import starts_text
 
-Summary = dict[str, Any]
-
 
 def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins."""
-    summary = study.summary
+    summary = MarginResult.model_validate(study.summary)
     arms = cases_by_arm(summary)
-    ceilings = {arm: next(filter(None, map(texts.ceiling_text, arms[arm])), None) for arm in arms}
+    ceilings = {arm: next(filter(None, map(ceiling_text, arms[arm])), None) for arm in arms}
     return Page(
-        f"margins of {summary['quantity']}",
-        summary["name"],
+        f"margins of {summary.quantity}",
+        summary.name,
         verdict=ReportHead(
             "mixed",
             margin_headline(summary),
@@ -42,9 +40,9 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             printed=brief_margin_sentences(summary),
         ),
         facts=[
-            Fact("Resolution", texts.value_text(summary["resolution"], summary)),
-            Fact("Largest value tried", texts.value_text(summary["limit"], summary)),
-            Fact("Starts", starts_text(summary)),
+            Fact("Resolution", value_text(summary.resolution, summary)),
+            Fact("Largest value tried", value_text(summary.limit, summary)),
+            Fact("Starts", starts_text(study.summary)),
             durations(summary),
             Fact("Held-arm ceiling",
                  ", ".join(f"{arm} {text}" for arm, text in ceilings.items() if text) or ABSENT,
@@ -62,24 +60,26 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
                    *help_tables(summary)], "stacked")
         ],
         points=[
-            (f"{texts.case_title(case)}, worst pattern", worst["point"],
-             worst.get("trace_command") or worst["command"])
-            for case in summary["cases"]
-            if (worst := case.get("worst_pattern"))
+            (f"{case_title(case)}, worst pattern", worst.point,
+             worst.trace_command or worst.command)
+            for case in summary.cases
+            if (worst := case.worst_pattern)
         ] + [
             (value_name(case, probe, summary), point, study.rerun(point))
-            for case in summary["cases"]
-            for probe in case["probes"]
-            for point in probe["points"]
+            for case in summary.cases
+            for probe in case.probes
+            for point in probe.points
         ],
     )  # fmt: skip
 
 
-def _margin_panels(summary: Summary, arm: str, cases: list[Summary]) -> list[Panel[DrawnStudy]]:
+def _margin_panels(
+    summary: MarginResult, arm: str, cases: list[MarginCase]
+) -> list[Panel[DrawnStudy]]:
     return [
         Panel(
             "Margins", f"margins-{arm}", f"Margins on {arm}",
-            lambda study: margin_bars(study, cases),
+            lambda study: margin_bars(study, summary, cases),
             "A taller bar is a larger margin. Click on it for the command that repeats the first"
             " failure, from the worst start. Dotted, if near: the held-arm ceiling, beyond which no"
             " loop can start.",

@@ -1,150 +1,149 @@
-"""Margins and shares of plants in sentences."""
+"""Margins in sentences."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from deploy.reports.studies.case_result import case_title, equipment_text, setting_text
 from deploy.reports.studies.case_sentences import doubts, saved_runs
-from deploy.reports.studies.study_texts import (
-    Summary,
+from deploy.reports.studies.study_texts import listed, value_text
+from deploy.scenario.playout import EXPECTED
+from deploy.studies.margin.result import MarginCase, MarginResult
+from deploy.studies.margin.texts import (
     because_text,
-    case_title,
-    equipment_text,
     furthest,
     furthest_case,
-    listed,
     margin_text,
     pattern_text,
-    probe_at,
-    quoted_or_none,
     quoted_text,
     rotors_text,
     setting_and_reason,
-    setting_text,
-    value_text,
 )
-from deploy.scenario.playout import EXPECTED
 from deploy.studies.margin.theory_sentences import in_theory, theory_sentences
 
 
-def _pattern_sentence(case: Summary, summary: Summary) -> str | None:
+def _pattern_sentence(case: MarginCase, summary: MarginResult) -> str | None:
     """Describe a case under delays that vary."""
-    if case.get("guaranteed"):
+    if case.guaranteed:
         playout, remedy = _playout_texts(case)
         return (
             f"{case_title(case)}: holds for every delay up to"
-            f" {value_text(case['guaranteed'], summary)} that arrives in order and is not lost,"
+            f" {value_text(case.guaranteed, summary)} that arrives in order and is not lost,"
             f" with {playout}; the motion is the same to the bit in"
-            f" {case['patterns']['tried']} patterns.{remedy}"
+            f" {case.patterns.tried} patterns.{remedy}"
         )
-    if (worst := case.get("worst_pattern")) is None:
+    if (worst := case.worst_pattern) is None:
         return None
-    name = ", ".join(f"{key} {value}" for key, value in worst["pattern"].items())
+    name = ", ".join(f"{key} {value}" for key, value in worst.pattern.items())
     return (
         f"{case_title(case)}: every pattern of delays: {pattern_text(case, summary)}. The worst, at"
-        f" {value_text(worst['value'], summary)}: {name}."
+        f" {value_text(worst.value, summary)}: {name}."
     )
 
 
-def _playout_texts(case: Summary) -> tuple[str, str]:
+def _playout_texts(case: MarginCase) -> tuple[str, str]:
     """For which play-out time d a guarantee holds; how to set it where the scenario does not."""
-    if (d_ms := case.get("guaranteed_d_ms")) is None:  # of an older version
+    if (d_ms := case.guaranteed_d_ms) is None:  # of an older version
         return "the play-out of the constant delay", ""
     playout = f"a play-out of d = {d_ms:.9g} ms"
-    if case["guaranteed_command"] is None:
+    if case.guaranteed_command is None:
         return playout, ""
-    own = f" The scenario's own link gives d = {case['scenario_d_ms']:.9g} ms at the start"
+    own = f" The scenario's own link gives d = {case.scenario_d_ms:.9g} ms at the start"
     return playout, f"{own}: add --set {EXPECTED}={d_ms:.9g}."
 
 
-def margin_headline(summary: Summary) -> str:
+def margin_headline(summary: MarginResult) -> str:
     """The margins of the best law in one sentence: of each arm without and with compensation.
 
     Of more than two settings it has the best.
     """
-    cases, texts = summary["cases"], []
-    laws, arms = (list(dict.fromkeys(case[key] for case in cases)) for key in ("law", "arm"))
+    cases, texts = summary.cases, []
+    laws, arms = (
+        list(dict.fromkeys(getattr(case, key) for case in cases)) for key in ("law", "arm")
+    )
     for arm in arms:
-        settings: dict[str, list[Summary]] = {}
+        settings: dict[str, list[MarginCase]] = {}
         for case in cases:
-            if case["arm"] == arm:
+            if case.arm == arm:
                 settings.setdefault(setting_text(case), []).append(case)
         best = list(map(furthest_case, settings.values()))
         shown = best if len(best) <= 2 else [furthest_case(best)]
         margins = (f"{quoted_text(case, summary)} {setting_and_reason(case)}" for case in shown)
         texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(map(str.rstrip, margins))}")
     who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
-    kept = f"{furthest(summary).capitalize()} {summary['title']} kept by {who}{model_text(cases)}"
+    kept = f"{furthest(summary).capitalize()} {summary.title} kept by {who}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
 
 
-def model_text(cases: list[Summary]) -> str:
+def model_text(cases: Sequence[MarginCase]) -> str:
     """Describe how the model that compensation predicts with differs from the arm."""
-    compensated = (case for case in cases if case["compensation"])
-    scales = {case["model_scale"] for case in compensated if "model_scale" in case}
+    compensated = (case for case in cases if case.compensation)
+    scales = {case.model_scale for case in compensated if case.model_scale is not None}
     if scales <= {1.0}:
         return ", if the arm is known exactly" * bool(scales)
     return f", with a model of {' or '.join(f'{each:g}' for each in sorted(scales))} × its masses"
 
 
-def margin_sentences(summary: Summary) -> list[str]:
+def margin_sentences(summary: MarginResult) -> list[str]:
     """Return margins in words, the best first."""
-    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
+    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
     found = [*_headlines(summary), *patterns, *_held_again(summary), *_flawed(summary)]
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
         f" {smaller} if the rotors are a tenth."
-        for case in summary["cases"]
+        for case in summary.cases
         if (smaller := rotors_text(case, summary))
     ]
     limits = [*_gaps(summary), *_too_slow(summary)]
     return [*found, *rotors, *theory_sentences(summary), *limits, *saved_runs(summary)]
 
 
-def brief_margin_sentences(summary: Summary) -> list[str]:
+def brief_margin_sentences(summary: MarginResult) -> list[str]:
     """Return margins in words, without what a table beside them says."""
-    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary["cases"]))
-    found = [*doubts(summary), *patterns]
+    patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
+    found = [*doubts(summary.cases), *patterns]
     limits = [*_gaps(summary), *_too_slow(summary)]
     return [*found, *_held_again(summary), *in_theory(summary), *limits]
 
 
-def _headlines(summary: Summary) -> list[str]:
+def _headlines(summary: MarginResult) -> list[str]:
     """Name the best case on each arm: first of loops that run, then of those that start so."""
-    arms = dict.fromkeys(case["arm"] for case in summary["cases"])
+    arms = dict.fromkeys(case.arm for case in summary.cases)
     return [
         _best(summary, own, arm)
         for arm in arms
         for running in (True, False)
-        if (own := [c for c in summary["cases"] if (c["arm"], c["running"]) == (arm, running)])
+        if (own := [c for c in summary.cases if (c.arm, c.running) == (arm, running)])
     ]
 
 
-def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
+def _best(summary: MarginResult, cases: list[MarginCase], arm: str) -> str:
     """Name the case of an arm that takes the most."""
-    known = [case for case in cases if quoted_or_none(case) is not None]
-    where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
+    known = [case for case in cases if case.best_known is not None]
+    where = f"{arm}, a loop that already runs" if cases[0].running else arm
     if not known:
         return f"{where}: no law keeps its bounds at all."
     best = furthest_case(known)
     laws: dict[str, list[str]] = {}
     for case in known:
-        if quoted_or_none(case) == quoted_or_none(best):
-            laws.setdefault(equipment_text(case), []).append(case["law"])
+        if case.best_known == best.best_known:
+            laws.setdefault(equipment_text(case), []).append(case.law)
     whose = [f"{listed(names)} {equipment}".rstrip() for equipment, names in laws.items()]
     reason = because_text(best)
     margin = f"{furthest(summary)} margin is {quoted_text(best, summary)}"
     margin += f" ({reason})" if reason else ""
     return f"{where}: the {margin}, of {'; of '.join(whose)}." + "".join(
-        f" {text}" for text in doubts({"cases": cases})
+        f" {text}" for text in doubts(cases)
     )
 
 
-def _held_again(summary: Summary) -> list[str]:
+def _held_again(summary: MarginResult) -> list[str]:
     """A sentence for each case that kept its bounds once more beyond its first failure."""
     return [
         f"{case_title(case)}: held again at"
-        f" {', '.join(f'{value:g}' for value in case['held_again'])}, beyond its first failure."
-        for case in summary["cases"]
-        if case["held_again"]
+        f" {', '.join(f'{value:g}' for value in case.held_again)}, beyond its first failure."
+        for case in summary.cases
+        if case.held_again
     ]
 
 
@@ -155,26 +154,26 @@ _FLAWS = {
 """Words for runs that do not hold although they kept their bounds."""
 
 
-def _flawed(summary: Summary) -> list[str]:
+def _flawed(summary: MarginResult) -> list[str]:
     """A sentence for each case whose margin ends where a loop grows or vibrates in its bounds."""
     return [
-        f"{case_title(case)}: at {value_text(probe['value'], summary)}"
-        f" {words.format(probe[name], probe['runs'])}."
-        for case in summary["cases"]
-        if (probe := probe_at(case, case["first_failure"]))
+        f"{case_title(case)}: at {value_text(probe.value, summary)}"
+        f" {words.format(getattr(probe, name), probe.runs)}."
+        for case in summary.cases
+        if (probe := case.probe_at(case.first_failure))
         for name, words in _FLAWS.items()
-        if probe.get(name)
+        if getattr(probe, name)
     ]
 
 
-def _without_theory(summary: Summary) -> list[Summary]:
-    return [case for case in summary["cases"] if "constant_ms" not in (case.get("theory") or {})]
+def _without_theory(summary: MarginResult) -> list[MarginCase]:
+    return [case for case in summary.cases if case.theory is None or not case.theory.knows_windows]
 
 
-def _too_slow(summary: Summary) -> list[str]:
+def _too_slow(summary: MarginResult) -> list[str]:
     """Return a sentence on growth that runs are too short to show, where theory knows none."""
-    probes = (probe_at(case, case["margin"]) or {} for case in _without_theory(summary))
-    most_hz = max((probe.get("not_tested_below_hz") or 0.0 for probe in probes), default=0.0)
+    probes = (case.probe_at(case.margin) for case in _without_theory(summary))
+    most_hz = max((probe.not_tested_below_hz or 0.0 for probe in probes if probe), default=0.0)
     if not most_hz:
         return []
     return [
@@ -183,10 +182,10 @@ def _too_slow(summary: Summary) -> list[str]:
     ]
 
 
-def _gaps(summary: Summary) -> list[str]:
+def _gaps(summary: MarginResult) -> list[str]:
     """Name the widest gap between tried values, where theory knows no window of instability."""
-    gaps = [case.get("widest_gap", 0.0) for case in _without_theory(summary)]
-    if max(gaps, default=0.0) <= summary["resolution"]:
+    gaps = [case.widest_gap for case in _without_theory(summary)]
+    if max(gaps, default=0.0) <= summary.resolution:
         return []
     width = value_text(max(gaps), summary)
     return [

@@ -2,48 +2,51 @@
 
 from __future__ import annotations
 
-from deploy.reports.studies.study_texts import Summary, case_title, listed, loss_text
+from deploy.reports.studies.case_result import case_title
+from deploy.reports.studies.study_texts import listed
+from deploy.studies.margin.result import MarginCase, MarginResult, Theory
+from deploy.studies.margin.texts import loss_text
 
 
-def theory_sentences(summary: Summary) -> list[str]:
+def theory_sentences(summary: MarginResult) -> list[str]:
     """Theoretical margins, a sentence per case; and the reasons why other cases have none."""
     reasons = dict[str, list[str]]()
-    for case in summary["cases"]:
-        if "reason" in (theory := case.get("theory") or {}):
-            reasons.setdefault(theory["reason"], []).append(case["law"])
+    for case in summary.cases:
+        if case.theory is not None and case.theory.reason is not None:
+            reasons.setdefault(case.theory.reason, []).append(case.law)
     return in_theory(summary) + [
         f"No theoretical margin, because {reason}: {listed([*dict.fromkeys(names)])}."
         for reason, names in reasons.items()
     ]
 
 
-def in_theory(summary: Summary) -> list[str]:
+def in_theory(summary: MarginResult) -> list[str]:
     """Return the theoretical margins, a sentence per case that has one."""
     return [
         f"{case_title(case)}: {_lost_at_once(case)}in theory {_stability(theory)}"
-        f"{_windows(theory.get('unstable_ms'))}."
-        for case in summary["cases"]
-        if (theory := case.get("theory")) and "reason" not in theory
+        f"{_windows(theory.unstable_ms)}."
+        for case in summary.cases
+        if (theory := case.theory) is not None and theory.reason is None
     ]
 
 
-def _lost_at_once(case: Summary) -> str:
+def _lost_at_once(case: MarginCase) -> str:
     """Return the reason why a case is lost at its first value, to go before theory's."""
-    return f"{loss_text(case)}; " if case.get("completed") and case["margin"] is None else ""
+    return f"{loss_text(case)}; " if case.completed and case.margin is None else ""
 
 
-def _stability(theory: Summary) -> str:
-    if (growth := theory.get("unstable_without_delay")) is not None:  # older ones lack it
-        hertz = growth["frequency_hz"]
+def _stability(theory: Theory) -> str:
+    if (growth := theory.unstable_without_delay) is not None:  # older ones lack it
+        hertz = growth.frequency_hz
         swings = f"at {hertz:g} Hz" if hertz else "without swinging"
         return (
-            f"unstable without a delay: it grows by {growth['rate_per_s']:g}/s {swings}"
-            f" ({_OF_THEORY}; {growth['joint']} moves most)"
+            f"unstable without a delay: it grows by {growth.rate_per_s:g}/s {swings}"
+            f" ({_OF_THEORY}; {growth.joint} moves most)"
         )
-    weakest = f"; weakest: {theory['joint']}" if theory["joint"] else ""
+    weakest = f"; weakest: {theory.joint}" if theory.joint else ""
     return (
-        f"stable up to a constant {theory['constant_ms']:g} ms, and below"
-        f" {theory['any_pattern_ms']:g} ms for every pattern (round trip; {_OF_THEORY}{weakest})"
+        f"stable up to a constant {theory.constant_ms:g} ms, and below"
+        f" {theory.any_pattern_ms:g} ms for every pattern (round trip; {_OF_THEORY}{weakest})"
     )
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
-from deploy.reports.studies import study_texts as texts
 from deploy.reports.studies.case_panels import cases_by_arm, curves_panel, durations, value_name
-from deploy.reports.studies.study_texts import Summary
+from deploy.reports.studies.case_result import case_title
+from deploy.reports.studies.study_texts import value_text
 from deploy.studies.robustness.figures import effects
+from deploy.studies.robustness.result import Losses, RobustCase, RobustnessResult
 from deploy.studies.robustness.sentences import robustness_sentences
 from deploy.studies.robustness.tables import interval_table, losses_table, robustness_table
 
@@ -17,23 +18,23 @@ _SHOWN_EFFECTS = 12
 
 def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins over uncertain plants."""
-    summary = study.summary
-    cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
+    summary = RobustnessResult.model_validate(study.summary)
+    cases, share = summary.cases, f"{100 * summary.kept_share:g} %"
     best, *others = robustness_sentences(summary)
     explained = [
-        f"“Up to” a {summary['title']}: at it and at every smaller one that was tried, at least"
+        f"“Up to” a {summary.title}: at it and at every smaller one that was tried, at least"
         f" {share} of the plants kept their bounds."
     ]
-    if all(case["kept_up_to"] is None for case in cases):
+    if all(case.kept_up_to is None for case in cases):
         explained = []
     return Page(
-        f"margins of {summary['quantity']} over uncertain plants",
-        summary["name"],
+        f"margins of {summary.quantity} over uncertain plants",
+        summary.name,
         verdict=ReportHead("mixed", best, [*others, *explained]),
         facts=[
-            Fact("Plants", str(summary["plants"])),
-            Fact("Plant seed", str(summary["plant_seed"])),
-            Fact("Values", ", ".join(texts.value_text(v, summary) for v in summary["values"])),
+            Fact("Plants", str(summary.plants)),
+            Fact("Plant seed", str(summary.plant_seed)),
+            Fact("Values", ", ".join(value_text(v, summary) for v in summary.values)),
             durations(summary),
         ],
         panels=lambda: [
@@ -43,7 +44,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
                 " for the command that repeats its worst plant.",
                 f"Plants of {arm} that kept their bounds")
               for arm, own in cases_by_arm(summary).items()),
-            *(_loss_panel(index, case) for index, case in enumerate(cases)),
+            *(_loss_panel(i, c, c.losses) for i, c in enumerate(cases) if c.losses),
         ],
         subject=study,
         quoted=lambda: robustness_table(summary),
@@ -54,20 +55,19 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
         points=[
             (value_name(case, value, summary), point, study.rerun(point))
             for case in cases
-            for value in case["values"]
-            for point in value["worst_points"]
+            for value in case.values
+            for point in value.worst_points
         ],
         points_title="The worst points of each value, with the command that repeats them",
     )  # fmt: skip
 
 
-def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
-    losses = case["losses"]
-    bars = [(one["quantity"], one["effect"]) for one in losses["effects"] or []]
+def _loss_panel(index: int, case: RobustCase, losses: Losses) -> Panel[DrawnStudy]:
+    bars = [(one.quantity, one.effect) for one in losses.effects or []]
     return Panel(
-        "Common properties of lost plants", f"losses-{index}", texts.case_title(case),
-        lambda _: effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0),
-        f"{losses['lost_plants']} plants lost their bounds at some value. A bar to the right:"
+        "Common properties of lost plants", f"losses-{index}", case_title(case),
+        lambda _: effects(bars[:_SHOWN_EFFECTS], losses.chance_level or 0.0),
+        f"{losses.lost_plants} plants lost their bounds at some value. A bar to the right:"
         " lost plants had larger values of this quantity. Grey bars are within the range of"
         " chance.",
     )  # fmt: skip

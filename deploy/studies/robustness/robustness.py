@@ -15,16 +15,18 @@ from deploy.judge.run_rows import Row, tolerated
 from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
 from deploy.scenario.yaml_files import plain
 from deploy.study import cases, plants
+from deploy.study.definition import Different, Seeds
 from deploy.study.doubts import doubts
 from deploy.study.losses import rank_losses, share_kept
+from deploy.study.planned_run import PlannedRun
+from deploy.study.settings import CasesDefinition, Setting
 from deploy.study.statistics import badness, spread_of_runs
-from deploy.study.study import Different, PlannedRun, Seeds
 from deploy.study.trials.sequential_test import SequentialTest
 
 _WORST_POINTS = 3
 
 
-class RobustnessDefinition(cases.CasesDefinition, plants.UncertainDefinition):
+class RobustnessDefinition(CasesDefinition, plants.UncertainDefinition):
     """Trials on many plants, as in a study's YAML file.
 
     Attributes:
@@ -64,10 +66,10 @@ class Robustness(cases.StudyOfCases):
         keys = ("plants", "plant_seed", "uncertainty", "values", "kept_share")
         return {**super().own_test, **self.definition.model_dump(include=set(keys), mode="json")}
 
-    def last_value(self, _setting: cases.Setting) -> float:
+    def last_value(self, _setting: Setting) -> float:
         return self.definition.values[-1]
 
-    def variants_of(self, setting: cases.Setting) -> list[plants.Variant]:
+    def variants_of(self, setting: Setting) -> list[plants.Variant]:
         keys = setting.quantity.keys
         require_effect(self.definition.fixed, dict.fromkeys(keys, "as quantity and values"))
         return plants.draw_plants(self.definition, setting.base, [*keys, LAW, SEED])

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from deploy.reports.studies.case_result import case_title
 from deploy.reports.studies.case_sentences import doubts, saved_runs
-from deploy.reports.studies.study_texts import (
-    Summary,
-    case_title,
-    interval_text,
-    kept_last,
-    share_text,
-    value_text,
-)
+from deploy.reports.studies.study_texts import interval_text, share_text, value_text
+from deploy.studies.robustness.result import RobustCase, RobustnessResult
 
 
-def robustness_sentences(summary: Summary) -> list[str]:
+def robustness_sentences(summary: RobustnessResult) -> list[str]:
     """Return how many plants were kept, in words, the best case first."""
-    cases = sorted(summary["cases"], key=lambda case: case["kept_up_to"] or -1.0)
+    cases = sorted(summary.cases, key=lambda case: case.kept_up_to or -1.0)
     kept = [_kept_sentence(case, summary) for case in reversed(cases)]
-    tests = map(_test, filter(None, [summary.get("test")]))
-    return [*kept, *tests, *saved_runs(summary), *doubts(summary)]
+    tests = map(_test, filter(None, [summary.test]))
+    return [*kept, *tests, *saved_runs(summary), *doubts(summary.cases)]
 
 
-def _test(test: Summary) -> str:
+def _test(test: Mapping[str, float]) -> str:
     """Name the errors with which a sequential test decides."""
     poor, passes, good, fails = (f"{100 * value:.1f} %" for value in test.values())
     return (
@@ -30,9 +27,17 @@ def _test(test: Summary) -> str:
     )
 
 
-def _kept_sentence(case: Summary, summary: Summary) -> str:
-    at, share = kept_last(case), f"{100 * summary['kept_share']:g} %"
+def _kept_sentence(case: RobustCase, summary: RobustnessResult) -> str:
+    at, share = case.kept_last, f"{100 * summary.kept_share:g} %"
     if at is None:
-        return f"{case_title(case)}: at no value {share} of {summary['plants']} plants kept bounds"
-    kept = f"{share_text(at)} plants kept their bounds up to {value_text(at['value'], summary)}"
+        return f"{case_title(case)}: at no value {share} of {summary.plants} plants kept bounds"
+    kept = f"{share_text(at)} plants kept their bounds up to {value_text(at.value, summary)}"
     return f"{case_title(case)}: {kept}; of all such plants {interval_text(at)} (95 % interval)"
+
+
+def kept_text(case: RobustCase, summary: RobustnessResult) -> str:
+    """Up to where enough plants are kept, with the interval of their share there."""
+    at = case.kept_last
+    if at is None:
+        return "not known yet" if case.values[0].tolerated is None else "none"
+    return f"{value_text(at.value, summary)} ({interval_text(at)})"

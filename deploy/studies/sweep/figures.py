@@ -8,7 +8,8 @@ from typing import Any
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
-from deploy.reports.figures.study_figures import DrawnStudy, Runs, StudyQuantity
+from deploy.reports.figures.study_figures import DrawnStudy, StudyQuantity
+from deploy.reports.studies.study_result import Runs
 from deploy.reports.tables import number
 from deploy.study.study import shown_value
 

@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from typing import Any
 
 from deploy.reports.figures import study_figures
-from deploy.reports.figures.study_figures import Curve, DrawnStudy, Runs, StudyQuantity
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead, level_of
+from deploy.reports.studies.study_result import Runs
 from deploy.studies.sweep.figures import heat_map
+from deploy.studies.sweep.result import Axis, Point, SweepResult
 from deploy.studies.sweep.tables import point_table
 from deploy.study.statistics import NO_EFFECT
 from deploy.study.study import shown_value
-
-Summary = dict[str, Any]
 
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
@@ -24,61 +24,58 @@ QUANTITIES = [study_figures.TICKS_OUTSIDE, study_figures.WORST_RMS]
 
 def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of a sweep."""
-    summary = study.summary
-    points = summary["points"]
-    every = range(len(summary["axes"]))
-    kept = sum(point["runs_kept"] == point["runs"] for point in points)
-    warnings = [f"warning: {keys}: {NO_EFFECT}" for keys in summary.get("without_effect", ())]
+    summary = SweepResult.model_validate(study.summary)
+    points = summary.points
+    every = range(len(summary.axes))
+    kept = sum(point.runs_kept == point.runs for point in points)
+    warnings = [f"warning: {keys}: {NO_EFFECT}" for keys in summary.without_effect]
     return Page(
         "sweep",
-        summary["name"],
+        summary.name,
         verdict=ReportHead(
             level_of(kept, len(points)),
             f"{kept} of {len(points)} points kept their bounds in every run",
-            [
-                f"{_title(axis)}: {', '.join(map(shown_value, axis['values']))}"
-                for axis in summary["axes"]
-            ]
+            [f"{axis.title}: {', '.join(map(shown_value, axis.values))}" for axis in summary.axes]
             + warnings,
             printed=warnings,
         ),
         facts=[
-            Fact("Sweep", summary["name"]),
-            Fact("Scenario", summary["scenario"]),
-            *([Fact("Plants", f"{summary['plants']}")] if summary["plants"] else []),
+            Fact("Sweep", summary.name),
+            Fact("Scenario", summary.scenario),
+            *([Fact("Plants", f"{summary.plants}")] if summary.plants else []),
         ],
         panels=lambda: [*_curve_panels(summary), *_heat_map_panels(summary)],
         subject=study,
         results=[Cards([point_table(summary)], "stacked")],
         points=[
-            (_given(summary, point, every) or "all", point["worst_point"], study.rerun_worst(point))
+            (_given(summary, point, every) or "all", point.worst_point, study.rerun_worst(point))
             for point in points
         ],
     )
 
 
-def _curve_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
+def _curve_panels(summary: SweepResult) -> list[Panel[DrawnStudy]]:
     """Every quantity over the numeric key with the most values, a line for each of the others."""
     order = _by_size(summary)
     if not order:
         return []
-    x = next((axis for axis in order if _is_sequence(summary["axes"][axis])), order[0])
-    is_sequence = _is_sequence(summary["axes"][x])
-    lines: dict[str, list[Summary]] = {}
-    for point in summary["points"]:
+    x = next((axis for axis in order if _is_sequence(summary.axes[axis])), order[0])
+    is_sequence = _is_sequence(summary.axes[x])
+    lines: dict[str, list[Point]] = {}
+    for point in summary.points:
         others = [axis for axis in order if axis != x]
         lines.setdefault(_given(summary, point, others) or "all runs", []).append(point)
     caption = "Means over all runs; shades or bars reach from the best run to the worst."
-    if summary["plants"]:
+    if summary.plants:
         caption = caption[:-1] + "; for plants kept, shares with Wilson's 95 % intervals."
     if len(lines) > _MOST_CURVES:
         caption += f" {_MOST_CURVES} of {len(lines)} lines are drawn; all points are in the table."
     shown = [
-        Curve(name, index % 7, index // 7, [(runs["values"][x], runs) for runs in points],
+        Curve(name, index % 7, index // 7, [(runs.values[x], runs) for runs in points],
               is_sequence=is_sequence)
         for index, (name, points) in enumerate(itertools.islice(lines.items(), _MOST_CURVES))
     ]  # fmt: skip
-    x_title = _title(summary["axes"][x])
+    x_title = summary.axes[x].title
     quantities = _quantities(summary)
 
     def panel(quantity: StudyQuantity) -> Panel[DrawnStudy]:
@@ -92,21 +89,21 @@ def _curve_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
     return list(map(panel, quantities))
 
 
-def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
+def _heat_map_panels(summary: SweepResult) -> list[Panel[DrawnStudy]]:
     """Every quantity over the two keys with the most values, a map for each of the others."""
     order = _by_size(summary)[:2]
     if len(order) < 2:
         return []
-    others = [axis for axis in range(len(summary["axes"])) if axis not in order]
-    combinations = itertools.product(*(summary["axes"][axis]["values"] for axis in others))
-    x, y = ((_title(summary["axes"][axis]), summary["axes"][axis]["values"]) for axis in order)
+    others = [axis for axis in range(len(summary.axes)) if axis not in order]
+    combinations = itertools.product(*(summary.axes[axis].values for axis in others))
+    x, y = ((summary.axes[axis].title, summary.axes[axis].values) for axis in order)
 
     def places(chosen: tuple[Any, ...]) -> list[list[Runs | None]]:
         """The points of a map, a row per value of `y`."""
         found = {
-            tuple(point["values"][axis] for axis in order): point
-            for point in summary["points"]
-            if chosen == tuple(point["values"][axis] for axis in others)
+            tuple(point.values[axis] for axis in order): point
+            for point in summary.points
+            if chosen == tuple(point.values[axis] for axis in others)
         }
         return [[found.get((a, b)) for a in x[1]] for b in y[1]]
 
@@ -114,7 +111,7 @@ def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
         worse_or_better = "worse" if quantity.more_is_worse else "better"
         return Panel(
             "Heat maps", f"field-{quantity.key}-{index}",
-            " · ".join([quantity.title, *_named(summary, others, chosen)]),
+            " · ".join([quantity.title, *summary.named(others, chosen)]),
             lambda study: heat_map(study, x, y, places(chosen), quantity),
             f"Means over all runs; the darker, the {worse_or_better}.",
             is_clickable=True,
@@ -127,34 +124,25 @@ def _heat_map_panels(summary: Summary) -> list[Panel[DrawnStudy]]:
     ]
 
 
-def _quantities(summary: Summary) -> list[StudyQuantity]:
+def _quantities(summary: SweepResult) -> list[StudyQuantity]:
     """Return the quantities to draw as curves and heat maps; those that are all zero last."""
-    found = [*([study_figures.PLANTS_KEPT] if summary["plants"] else []), *QUANTITIES]
-    return sorted(found, key=lambda each: not any(each.value(p, "mean") for p in summary["points"]))
+    found = [*([study_figures.PLANTS_KEPT] if summary.plants else []), *QUANTITIES]
+    return sorted(found, key=lambda each: not any(each.value(p, "mean") for p in summary.points))
 
 
-def _given(summary: Summary, point: Summary, axes: Iterable[int]) -> str:
+def _given(summary: SweepResult, point: Point, axes: Iterable[int]) -> str:
     """Return the values of a point on some axes, each with its keys."""
     places = list(axes)
-    return ", ".join(_named(summary, places, [point["values"][axis] for axis in places]))
+    return ", ".join(summary.named(places, [point.values[axis] for axis in places]))
 
 
-def _named(summary: Summary, axes: Iterable[int], values: Iterable[Any]) -> list[str]:
-    titles = (_title(summary["axes"][axis]) for axis in axes)
-    return [f"{keys} = {shown_value(value)}" for keys, value in zip(titles, values, strict=True)]
-
-
-def _title(axis: Summary) -> str:
-    return ", ".join(axis["keys"])
-
-
-def _by_size(summary: Summary) -> list[int]:
+def _by_size(summary: SweepResult) -> list[int]:
     """Axes with more than one value, the longest first."""
-    sizes = {index: len(axis["values"]) for index, axis in enumerate(summary["axes"])}
+    sizes = {index: len(axis.values) for index, axis in enumerate(summary.axes)}
     return sorted((axis for axis in sizes if sizes[axis] > 1), key=lambda axis: -sizes[axis])
 
 
-def _is_sequence(axis: Summary) -> bool:
+def _is_sequence(axis: Axis) -> bool:
     """Whether a line may join the values of an axis: numbers, but not windows or seeds."""
-    is_drawn = all(key.endswith(("start_s", "seed")) for key in axis["keys"])
-    return not is_drawn and all(isinstance(value, float) for value in axis["values"])
+    is_drawn = all(key.endswith(("start_s", "seed")) for key in axis.keys)
+    return not is_drawn and all(isinstance(value, float) for value in axis.values)

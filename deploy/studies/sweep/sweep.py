@@ -21,21 +21,13 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import ScenarioError, naming, override, validated
+from deploy.study.definition import is_sweep, require_different, scenario_name, study_values
 from deploy.study.execution.growth import has_all, lacks
 from deploy.study.losses import share_kept
+from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import UncertainDefinition, Variant, draw_columns, draw_plants, with_ranges
 from deploy.study.statistics import badness, spread_of_runs, without_effect
-from deploy.study.study import (
-    PlannedRun,
-    StudyOfRuns,
-    column_type,
-    digest_of,
-    is_sweep,
-    require_different,
-    rows_by,
-    scenario_name,
-    study_values,
-)
+from deploy.study.study import StudyOfRuns, column_type, digest_of, rows_by
 
 _TYPES = {
     "bool": "true or false",

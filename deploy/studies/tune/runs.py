@@ -14,8 +14,8 @@ from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
+from deploy.study.definition import Different
 from deploy.study.plants import UncertainDefinition, draw_plants
-from deploy.study.study import Different
 
 REAL_ARM = (
     f"plant.encoder.resolution_rad={2.0 * math.pi / 2**20}",

@@ -26,9 +26,11 @@ from deploy.scenario.yaml_files import naming, override, plain, validated
 from deploy.studies.tune.costs import UNFINISHED, delay_cost, error_cost
 from deploy.studies.tune.gain_search import FIXED, Gains, GainSearch
 from deploy.studies.tune.runs import DELAYS, REAL_ARM, TuneDefinition, judged, searched
+from deploy.study.definition import scenario_name
 from deploy.study.execution.growth import may_rise
+from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
-from deploy.study.study import PlannedRun, StudyOfRuns, scenario_name
+from deploy.study.study import StudyOfRuns
 
 _QUARTER = 4
 _CONVERGED, _NARROW = 0.02, 0.15

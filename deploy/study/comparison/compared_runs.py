@@ -17,11 +17,7 @@ from deploy.run.execute import JudgedRun
 from deploy.study.comparison.settling import SETTLING, SettlingTest
 
 KIND = "comparison"
-
-
 VARIED = {"law": "string", "offset_rad": "double"}
-
-
 COLUMNS = {"point": "string", **VARIED}
 """Names and Parquet types of its rows' first columns; the scenario's own start has no offset."""
 

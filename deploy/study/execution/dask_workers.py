@@ -32,7 +32,7 @@ from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.execution.provenance import Provenance, current
 from deploy.study.execution.runner import WorkersLostError
-from deploy.study.study import PlannedRun, failed, row_of
+from deploy.study.planned_run import PlannedRun, failed, row_of
 
 _ANSWER_S = 3.0
 _WORKERS_S = 5.0

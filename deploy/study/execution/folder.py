@@ -29,13 +29,11 @@ from deploy.judge.tested_with import TESTED_WITH
 from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION_COLUMNS
 from deploy.run.new_folder import new_folder, resolved_out
-from deploy.scenario.effective import effective_scenario, write_scenario
-from deploy.scenario.referenced_files import data_files
+from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
-from deploy.scenario.yaml_text import values_of
-from deploy.study.execution.growth import changes, hindrances
+from deploy.study.execution.growth import hindrances
+from deploy.study.execution.identity import STUDY_FILE, digests_of, has_definition, identity_of
 from deploy.study.execution.provenance import (
     UNSEEN,
     Provenance,
@@ -44,9 +42,9 @@ from deploy.study.execution.provenance import (
     law_files,
     provenance_of_law,
 )
-from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
+from deploy.study.planned_run import PlannedRun
+from deploy.study.study import StudyOfRuns, digest_of
 
-STUDY_FILE = "study.yaml"
 _PROVENANCES_FILE = "provenance.json"
 _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3
@@ -134,7 +132,7 @@ class StudyFolder(run_folder.ResultFolder):
         The lock has to be held. Scenarios are removed, as their names have changed; rows are still
         found.
         """
-        wanted, file = _identity(self._study), self.path / STUDY_FILE
+        wanted, file = identity_of(self._study), self.path / STUDY_FILE
         if read_yaml(file) == wanted:
             return
         shutil.rmtree(self.scenarios, ignore_errors=True)
@@ -271,10 +269,10 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
     Raises:
         ScenarioError: that folder holds another study, which this one does not extend.
     """
-    wanted = _identity(study)
+    wanted = identity_of(study)
     if out is None:
         begun = sorted(Path("runs").glob(f"{_folder_name(study)}-*"), reverse=True)
-        newest = next((path for path in begun if _has_definition(path, wanted)), None)
+        newest = next((path for path in begun if has_definition(path, wanted)), None)
         if newest is None or run_folder.read_summary(newest).get("completed", False):
             return None
         out = newest
@@ -282,7 +280,7 @@ def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
     file = path / STUDY_FILE
     if not is_file(file):
         return None
-    why = hindrances(read_yaml(file), wanted, _digests(study), study.growth)
+    why = hindrances(read_yaml(file), wanted, digests_of(study), study.growth)
     if why:
         raise ScenarioError(
             f"--out {path}: has another study, which this one does not extend; see {file}:"
@@ -317,7 +315,7 @@ def create_folder(study: StudyOfRuns, out: Path | None, *, overwrite: bool = Fal
     Raises:
         ScenarioError: as for `new_folder`.
     """
-    path, identity = new_folder(_folder_name(study), out, overwrite=overwrite), _identity(study)
+    path, identity = new_folder(_folder_name(study), out, overwrite=overwrite), identity_of(study)
     write_json(path / "manifest.json", _manifest(study))
     write_whole(path / STUDY_FILE, to_yaml(identity))
     return path
@@ -342,45 +340,10 @@ def opened(
         yield folder
 
 
-def changes_since(study: StudyOfRuns, path: Path) -> list[str]:
-    """Return which scenarios and files of a folder's study have changed, a sentence each."""
-    return changes(read_yaml(path / STUDY_FILE), _identity(study), _digests(study))
-
-
 def _folder_name(study: StudyOfRuns) -> str:
     return f"{study.kind}-{study.definition.name}"
 
 
-def _identity(study: StudyOfRuns) -> dict[str, Any]:
-    """Return a study's identity, in the form of ``study.yaml``: equal ones request equal rows."""
-    values = {
-        "kind": study.kind,
-        "definition": study.definition.model_dump(by_alias=True),
-        "scenario_digests": {base.scenario.name: _digest(base) for base in study.bases},
-        **({"file_digests": dict(study.files)} if study.files else {}),
-    }
-    given_back: dict[str, Any] = values_of(to_yaml(values))  # a tuple is a list there
-    return given_back
-
-
 def _manifest(study: StudyOfRuns) -> dict[str, Any]:
     tested = {TESTED_WITH: study.tested_with}
-    return {**study.provenance(), **tested, "study": _identity(study)}
-
-
-def _has_definition(path: Path, wanted: dict[str, Any]) -> bool:
-    try:
-        found = read_yaml(path / STUDY_FILE)
-    except ScenarioError:
-        return False
-    return all(found.get(key) == wanted[key] for key in ("kind", "definition"))
-
-
-def _digests(study: StudyOfRuns) -> set[tuple[str, str]]:
-    """Return names and digests of the scenarios in every setting."""
-    return {(setup.scenario.name, _digest(setup)) for setup in study.variants}
-
-
-def _digest(setup: Setup) -> str:
-    files = [file.read_bytes() for file in data_files(setup.scenario).values()]
-    return digest_of(effective_scenario(setup).encode(), setup.robot.text.encode(), *files)
+    return {**study.provenance(), **tested, "study": identity_of(study)}

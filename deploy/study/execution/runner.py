@@ -17,7 +17,8 @@ from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import override
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.provenance import Provenance
-from deploy.study.study import PlannedRun, StudyOfRuns
+from deploy.study.planned_run import PlannedRun
+from deploy.study.study import StudyOfRuns
 from plant_emulator.physics.engines import engine_name
 
 _POLL_S = 0.2

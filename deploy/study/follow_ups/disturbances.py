@@ -11,9 +11,9 @@ from pydantic import Field
 
 from bus_schema.configuration import Number, Positive, StrictModel, Whole
 from deploy.scenario.yaml_files import override, plain
-from deploy.study.cases import Setting
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials
 from deploy.study.quantities import RAMP_FOR_S, RAMP_FROM_S
+from deploy.study.settings import Setting
 from deploy.study.study import rows_by
 
 _FROM_S, _EVERY_S = 0.2, 0.2

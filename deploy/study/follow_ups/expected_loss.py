@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from deploy.study.cases import Setting
 from deploy.study.margin_search import Steps
+from deploy.study.settings import Setting
 from deploy.study.theory.theory import theory_of
 
 

@@ -14,8 +14,8 @@ from deploy.scenario.playout import EXPECTED
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, plain
-from deploy.study.cases import Setting
 from deploy.study.follow_ups.trials import command_of
+from deploy.study.settings import Setting
 from plant_emulator.channel.conditions import ConditionsSchedule
 
 _PER_TICK = 8

@@ -16,11 +16,12 @@ from deploy.judge.run_rows import Row
 from deploy.scenario.playout import EXPECTED
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import Case, Setting
+from deploy.study.cases import Case
 from deploy.study.follow_ups.trials import command_of, variant_of, worst_of
 from deploy.study.margin_search import MarginSearch
 from deploy.study.plants import Variant
 from deploy.study.quantities import Quantity
+from deploy.study.settings import Setting
 from deploy.study.study import rows_by
 
 Pattern = dict[str, Any]

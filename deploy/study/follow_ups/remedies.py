@@ -11,7 +11,7 @@ from bus_schema.link.configuration import AUTO
 from controller.laws import LAWS
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, plain
-from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK, Case, Setting
+from deploy.study.cases import Case
 from deploy.study.follow_ups.trials import (
     COLUMN,
     Changes,
@@ -23,6 +23,7 @@ from deploy.study.follow_ups.trials import (
 )
 from deploy.study.margin_search import MarginSearch
 from deploy.study.plants import Variant
+from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK, Setting
 
 _SHAPES = ("slope", "alpha", "beta", "inertia_kg_m2", "rate")
 """Gains per joint that shape a surface, an observer or a funnel; all others scale the torque."""

@@ -13,9 +13,10 @@ from deploy.judge.run_rows import Row, tolerated
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.cases import Case, Setting
+from deploy.study.cases import Case
 from deploy.study.margin_search import MarginSearch, Steps
 from deploy.study.plants import Variant
+from deploy.study.settings import Setting
 from deploy.study.statistics import in_order
 from deploy.study.statistics import worst as largest
 from deploy.study.study import rows_by

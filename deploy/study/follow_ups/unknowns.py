@@ -7,9 +7,9 @@ from typing import Any
 
 from deploy.scenario.checking.warnings import ROTORS, tenth_of_rotors
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import Setting
 from deploy.study.follow_ups.trials import Changes
 from deploy.study.margin_search import MarginSearch
+from deploy.study.settings import Setting
 
 SMALLER_ROTORS, MODEL_ERRORS = "smaller_rotors", "model_errors"
 """Keys of a study that ask for them, and of what was found."""

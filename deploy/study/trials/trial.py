@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from deploy.judge.run_rows import Row, left_nothing, tolerated, uses_seed
-from deploy.study.study import PlannedRun
+from deploy.study.planned_run import PlannedRun
 from deploy.study.trials.sequential_test import SequentialTest
 
 Key = tuple[str, int]

@@ -13,7 +13,7 @@ from pyarrow import csv, parquet
 from bus_schema.recording.atomic_files import write_json
 from deploy.run.run_folder import load_run
 from deploy.scenario.scenario import SHIPPED
-from deploy.study.study import SHIPPED as STUDIES
+from deploy.study.definition import SHIPPED as STUDIES
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from bus_schema.robot_description import RobotDescription, load_robot
 from controller.manipulator_model import ManipulatorModel, body_from_log_cholesky, log_cholesky
 from deploy.identify.base_parameters import Interval, base_values, link_masses
 from deploy.identify.design import design
-from deploy.identify.identification import Identified
+from deploy.identify.identified import Identified
 from deploy.identify.regression import COULOMB, ROTOR, VISCOUS
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.starter import drives_of

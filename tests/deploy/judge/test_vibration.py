@@ -14,6 +14,7 @@ from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from tests.deploy.study.studies import Here, case_of, conduct
 from tests.deploy.study.theory.linear_arms import ARMS, RESOLUTION_MS, RESONANT, constant, exact_ms
@@ -92,7 +93,10 @@ def test_margin_ends_where_the_loop_vibrates(tmp_path):
     }  # fmt: skip
     study = Margin(search, tmp_path)
     _, folder = conduct(study, tmp_path / "out", Here())
-    case, sentences = case_of(study, folder), margin_sentences(study.summary(folder.rows))
+    case, sentences = (
+        case_of(study, folder),
+        margin_sentences(MarginResult.model_validate(study.summary(folder.rows))),
+    )
     assert case["margin"] == case["quoted"] == RESOLUTION_MS * (exact_ms(RESONANT) // RESOLUTION_MS)
     (failed,) = (each for each in case["probes"] if each["value"] == case["first_failure"])
     assert failed["losses"] == {Reason.VIBRATION: failed["runs"]}

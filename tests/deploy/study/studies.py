@@ -11,7 +11,7 @@ from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.dask_workers import packed, row_with
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
-from deploy.study.study import row_of
+from deploy.study.planned_run import row_of
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"
 

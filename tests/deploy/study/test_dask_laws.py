@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from deploy.study.execution.dask_workers import packed, row_with
-from deploy.study.study import PlannedRun, row_of
+from deploy.study.planned_run import PlannedRun, row_of
 
 SOURCE = """
 import numpy as np

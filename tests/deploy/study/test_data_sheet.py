@@ -10,8 +10,8 @@ import pytest
 from deploy.reports.kinds import gauged
 from deploy.studies.datasheet.data_sheet import DataSheet
 from deploy.studies.datasheet.page import headline
-from deploy.study.cases import COMPENSATION, DRIVE_FEEDBACK
 from deploy.study.quoted import quoted
+from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK
 from tests.deploy.own_laws import own_law
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 from tests.warm_process import output_of

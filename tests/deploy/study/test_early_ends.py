@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from deploy.judge.run_rows import is_whole, left_nothing, read_rows, tolerated
+from deploy.study.planned_run import PlannedRun, row_of
 from deploy.study.statistics import badness, spread_of_runs, without_effect
-from deploy.study.study import PlannedRun, row_of
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import made_up
 

@@ -16,6 +16,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.command import MarginOptions, definition_with
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
 from deploy.study.execution.folder import create_folder, find_folder
@@ -60,7 +61,7 @@ def test_remedies_that_help_the_lost_start_are_tried_from_every_start(tmp_path):
     best = helps["best"]
     assert (best["change"], best["margin_min"]) == ("drive loop", 0.42)
     assert "controller.drive_feedback.enabled=true" in shlex.split(best["command"])
-    (table,) = help_tables(study.summary(folder.rows))
+    (table,) = help_tables(MarginResult.model_validate(study.summary(folder.rows)))
     assert table.title == "What helps at 6 ms, paper_arm, pid"
     shown = [(name.text, kept.text, left.text) for name, kept, _, left, *_ in table.cells]
     assert shown[:2] == [("compensation", "yes", "31"), ("drive loop", "yes", "42")]
@@ -102,7 +103,7 @@ def test_where_nothing_helps_the_result_says_so(tmp_path):
     assert helps["best"] is None
     # What is in force already is not tried again.
     assert [each["change"] for each in helps["tried"]] == ["twice the rate", "half the gains"]
-    (table,) = help_tables(study.summary(folder.rows))
+    (table,) = help_tables(MarginResult.model_validate(study.summary(folder.rows)))
     assert [kept.text for _, kept, *_ in table.cells] == ["no", "no"]
 
 
@@ -190,7 +191,7 @@ def test_disturbances_are_tried_at_the_margin_its_half_and_its_quarter(tmp_path)
         (4.0, True),
     ]
     assert {each["held_up_to"] for key, each in found.items() if each is not late} == {16.0}
-    (table,) = disturbance_tables(summary)
+    (table,) = disturbance_tables(MarginResult.model_validate(summary))
     assert [row[3:] for row in table.rows if "1 % late by 20 ms" in row] == [
         ["without", "4 ms", "8 ms"],
         ["with", "16 ms", "–"],
@@ -207,7 +208,7 @@ def test_without_compensation_there_is_no_bridge_and_null_leaves_disturbances_ou
     study = disturbed(disturbances=None)
     _, folder = conduct(study, tmp_path / "b", Here(kept))
     assert case_of(study, folder)["disturbances"] is None
-    assert disturbance_tables(study.summary(folder.rows)) == []
+    assert disturbance_tables(MarginResult.model_validate(study.summary(folder.rows))) == []
 
 
 def transport_with(name, sizes):
@@ -333,8 +334,10 @@ def test_estimated_rotors_have_a_margin_at_both_ends(tmp_path):
     assert json.loads(tried.partition("=")[2]) == pytest.approx(
         [0.1 * each for each in own], rel=5e-3
     )
-    assert "8 ms; 4 ms if the rotors are a tenth." in " ".join(margin_sentences(summary))
-    table = margin_table(summary)
+    assert "8 ms; 4 ms if the rotors are a tenth." in " ".join(
+        margin_sentences(MarginResult.model_validate(summary))
+    )
+    table = margin_table(MarginResult.model_validate(summary))
     (column,) = [n for n, each in enumerate(table.columns) if "rotors" in each.title]
     assert [row[column] for row in table.rows] == ["4 ms"]
 
@@ -349,7 +352,7 @@ def test_known_rotors_are_not_varied(tmp_path, values):
     _, folder = conduct(study, tmp_path / "out", Here(by_rotors))
     assert {row["change"] for row in folder.rows} == {None}
     assert case_of(study, folder).get("smaller_rotors") is None
-    table = margin_table(study.summary(folder.rows))
+    table = margin_table(MarginResult.model_validate(study.summary(folder.rows)))
     assert not any("rotors" in each.title for each in table.columns)
 
 

@@ -13,11 +13,12 @@ from deploy.reports.tables import as_markdown
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.studies.margin.command import MarginOptions, definition_with
 from deploy.studies.margin.margin import Margin, MarginDefinition
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.tables import margins_by_law
+from deploy.study.definition import SHIPPED
 from deploy.study.execution.folder import create_folder
 from deploy.study.margin_search import MarginSearch, Steps
-from deploy.study.study import SHIPPED
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import NOISE, Here, case_of, conduct, limits, made_up, margin_of
 from tests.one_joint import pd_setup
@@ -95,7 +96,9 @@ def test_margins_as_a_table_for_documents(tmp_path):
     margin = margin_of(limit=8)
     _, folder = conduct(margin, tmp_path / "out", Here(lambda run: made_up(run) | {
         "verdict": "lost" if "pid" in str(run.overrides) else "kept"}))  # fmt: skip
-    assert as_markdown(margins_by_law(margin.summary(folder.rows))).splitlines() == [
+    assert as_markdown(
+        margins_by_law(MarginResult.model_validate(margin.summary(folder.rows)))
+    ).splitlines() == [
         "| law | paper_arm |",
         "| --- | --- |",
         "| `pid` | none |",
@@ -248,7 +251,11 @@ def test_growth_that_runs_are_too_short_to_show_is_not_tested_unless_theory_know
     study = margin_of(laws=[law], seeds=1, offsets=[1.0], limit=4, running=[False])
     workers = Here(lambda run: made_up(run, not_tested_below_hz=2.0 / 3.0))
     _, folder = conduct(study, tmp_path / "out", workers)
-    said = [each for each in margin_sentences(study.summary(folder.rows)) if "too short" in each]
+    said = [
+        each
+        for each in margin_sentences(MarginResult.model_validate(study.summary(folder.rows)))
+        if "too short" in each
+    ]
     assert bool(said) is is_said
     assert all(each.startswith("Not tested below 0.67 Hz: ") for each in said)
 
@@ -267,5 +274,5 @@ def test_a_loop_lost_without_a_delay_is_named_with_its_pole_and_no_remedy(tmp_pa
     assert any(
         "unstable, j0, already without it; in theory unstable without a delay: it grows by 6.18/s"
         " without swinging" in each
-        for each in margin_sentences(summary)
+        for each in margin_sentences(MarginResult.model_validate(summary))
     )

@@ -17,6 +17,7 @@ from deploy.reports.tables import as_markdown
 from deploy.run.simulate import simulate
 from deploy.scenario.playout import EXPECTED
 from deploy.scenario.scenario import load_setup
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.tables import margin_table, margins_by_law
 from deploy.study.follow_ups.patterns import catalogue, neighbours
@@ -66,10 +67,12 @@ def test_without_playout_the_worst_pattern_is_found(tmp_path):
     # The whole catalogue at 8 and 4 ms, and ten neighbours of the worst one at 4.
     assert case["patterns"]["tried"] == 2 * len(catalogue(1.0)) + 10
     assert f"every pattern of delays: 4 ms, {case['patterns']['tried']} tried" in " ".join(
-        margin_sentences(summary)
+        margin_sentences(MarginResult.model_validate(summary))
     )
-    assert "4 ms, " in str(margin_table(summary).rows)
-    assert "4 ms; every pattern: 4 ms, " in as_markdown(margins_by_law(summary))
+    assert "4 ms, " in str(margin_table(MarginResult.model_validate(summary)).rows)
+    assert "4 ms; every pattern: 4 ms, " in as_markdown(
+        margins_by_law(MarginResult.model_validate(summary))
+    )
 
 
 def test_a_quick_search_tries_six_patterns_at_each_value_and_no_neighbours(tmp_path):
@@ -121,7 +124,7 @@ def test_a_guarantee_names_its_playout_and_how_to_set_it(
     (case,) = summary["cases"]
     assert (case["guaranteed"], case["guaranteed_d_ms"]) == (8.0, d_ms)
     assert (case["guaranteed_command"] is None) == (remedy is None)
-    text = " ".join(margin_sentences(summary))
+    text = " ".join(margin_sentences(MarginResult.model_validate(summary)))
     condition = f"arrives in order and is not lost, with a play-out of d = {d_ms:.9g} ms; the"
     assert condition in text
     assert remedy in text if remedy else "add --set" not in text

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.studies.study_texts import margin_figure
 from deploy.reports.tables import as_markdown
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.tables import margins_by_law
-from deploy.study import cases
-from deploy.study.cases import CasesDefinition
+from deploy.studies.margin.texts import margin_text
 from deploy.study.quantities import excitation
+from deploy.study.settings import CasesDefinition, settings
 from tests.deploy.study.studies import Here, conduct, made_up
 
 SETUP = load_setup("paper_arm")
@@ -80,7 +80,8 @@ def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, hol
     summary = study.summary(folder.rows)
     (case,) = summary["cases"]
     assert (case["margin"], case["first_failure"]) == found
-    assert margin_figure(case) == text
+    result = MarginResult.model_validate(summary)
+    assert margin_text(result.cases[0], result) == f"{text} {result.unit}".rstrip()
     assert case["held_arm_ceiling_ms"] is None
     own = {"plant.payload_kg": 0.0, "controller.model_scale": 0.9}[key]
     assert min(abs(probe["value"] - own) for probe in case["probes"]) == 0.0
@@ -94,7 +95,9 @@ def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, hol
 def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
     study = margin_of(compensation=[True], running=[False, True], limit=64)
     _, folder = conduct(study, tmp_path / "out", Here(made_up))
-    assert as_markdown(margins_by_law(study.summary(folder.rows))).splitlines() == [
+    assert as_markdown(
+        margins_by_law(MarginResult.model_validate(study.summary(folder.rows)))
+    ).splitlines() == [
         "| law | paper_arm, with compensation | paper_arm, with compensation, running |",
         "| --- | --- | --- |",
         "| `smc` | ≥ 64 ms | ≥ 64 ms |",
@@ -104,9 +107,11 @@ def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
 
 def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
     given = []
-    monkeypatch.setattr(cases, "load_setup", lambda _, overrides: given.append(overrides) or SETUP)
+    monkeypatch.setattr(
+        "deploy.study.settings.load_setup", lambda _, overrides: given.append(overrides) or SETUP
+    )
     for asked in (None, [False, True]):
-        list(cases.settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked), {}))
+        list(settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked), {}))
     key = "controller.drive_feedback.enabled"
     found = [[text for text in overrides if key in text] for overrides in given]
     assert found == [[], [f"{key}=false"], [f"{key}=true"]]

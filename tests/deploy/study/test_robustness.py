@@ -16,12 +16,13 @@ from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.robustness import Robustness
 from deploy.studies.robustness.tables import robustness_table
 from deploy.studies.sweep.sweep import Sweep, load_sweep
+from deploy.study.definition import SHIPPED
 from deploy.study.execution.folder import create_folder
 from deploy.study.plants import measured
-from deploy.study.study import SHIPPED
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 from tests.deploy.study.studies import NOISE, TIED, Here, conduct, made_up
 
@@ -241,7 +242,9 @@ def test_an_unfinished_study_of_plants_has_a_report(tmp_path):
     (case,) = summary["cases"]
     assert sum(value["total"] for value in case["values"]) == 7
     assert case["kept_up_to"] is None
-    assert "not known yet" in as_markdown(robustness_table(summary))
+    assert "not known yet" in as_markdown(
+        robustness_table(RobustnessResult.model_validate(summary))
+    )
     write_page(folder.report, study_page(summary, folder))
 
 

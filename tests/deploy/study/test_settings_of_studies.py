@@ -21,7 +21,7 @@ from deploy.studies.margin.command import MarginOptions, definition_with
 from deploy.studies.margin.margin import Margin
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.sweep.sweep import Sweep
-from deploy.study.study import PlannedRun, row_of
+from deploy.study.planned_run import PlannedRun, row_of
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.studies import Here, conduct, made_up
 

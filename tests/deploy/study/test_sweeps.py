@@ -16,7 +16,7 @@ from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.sweep.sweep import load_sweep
 from deploy.study.execution.folder import create_folder, find_folder
-from deploy.study.study import row_of
+from deploy.study.planned_run import row_of
 from tests.deploy.study.studies import (
     TIED,
     Here,

@@ -9,7 +9,9 @@ import pytest
 from deploy.judge.gate import build_gate
 from deploy.reports.kinds import gauged
 from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.sentences import robustness_sentences
 from tests.deploy.study.studies import Here, conduct, made_up
 
@@ -43,7 +45,7 @@ def gate_failures(summary):
 )
 def test_runs_that_are_too_short_test_nothing(values, least_s, tmp_path):
     summary = summary_of(tmp_path, by_value, **{**DELAYED, **values})
-    text = margin_sentences(summary)[0]
+    text = margin_sentences(MarginResult.model_validate(summary))[0]
     assert ("Not tested: runs of" in text) is (least_s is not None)
     assert least_s is None or f"must last {least_s:g} s" in text
     assert bool(gate_failures(summary)) is (least_s is not None)
@@ -65,7 +67,10 @@ def test_quantity_without_effect_has_no_margin(key, limit, resolution, tmp_path)
         tmp_path, quantity=key, limit=limit, resolution=resolution, duration_s=0.02, seeds=1,
         set=fixed,
     )  # fmt: skip
-    assert f"{key}: none of its values changed any result of a run" in margin_sentences(summary)[0]
+    assert (
+        f"{key}: none of its values changed any result of a run"
+        in margin_sentences(MarginResult.model_validate(summary))[0]
+    )
     (failure,) = gate_failures(summary).values()
     assert "not tested" in failure
 
@@ -74,7 +79,10 @@ def test_plants_on_which_a_quantity_has_no_effect_are_not_tested_either(tmp_path
     payloads = {"plant.payload_kg": {"distribution": "uniform", "from": 0.0, "to": 0.1}}
     given = {"plants": 2, "values": [2, 4], "uncertainty": payloads, "duration_s": 4.0}
     summary = summary_of(tmp_path, lambda run: made_up(run, seed_used=False), **given)
-    assert "none of its values changed" in robustness_sentences(summary)[-1]
+    assert (
+        "none of its values changed"
+        in robustness_sentences(RobustnessResult.model_validate(summary))[-1]
+    )
     assert gate_failures(summary)
     summary = summary_of(tmp_path / "other", by_value, **given)
     assert not gate_failures(summary)
@@ -88,7 +96,7 @@ def test_value_at_which_a_loop_grows_does_not_hold(tmp_path):
     case = summary["cases"][0]
     assert (case["margin"], case["first_failure"]) == (1.0, 1.5)
     assert "at 1.5 ms an error grows exponentially in 1 of 1 runs" in " ".join(
-        margin_sentences(summary)
+        margin_sentences(MarginResult.model_validate(summary))
     )
 
 

@@ -16,7 +16,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.studies.comparison.comparison import LawComparison
 from deploy.studies.tune.gain_search import FIXED
-from deploy.study.study import row_of
+from deploy.study.planned_run import row_of
 
 PROPOSED, RIVALS = "fixed_time_neural", ("pid", "smc", "tsmc", "ftsmc")
 

@@ -9,7 +9,7 @@ from pyarrow import parquet
 
 import funnel_hil as interface
 from deploy.run.run_folder import read_summary
-from deploy.study.study import row_of
+from deploy.study.planned_run import row_of
 from funnel_hil import studies
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.studies.margin.margin import Margin
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.theory_sentences import theory_sentences
 from tests.deploy.study.studies import Here, conduct, made_up
@@ -59,7 +60,7 @@ def test_margin_prints_theory_beside_what_it_found(tmp_path):
         "unstable_ms": [[13.54, None]], "unstable_without_delay": None, "beside_ms": 0.0,
     }  # fmt: skip
     assert set(smc["theory"]) == {"reason", "beside_ms"}
-    text = margin_sentences(summary)
+    text = margin_sentences(MarginResult.model_validate(summary))
     assert any("up to a constant 13.54 ms, and below 8.94 ms for every pattern" in s for s in text)
     assert any("No theoretical margin, because it has no slope at zero error" in s for s in text)
 
@@ -100,5 +101,9 @@ SENTENCES = {
 
 @pytest.mark.parametrize("sentence", SENTENCES)
 def test_sentences_say_what_theory_found(sentence):
-    (found,) = theory_sentences({"cases": [{**CASE, "theory": SENTENCES[sentence]}]})
+    (found,) = theory_sentences(
+        MarginResult.model_validate(
+            {"unit": "ms", "cases": [{**CASE, "theory": SENTENCES[sentence]}]}
+        )
+    )
     assert found == f"arm, pid: in theory {sentence}."

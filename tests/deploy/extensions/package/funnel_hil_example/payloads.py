@@ -14,7 +14,9 @@ from deploy.reports.kinds import ResultKind
 from deploy.reports.page import Fact, Page, ReportHead, level_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import override, validated
-from deploy.study.study import PlannedRun, StudyDefinition, StudyOfRuns, scenario_name, shown_value
+from deploy.study.definition import StudyDefinition, scenario_name
+from deploy.study.planned_run import PlannedRun
+from deploy.study.study import StudyOfRuns, shown_value
 
 
 class PayloadsDefinition(StudyDefinition):

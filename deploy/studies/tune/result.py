@@ -8,7 +8,7 @@ from deploy.judge.gate import Gauged
 from deploy.reports.gauges import GaugedSummary
 
 
-class GaugedTuning(GaugedSummary):
+class TuneResult(GaugedSummary):
     """A tuning, whose costs are for its search alone: no numbers."""
 
     group = "tune"

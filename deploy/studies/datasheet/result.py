@@ -7,16 +7,16 @@ from dataclasses import replace
 
 from deploy.judge.gate import Finite, Gauged
 from deploy.reports.gauges import MM, GaugedSummary, Part
-from deploy.studies.margin.numbers import GaugedMargins
-from deploy.studies.robustness.numbers import GaugedRobustness
+from deploy.studies.margin.result import MarginResult
+from deploy.studies.robustness.result import RobustnessResult
 
 
 class _Parts(Part):
-    margin: GaugedMargins
-    plants: GaugedRobustness | None = None
+    margin: MarginResult
+    plants: RobustnessResult | None = None
 
 
-class GaugedDataSheet(GaugedSummary):
+class DataSheetResult(GaugedSummary):
     """A data sheet: its margin with compensation, and that of its uncertain plants."""
 
     group = "datasheet"
@@ -38,13 +38,13 @@ class _Way(Part):
     tip_largest_mm: Finite | None
 
 
-class GaugedRobotSheet(GaugedSummary):
+class RobotSheetResult(GaugedSummary):
     """A robot's data sheet: its margins, and the largest error of its tip in each way."""
 
     group = "robot_datasheet"
     other_units = (MM,)
     arm: str
-    margin: GaugedMargins
+    margin: MarginResult
     ways: list[_Way]
 
     def numbers(self) -> Iterator[Gauged]:

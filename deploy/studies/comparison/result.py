@@ -11,7 +11,7 @@ from deploy.judge.gate import Gauged
 from deploy.reports.gauges import GaugedRun, GaugedSummary
 
 
-class GaugedComparison(GaugedSummary):
+class ComparisonResult(GaugedSummary):
     """A comparison: of each law what a run has."""
 
     other_units = GaugedRun.other_units

@@ -19,7 +19,7 @@ class _Cell(Part):
     any_pattern_ms: Finite
 
 
-class GaugedBenchmark(GaugedSummary):
+class BenchmarkResult(GaugedSummary):
     """A benchmark: the largest delay that each cell keeps in any pattern."""
 
     group = "benchmark"
