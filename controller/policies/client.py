@@ -5,14 +5,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from bus_schema.arrays import Matrix
 from controller.errors import ControllerError
 
 Image = npt.NDArray[np.uint8]
+Text = Annotated[str, Field(min_length=1)]
+"""A setting that cannot be empty."""
 
 
 class PolicyServerError(ControllerError):

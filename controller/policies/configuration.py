@@ -11,45 +11,16 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive, StrictModel, Whole
-from controller.policies.client import PolicyClient, Robot
-from controller.policies.lerobot_client import LeRobotClient
-from controller.policies.openpi_client import OpenPiClient
+from controller.policies.client import PolicyClient, Robot, Text
+from controller.policies.lerobot_client import LeRobotClient, LeRobotSettings
+from controller.policies.openpi_client import OpenPiClient, OpenPiSettings
 
 KEY = "controller.policy_server"
 _ADDRESS = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:]+\]):(\d{1,5})")
-_Text = Annotated[str, Field(min_length=1)]
 _Pixels = Annotated[Whole, Field(ge=1, le=4096)]
 StateRow = Literal["position", "velocity", "reference_position", "reference_velocity", "error"]
 _SUFFIXES = {"position": "pos", "velocity": "vel"}
 """Ends of names that LeRobot has too."""
-
-
-class LeRobotSettings(StrictModel):
-    """LeRobot's policy server (``python -m lerobot.async_inference.policy_server``).
-
-    Attributes:
-        policy_type: as LeRobot names it, such as act or smolvla; its server knows which it has.
-        checkpoint: folder on the server's machine, or name on the hub.
-        device: of the server.
-    """
-
-    policy_type: _Text
-    checkpoint: _Text
-    device: _Text = "cpu"
-
-
-class OpenPiSettings(StrictModel):
-    """openpi's policy server (``scripts/serve_policy.py``): names in its messages.
-
-    Attributes:
-        state_key: of the state.
-        actions_key: of the actions in an answer.
-        task_key: of the task.
-    """
-
-    state_key: _Text = "observation/state"
-    actions_key: _Text = "actions"
-    task_key: _Text = "prompt"
 
 
 class PolicyServerConfiguration(StrictModel):
@@ -74,8 +45,8 @@ class PolicyServerConfiguration(StrictModel):
     openpi: OpenPiSettings = OpenPiSettings()
     state: Annotated[tuple[StateRow, ...], Field(min_length=1)] = ("position",)
     unit: Literal["rad", "deg"] = "rad"
-    images: dict[_Text, tuple[_Pixels, _Pixels]] = Field(default_factory=dict)
-    task: _Text | None = None
+    images: dict[Text, tuple[_Pixels, _Pixels]] = Field(default_factory=dict)
+    task: Text | None = None
     inference: Literal["configured", "measured"] = "configured"
     timeout_s: Positive = 5.0
     start_timeout_s: Positive = 60.0

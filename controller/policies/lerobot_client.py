@@ -9,11 +9,12 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from google.protobuf.message import DecodeError
 from google.protobuf.wrappers_pb2 import BytesValue
 
+from bus_schema.configuration import StrictModel
 from controller.policies.client import (
     NoAnswerError,
     Observation,
@@ -21,16 +22,28 @@ from controller.policies.client import (
     PolicyServerError,
     Robot,
     ServerGoneError,
+    Text,
 )
 from controller.policies.foreign_pickles import pickled_instance, timed_actions
-
-if TYPE_CHECKING:
-    from controller.policies.configuration import LeRobotSettings
 
 _SERVICE = "/transport.AsyncInference"
 _BYTES_IN_MESSAGE = 2 * 1024 * 1024
 _BEGIN, _MIDDLE, _END = 1, 2, 3
 """States of a transfer."""
+
+
+class LeRobotSettings(StrictModel):
+    """LeRobot's policy server (``python -m lerobot.async_inference.policy_server``).
+
+    Attributes:
+        policy_type: as LeRobot names it, such as act or smolvla; its server knows which it has.
+        checkpoint: folder on the server's machine, or name on the hub.
+        device: of the server.
+    """
+
+    policy_type: Text
+    checkpoint: Text
+    device: Text = "cpu"
 
 
 class LeRobotClient(PolicyClient):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bus_schema.configuration import StrictModel
 from controller.policies.client import (
     NoAnswerError,
     Observation,
@@ -14,10 +15,22 @@ from controller.policies.client import (
     PolicyServerError,
     Robot,
     ServerGoneError,
+    Text,
 )
 
-if TYPE_CHECKING:
-    from controller.policies.configuration import OpenPiSettings
+
+class OpenPiSettings(StrictModel):
+    """openpi's policy server (``scripts/serve_policy.py``): names in its messages.
+
+    Attributes:
+        state_key: of the state.
+        actions_key: of the actions in an answer.
+        task_key: of the task.
+    """
+
+    state_key: Text = "observation/state"
+    actions_key: Text = "actions"
+    task_key: Text = "prompt"
 
 
 class OpenPiClient(PolicyClient):
