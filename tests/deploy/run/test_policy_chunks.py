@@ -104,7 +104,7 @@ def test_jump_of_the_tip_is_the_jump_of_the_joint_times_its_lever(tmp_path):
 @pytest.mark.parametrize("merge", CHUNK_MERGES.shipped)
 @pytest.mark.parametrize("more", ["ask_every: 6", "ask_when: 0.5"])
 def test_age_of_observations_is_at_most_delay_and_time_between_questions(tmp_path, merge, more):
-    """d + s: 100 + 6 · 40 or 8 · 40 ms; whole chunks of 640 ms and another wait if the arm waits."""
+    """d + s: 100 + 6 · 40 or 8 · 40 ms; 640 ms and a further wait if the arm waits."""
     if merge == "spline":
         pytest.importorskip("ruckig")
     if merge == "synchronous":
