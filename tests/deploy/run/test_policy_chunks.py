@@ -124,6 +124,35 @@ def test_a_jump_is_the_reason_of_a_loss(tmp_path):
     assert found["loss"]["reason"] == "jump"
 
 
+@pytest.mark.parametrize("in_processes", [False, True])
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("raise", "RuntimeError: out of memory"),
+        ("nan", "targets[5, 0, 0] = nan: must be finite"),
+        ("shape", "targets have shape (16, 1): must be (2, 1), or (2, 1) for each row"),
+    ],
+)
+def test_bad_answer_ends_in_a_safe_stop_and_is_named(tmp_path, how, words, in_processes):
+    setup = policy(
+        tmp_path, "merge: replace", 100, "controller.law=tests.one_joint:BadPolicy", "duration_s=3",
+        "link.kind=zenoh", "controller.gains.custom="
+        f"{{rows: 16, spacing_s: 0.04, knows_velocity: true, how: {how}}}",
+    )  # fmt: skip
+    if in_processes:
+        found = execute(lockstep_setup(setup), InProcesses()).summary
+    else:
+        found = summarise(simulate(setup).data())
+    assert found["verdict"] == "faulted"
+    assert any("law tests.one_joint:BadPolicy failed" in each and words in each
+               for each in found["faults"])  # fmt: skip
+    assert any("safe stop" in each for each in found["faults"])
+    assert found["bounds"]["violation_fraction"] == 0.0  # it rests, or moves by a chunk at most
+    assert found["ticks"] > 1000
+    assert found["chunks"]["switches"] > 2
+    assert not found["recorder"]["lost"]
+
+
 @pytest.mark.parametrize("merge", CHUNK_MERGES.shipped)
 def test_lockstep_simulation_and_replay_have_equal_digests(merge, tmp_path):
     if merge == "spline":
