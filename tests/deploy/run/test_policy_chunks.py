@@ -147,7 +147,7 @@ def test_bad_answer_ends_in_a_safe_stop_and_is_named(tmp_path, how, words, in_pr
     assert any("law tests.one_joint:BadPolicy failed" in each and words in each
                for each in found["faults"])  # fmt: skip
     assert any("safe stop" in each for each in found["faults"])
-    assert found["bounds"]["violation_fraction"] == 0.0  # it rests, or moves by a chunk at most
+    assert found["bounds"]["first_violation_s"] > 1.0  # as the reference leaves the resting arm
     assert found["ticks"] > 1000
     assert found["chunks"]["switches"] > 2
     assert not found["recorder"]["lost"]
