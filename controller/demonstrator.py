@@ -29,7 +29,7 @@ class Demonstrator:
         lead_s: float = 0.0,
     ) -> None:  # fmt: skip
         self.diagnostics = Diagnostics(model.joints)
-        self._ahead_s = period_s * np.arange(actions)
+        self._ahead_s: Vector = period_s * np.arange(actions, dtype=np.float64)
         self._return_s, self._lead_s = return_s, lead_s
 
     def reset(self) -> None:
@@ -41,7 +41,8 @@ class Demonstrator:
 
     def target(self, tracking: Tracking) -> Matrix:
         """Return its actions, positions and velocities of shape (actions, 2, joints)."""
-        actions = tracking.reference_at(tracking.time_s + self._lead_s + self._ahead_s)
+        times_s: Vector = tracking.time_s + self._lead_s + self._ahead_s
+        actions = tracking.reference_at(times_s)
         left = np.exp(-self._ahead_s / self._return_s)[:, np.newaxis] * tracking.error
         actions[:, 0] += left
         actions[:, 1] -= left / self._return_s

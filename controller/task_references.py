@@ -74,7 +74,7 @@ class ReachConfiguration(DrawnTask):
         amplitude = expand(self.amplitude_rad, robot.joints, "reference.amplitude_rad")
         share, phase = generator.uniform(0.0, 1.0, (2, robot.joints))
         frequency = self.speed * self.frequency_rad_s * (0.5 + 0.5 * share)
-        motion = np.stack([start, target, amplitude, frequency, 2.0 * math.pi * phase])
+        motion: Matrix = np.stack([start, target, amplitude, frequency, 2.0 * math.pi * phase])
         return Reference(_reach, motion, self.reach_s / self.speed)
 
 
