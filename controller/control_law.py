@@ -83,6 +83,14 @@ class Tracking:
         self._follow(time_s)
         self._compare(time_s)
 
+    def reference_at(self, times_s: Vector) -> Matrix:
+        """Return positions and velocities of the reference at times, shape (times, 2, joints)."""
+        assert self._reference is not None  # `update` comes first
+        rows = np.empty((len(times_s), 3, self.error.size))
+        for row, time_s in zip(rows, times_s.tolist(), strict=True):
+            self._reference.evaluate(time_s, *row)
+        return rows[:, :2].copy()
+
     def _bind(self, reference: Reference, funnel: Funnel) -> None:
         self._reference, self._funnel = reference, funnel
         self._follow = reference.onto(

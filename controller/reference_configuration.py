@@ -28,6 +28,7 @@ from controller.reference import (
     ThroughRows,
 )
 from controller.reference_file import read_rows
+from controller.task_references import PickConfiguration, ReachConfiguration
 
 
 class _Timed(StrictModel):
@@ -199,6 +200,8 @@ ReferenceConfiguration = Annotated[
     CartesianPathConfiguration
     | JointSinusoidsConfiguration
     | MinimumJerkConfiguration
-    | CsvConfiguration,
+    | CsvConfiguration
+    | ReachConfiguration
+    | PickConfiguration,
     Field(discriminator="kind"),
 ]

@@ -76,6 +76,25 @@ class Policy:
         return np.stack([-0.5 * np.cos(times_s), velocities], axis=1)[:, :, None]
 
 
+class BadPolicy(Policy):
+    """The same policy, whose answers from 1 s on are of no use: ``raise``, ``nan`` or ``shape``."""
+
+    def __init__(self, model, how="raise", **more):
+        super().__init__(model, **more)
+        self._how = how
+
+    def target(self, tracking):
+        rows = super().target(tracking)
+        if tracking.time_s < 1.0:
+            return rows
+        if self._how == "raise":
+            raise RuntimeError("out of memory")
+        if self._how == "nan":
+            rows[5, 0, 0] = np.nan
+            return rows
+        return rows[:, 0]
+
+
 def policy_setup(
     folder: Path, *overrides: str, rows: int = 1, every: int = 1, funnel_rad: float = 0.05,
     **gains: Any,

@@ -107,7 +107,7 @@ def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
         shape: of a row.
 
     Raises:
-        ValueError: the answer has another shape, or an entry is not finite.
+        ValueError: the answer has another shape, or an entry is not finite; the first one is named.
     """
     rows: Matrix = np.array(answer, dtype=np.float64)
     given = rows.shape
@@ -116,5 +116,6 @@ def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
     if rows.shape[1:] != shape or not rows.size:
         raise ValueError(f"{what} have shape {given}: must be {shape}, or {shape} for each row")
     if not np.isfinite(rows).all():
-        raise ValueError(f"{what} {rows.tolist()}: must be finite")
+        place = tuple(int(each) for each in np.argwhere(~np.isfinite(rows))[0])
+        raise ValueError(f"{what}{list(place)} = {rows[place]}: must be finite")
     return rows

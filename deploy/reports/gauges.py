@@ -13,7 +13,7 @@ from deploy.judge.verdict import Verdict
 from deploy.study.study import OF_BOUND
 
 EVERY_PATTERN = ", every pattern of delays"
-_RUNS, MM, _MS, _JERK = "runs", "mm", "ms", "rad/s3"
+_RUNS, MM, _MS, JERK = "runs", "mm", "ms", "rad/s3"
 
 
 class Part(BaseModel):
@@ -78,7 +78,7 @@ class GaugedRun(GaugedSummary):
     A run of a law slower than its loop also has the largest jump and jerk of its targets.
     """
 
-    other_units = (MM, _MS, _JERK)
+    other_units = (MM, _MS, JERK)
     scenario: str
     law: str
     verdict: str
@@ -100,7 +100,7 @@ class GaugedRun(GaugedSummary):
         if self.chunks is not None:
             of_targets = (
                 ("jump", self.chunks.jump_mm, MM),
-                ("jerk", self.chunks.jerk_rad_s3, _JERK),
+                ("jerk", self.chunks.jerk_rad_s3, JERK),
             )
             for what, size, unit in of_targets:
                 if size is not None:

@@ -90,6 +90,7 @@ _SHIPPED = {
         name: f"deploy.studies.{name}.kind:KIND"
         for name in (
             "comparison", "diff", "sweep", "margin", "robustness", "tune", "benchmark", "datasheet",
+            "policy",
         )
     },
     "robot_datasheet": "deploy.studies.datasheet.kind:ROBOT",

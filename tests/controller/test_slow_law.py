@@ -93,10 +93,10 @@ def test_held_targets_of_a_robot_that_takes_velocities_keep_them():
             r"torques have shape \(2,\): must be \(1,\), or",
         ),
         (np.zeros((0, 1)), np.zeros((2, 1)), r"torques have shape \(0, 1\)"),
-        ([[1.0], [np.nan]], np.zeros((2, 1)), r"torques \[\[1.0\], \[nan\]\]: must be finite"),
+        ([[1.0], [np.nan]], np.zeros((2, 1)), r"torques\[1, 0\] = nan: must be finite"),
         (np.zeros(1), np.zeros(1), r"targets have shape \(1,\): must be \(2, 1\)"),
         (np.zeros(1), np.zeros((5, 1, 1)), r"targets have shape \(5, 1, 1\)"),
-        (np.zeros(1), [[np.inf], [0.0]], r"targets \[\[\[inf\], \[0.0\]\]\]: must be finite"),
+        (np.zeros(1), [[np.inf], [0.0]], r"targets\[0, 0, 0\] = inf: must be finite"),
     ],
 )
 def test_answers_of_a_wrong_shape_or_without_a_number_are_refused(torques, targets, complaint):

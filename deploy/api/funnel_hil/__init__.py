@@ -18,6 +18,7 @@ from funnel_hil.results import Comparison, Diff, Run, Study
 from funnel_hil.runs import compare, diff, load_run, simulate
 from funnel_hil.scenarios import (
     ControlLaw,
+    Demonstrator,
     Diagnostics,
     Dynamics,
     InputError,
@@ -25,12 +26,12 @@ from funnel_hil.scenarios import (
     Tracking,
     scenarios,
 )
-from funnel_hil.studies import benchmark, margin, study, sweep, tune
+from funnel_hil.studies import benchmark, margin, policy, study, sweep, tune
 
 __version__ = _version("funnel-hil")
 __all__ = [
-    "Comparison", "ControlLaw", "Diagnostics", "Diff", "Dynamics", "Identification", "InputError",
-    "Run", "Scenario", "Study", "Tracking",
-    "benchmark", "compare", "datasheet", "diff", "identify", "load_run", "margin", "scenarios",
-    "simulate", "study", "sweep", "tune",
+    "Comparison", "ControlLaw", "Demonstrator", "Diagnostics", "Diff", "Dynamics",
+    "Identification", "InputError", "Run", "Scenario", "Study", "Tracking",
+    "benchmark", "compare", "datasheet", "diff", "identify", "load_run", "margin", "policy",
+    "scenarios", "simulate", "study", "sweep", "tune",
 ]  # fmt: skip

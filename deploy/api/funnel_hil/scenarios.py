@@ -14,6 +14,7 @@ import numpy as np
 
 from bus_schema.errors import InputError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
+from controller.demonstrator import Demonstrator
 from controller.laws.custom import Maker, laws_given
 from deploy.scenario.effective import effective_values
 from deploy.scenario.referenced_files import data_files
@@ -23,8 +24,8 @@ from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError, override, plain, set_value, to_yaml
 
 __all__ = [
-    "ControlLaw", "Diagnostics", "Dynamics", "InputError", "Law", "Scenario", "ScenarioLike",
-    "Tracking", "named_law", "scenarios",
+    "ControlLaw", "Demonstrator", "Diagnostics", "Dynamics", "InputError", "Law", "Scenario",
+    "ScenarioLike", "Tracking", "named_law", "scenarios",
 ]  # fmt: skip
 
 Law = str | Maker | ControlLaw

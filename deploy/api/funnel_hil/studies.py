@@ -20,6 +20,7 @@ from deploy.scenario.yaml_files import naming
 from deploy.studies.benchmark.benchmark import Benchmark
 from deploy.studies.benchmark.cells import BENCHMARK_DELAYS_MS, BENCHMARK_PREDICTORS
 from deploy.studies.margin.margin_study import margin_study
+from deploy.studies.policy.policy_study import PolicyStudy
 from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.folder import StudyFolder, here
 from deploy.study.execution.runner import Workers
@@ -113,6 +114,47 @@ def margin(
     with given.laws(), laws_given(makers):
         return _result_of(
             [given], lambda files: margin_study({**values, "scenarios": files}, Path("margin")),
+            workers, scheduler, out, progress,
+        )  # fmt: skip
+
+
+def policy(
+    law: Law,
+    scenarios: Sequence[ScenarioLike] = ("paper_arm",),
+    *,
+    merges: Sequence[str] | None = None,
+    tasks: int | None = None,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: OnProgress | None = None,
+    **more: Any,
+) -> Study:
+    """Find how long the inference of a policy may take, with each merge of its chunks.
+
+    Args:
+        law: the policy: its name, class, or what makes it.
+        scenarios: each as for `simulate`.
+        merges: rules by which a new chunk takes over; by default all that do not wait.
+        tasks: number of tasks, for a reference that draws them.
+        workers: as for `sweep`.
+        scheduler: as for `sweep`.
+        out: as for `sweep`.
+        progress: as for `sweep`.
+        more: what else a study of a policy may say: ``network``, ``at_ms``, ``limit_ms``,
+            ``resolution_ms``, ``seeds``, ``set``.
+
+    Raises:
+        InputError: something about it is wrong.
+    """
+    [name], makers = _named_laws([law])
+    values: dict[str, Any] = {"law": name, "tasks": tasks, **more}
+    if merges is not None:
+        values["merges"] = list(merges)
+    with laws_given(makers):
+        return _result_of(
+            [Scenario(each) for each in scenarios],
+            lambda files: PolicyStudy({**values, "scenarios": files}, Path("policy")),
             workers, scheduler, out, progress,
         )  # fmt: skip
 

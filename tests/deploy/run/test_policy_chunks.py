@@ -104,7 +104,7 @@ def test_jump_of_the_tip_is_the_jump_of_the_joint_times_its_lever(tmp_path):
 @pytest.mark.parametrize("merge", CHUNK_MERGES.shipped)
 @pytest.mark.parametrize("more", ["ask_every: 6", "ask_when: 0.5"])
 def test_age_of_observations_is_at_most_delay_and_time_between_questions(tmp_path, merge, more):
-    """d + s: 100 + 6 · 40 or 8 · 40 ms; if the arm waits, a chunk of 640 ms and d."""
+    """d + s: 100 + 6 · 40 or 8 · 40 ms; 640 ms and a further wait if the arm waits."""
     if merge == "spline":
         pytest.importorskip("ruckig")
     if merge == "synchronous":
@@ -122,6 +122,35 @@ def test_a_jump_is_the_reason_of_a_loss(tmp_path):
     found = summary(tmp_path, policy, 300)
     assert found["verdict"] == "lost"
     assert found["loss"]["reason"] == "jump"
+
+
+@pytest.mark.parametrize("in_processes", [False, True])
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("raise", "RuntimeError: out of memory"),
+        ("nan", "targets[5, 0, 0] = nan: must be finite"),
+        ("shape", "targets have shape (16, 1): must be (2, 1), or (2, 1) for each row"),
+    ],
+)
+def test_bad_answer_ends_in_a_safe_stop_and_is_named(tmp_path, how, words, in_processes):
+    setup = policy(
+        tmp_path, "merge: replace", 100, "controller.law=tests.one_joint:BadPolicy", "duration_s=3",
+        "link.kind=zenoh", "controller.gains.custom="
+        f"{{rows: 16, spacing_s: 0.04, knows_velocity: true, how: {how}}}",
+    )  # fmt: skip
+    if in_processes:
+        found = execute(lockstep_setup(setup), InProcesses()).summary
+    else:
+        found = summarise(simulate(setup).data())
+    assert found["verdict"] == "faulted"
+    assert any("law tests.one_joint:BadPolicy failed" in each and words in each
+               for each in found["faults"])  # fmt: skip
+    assert any("safe stop" in each for each in found["faults"])
+    assert found["bounds"]["first_violation_s"] > 1.0  # as the reference leaves the resting arm
+    assert found["ticks"] > 1000
+    assert found["chunks"]["switches"] > 2
+    assert not found["recorder"]["lost"]
 
 
 @pytest.mark.parametrize("merge", CHUNK_MERGES.shipped)

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import json
 
-from deploy.studies.policy.policy_sheet import recommended
+import funnel_hil as funnel_hil_api
+from deploy.studies.policy.findings import recommended
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
+TASKS = {
+    "reference": {
+        "kind": "reach", "centre_rad": 0.0, "spread_rad": 0.5, "amplitude_rad": 0.3,
+        "frequency_rad_s": 2.5, "reach_s": 0.5,
+    },
+    "controller.gains.custom": {"actions": 16, "period_s": 0.02},
+    "controller.between_answers": "linear",
+    "controller.chunks": {"horizon": 16, "period_ms": 20, "ask_every": 8},
+}  # fmt: skip
 SHORT = ("--set", CHUNKS, "--set", "duration_s=3")
 BOUNDS = ("--limit", "320", "--resolution", "40", "--workers", "1")
 
@@ -21,29 +31,70 @@ def test_perfect_chunks_are_tolerated_until_they_run_out(tmp_path, funnel_hil):
     policy_setup(tmp_path, CHUNKS, rows=16, spacing_s=0.02, knows_velocity=True, funnel_rad=0.06)
     out = tmp_path / "out"
     words = ("policy", "tests.one_joint:Policy", tmp_path / "one.yaml", "--out", out)
-    shown = funnel_hil.output(*words, "--merges", "replace,frozen_prefix", *SHORT, *BOUNDS)
-    found = json.loads((out / "policy.json").read_text())
-    replaced, frozen = found["merges"]
+    words = (*words, "--merges", "replace,frozen_prefix", *SHORT, *BOUNDS)
+    shown = funnel_hil.output(*words, "--at-least", "150 ms")
+    found = json.loads((out / "summary.json").read_text())
+    replaced, frozen = found["cases"]
     assert (replaced["inference_ms"], replaced["ends"]) == (200.0, "chunk ran out")
     assert (frozen["inference_ms"], frozen["is_limit"]) == (160.0, True)
-    assert max(each["jump_rad"] for each in found["merges"]) < 1e-6
-    assert replaced["age_largest_ms"] == 100.0 + 8 * 20.0 - 1.0
-    assert found["recommended"] == "replace"
-    assert "Recommended: replace." in shown
-    assert "frozen_prefix | ≥ 160" in (out / "policy.md").read_text()
+    assert max(each["at"]["jump_rad"] for each in found["cases"]) < 1e-6
+    assert replaced["at"]["age_largest_ms"] == 100.0 + 8 * 20.0 - 1.0
+    assert "one: use replace, which keeps the bounds up to an inference time of 200 ms" in (
+        " ".join(shown.split())
+    )
+    assert "frozen_prefix | ≥ 160" in (out / "table.md").read_text()
+    assert "jumps-0" in (out / "report.html").read_text()
+    again = funnel_hil.output(*words, "--at-least", "180 ms", code=3)  # no run is made again
+    assert "frozen_prefix, inference time: 160 ms, must be at least 180 ms" in again
+    too_rough = funnel_hil.output(*words, "--at-least", "0.001 rad/s3", code=3)
+    assert "replace, jerk at 100 ms" in too_rough
+
+
+def test_margin_of_each_task_from_python(tmp_path):
+    """Chunks of 160 ms: tasks at rest keep their bounds with any inference time, others do not.
+
+    Two tasks are two references, so that the spread over them is that of their own runs.
+    """
+    setup = policy_setup(tmp_path, CHUNKS, funnel_rad=0.06)
+    study = funnel_hil_api.policy(
+        "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], tasks=3, out=tmp_path,
+        limit_ms=400, resolution_ms=100, set={**TASKS, "duration_s": 3},
+    )  # fmt: skip
+    [case] = study.summary["cases"]
+    of_tasks = case["of_tasks_ms"]
+    alone = []
+    for task in (1, 2, 3):
+        found = funnel_hil_api.policy(
+            "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], limit_ms=400,
+            resolution_ms=100, set={**TASKS, "duration_s": 3, "reference.task": task},
+        ).summary["cases"][0]  # fmt: skip
+        alone.append(found["inference_ms"])
+    assert of_tasks["smallest"] == min(alone) == case["inference_ms"]
+    assert (of_tasks["median"], of_tasks["largest"]) == (sorted(alone)[1], max(alone))
+    assert len(set(alone)) > 1
+    assert case["ends"] == "chunk ran out"
 
 
 def test_unknown_merges_are_refused(funnel_hil, tmp_path):
     words = ("policy", "smc", "paper_arm", "--out", tmp_path / "out")
     assert "did you mean" in funnel_hil.output(*words, "--merges", "replac", code=2)
-    assert "must be different" in funnel_hil.output(*words, "--merges", "spline,spline", code=2)
+    assert "must be a list of different values" in funnel_hil.output(
+        *words, "--merges", "spline,spline", code=2
+    )
+
+
+def test_tasks_are_refused_for_a_reference_without_them(funnel_hil, tmp_path):
+    policy_setup(tmp_path, CHUNKS)
+    words = ("policy", "tests.one_joint:Policy", tmp_path / "one.yaml", "--tasks", "2")
+    assert "reference" in funnel_hil.output(*words, code=2)
 
 
 def test_the_merge_that_tolerates_most_and_jumps_least_is_recommended():
-    rows = [
-        {"merge": "a", "inference_ms": 100.0, "jump_rad": 0.2},
-        {"merge": "b", "inference_ms": 100.0, "jump_rad": 0.1},
-        {"merge": "c", "inference_ms": None, "jump_rad": 0.0},
-    ]
-    assert recommended(rows) == "b"
-    assert recommended(rows[2:]) is None
+    def case(merge, time_ms, jump_mm, jerk):
+        at = {"jump_mm": jump_mm, "jump_rad": 0.1, "jerk_rms_rad_s3": jerk}
+        return {"merge": merge, "inference_ms": time_ms, "at": at}
+
+    rows = [case("a", 100.0, 2.0, 1.0), case("b", 100.0, 1.0, 9.0), case("c", 100.0, 1.0, 3.0)]
+    rows += [case("d", None, 0.0, 0.0)]
+    assert recommended(rows)["merge"] == "c"
+    assert recommended(rows[3:]) is None

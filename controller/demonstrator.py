@@ -1,0 +1,49 @@
+"""A policy that knows its task: the demonstrator of drawn tasks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from controller.control_law import Diagnostics, Tracking
+
+
+class Demonstrator:
+    """A policy whose actions are the next ones of the reference.
+
+    From the position that it observes, they return to the reference. Its settings are in
+    ``controller.gains.custom``.
+
+    Args:
+        model: the arm.
+        actions: number of actions in an answer.
+        period_s: time between two of them.
+        return_s: time in which an observed error falls to 1/e.
+        lead_s: how far ahead of the reference it acts, which makes up for the robot's own lag.
+    """
+
+    def __init__(
+        self, model: Any, actions: int = 16, period_s: float = 0.04, return_s: float = 0.3,
+        lead_s: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.diagnostics = Diagnostics(model.joints)
+        self._ahead_s: Vector = period_s * np.arange(actions, dtype=np.float64)
+        self._return_s, self._lead_s = return_s, lead_s
+
+    def reset(self) -> None:
+        """Do nothing: it remembers nothing."""
+
+    def torque(self, tracking: Tracking) -> Vector:
+        """Return zero torques: a loop at the drives or the robot's own makes them."""
+        return np.zeros_like(tracking.error)
+
+    def target(self, tracking: Tracking) -> Matrix:
+        """Return its actions, positions and velocities of shape (actions, 2, joints)."""
+        times_s: Vector = tracking.time_s + self._lead_s + self._ahead_s
+        actions = tracking.reference_at(times_s)
+        left = np.exp(-self._ahead_s / self._return_s)[:, np.newaxis] * tracking.error
+        actions[:, 0] += left
+        actions[:, 1] -= left / self._return_s
+        return actions

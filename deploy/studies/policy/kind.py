@@ -1,0 +1,10 @@
+"""The kind of study `policy`."""
+
+from __future__ import annotations
+
+from deploy.reports.kinds import ResultKind
+from deploy.studies.policy.numbers import GaugedPolicy
+from deploy.studies.policy.page import policy_page
+from deploy.studies.policy.policy_study import PolicyStudy
+
+KIND = ResultKind(PolicyStudy.kind, GaugedPolicy, PolicyStudy, policy_page)

@@ -1,0 +1,178 @@
+"""The study of a policy: every merge of its chunks at rising inference times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field
+
+from bus_schema.configuration import NonNegative, Positive, Whole
+from controller.chunks.configuration import CHUNK_MERGES
+from deploy.judge.run_rows import Row
+from deploy.scenario import study_keys
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import naming, override, validated
+from deploy.studies.policy.findings import case_findings
+from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
+
+INFERENCE, MERGE, TASK = "controller.inference_ms", "controller.chunks.merge", "reference.task"
+_TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
+_MOST_TIMES = 1000
+
+
+def usual_merges() -> list[str]:
+    """Return the merges to try by default: those that ship and do not wait."""
+    return [name for name in CHUNK_MERGES.shipped if name != "synchronous"]
+
+
+class PolicyDefinition(StudyDefinition):
+    """Settings of a study of a policy.
+
+    Attributes:
+        scenarios: scenarios, or files of arms.
+        law: the policy; null for that of each scenario.
+        merges: names of the merges to try; those that ship and do not wait by default.
+        network: a file of delays, or the name of a shipped trace; null for the scenario's link.
+        at_ms: inference time at which jumps, jerk and ages are compared.
+        limit_ms: the largest inference time tried.
+        resolution_ms: from one inference time to the next.
+        tasks: number of tasks of a reference that draws them; null for the scenario's own.
+    """
+
+    scenarios: Different[str]
+    law: str | None = None
+    merges: Different[str] = Field(default_factory=usual_merges)
+    network: str | None = None
+    at_ms: NonNegative = 100.0
+    limit_ms: Annotated[Positive, Field(le=10_000)] = 300.0
+    resolution_ms: Positive = 25.0
+    tasks: Annotated[Whole, Field(ge=1, le=1000)] | None = None
+
+
+class Case(NamedTuple):
+    """A merge on an arm, and the inference times that are tried with it."""
+
+    scenario: str
+    arm: str
+    merge: str
+    times_ms: list[float]
+    is_whole: bool
+    """Whether these reach the limit, as not all merges can work with any inference time."""
+
+
+class PolicyStudy(StudyOfRuns):
+    """The runs of a study of a policy.
+
+    Attributes:
+        cases: merges on arms.
+    """
+
+    kind = "policy"
+    definition: PolicyDefinition
+
+    def __init__(self, values: Mapping[str, Any], source: Path) -> None:
+        given = validated({"name": "policy", **values}, PolicyDefinition, source)
+        with naming(source):
+            for merge in given.merges:
+                CHUNK_MERGES.check(merge)
+            own = {study_keys.SEED: "as seeds", INFERENCE: "as limit_ms", MERGE: "as merges"}
+            own |= {TASK: "as tasks"} if given.tasks else {}
+            study_keys.require_effect(given.fixed, own)
+            names = [scenario_name(each, source.parent) for each in given.scenarios]
+            self.definition = given.model_copy(update={"scenarios": names})
+            self.columns = {
+                "arm": "string", "merge": "string", "inference_ms": "double", "task": "int64",
+            }  # fmt: skip
+            self.cases = [self._case(name, merge) for name in names for merge in given.merges]
+            self._variants = [self._setup(each.scenario, each.merge, 0.0) for each in self.cases]
+            self.bases = self._variants[:: len(given.merges)]
+
+    @property
+    def variants(self) -> list[Setup]:
+        return self._variants
+
+    @property
+    def unit(self) -> str:
+        return "ms"
+
+    @property
+    def own_test(self) -> dict[str, Any]:
+        keys = {"network", "at_ms", "limit_ms", "resolution_ms", "tasks"}
+        return {**super().own_test, **self.definition.model_dump(include=keys)}
+
+    def first(self) -> Iterable[PlannedRun]:
+        wanted = self.definition
+        for number, case in enumerate(self.cases):
+            for time_ms in case.times_ms:
+                for task in self._tasks:
+                    columns = {
+                        "arm": case.arm, "merge": case.merge, "inference_ms": time_ms, "task": task,
+                    }  # fmt: skip
+                    point = f"{number:03d}-{round(1e3 * time_ms):08d}-{task or 0:04d}"
+                    overrides = self._overrides(case.merge, time_ms, task)
+                    for seed in wanted.seeds:
+                        yield PlannedRun(
+                            point, case.scenario, overrides, seed, columns, bool(wanted.confirm),
+                            ends_early=True,
+                        )  # fmt: skip
+
+    def findings(self, rows: list[Row]) -> dict[str, Any]:
+        wanted, completed = self.definition, len(rows) == self.expected
+        return {
+            "completed": completed,
+            "title": "inference time",
+            "unit": "ms",
+            "values": sorted({time_ms for case in self.cases for time_ms in case.times_ms}),
+            "policy": ", ".join(self.laws),
+            "network": wanted.network,
+            "at_ms": wanted.at_ms,
+            "limit_ms": wanted.limit_ms,
+            "tasks": wanted.tasks,
+            "cases": [
+                case_findings(
+                    {"arm": case.arm, "merge": case.merge, "is_whole": case.is_whole},
+                    [row for row in rows if (row["arm"], row["merge"]) == (case.arm, case.merge)],
+                    case.times_ms, wanted.at_ms,
+                )
+                for case in self.cases
+            ],
+        }  # fmt: skip
+
+    @property
+    def _tasks(self) -> Sequence[int | None]:
+        count = self.definition.tasks
+        return [None] if count is None else range(1, count + 1)
+
+    def _case(self, scenario: str, merge: str) -> Case:
+        """Return the inference times of a merge, and check its ends.
+
+        Raises:
+            ScenarioError: the scenario refuses them.
+        """
+        wanted, base = self.definition, self._setup(scenario, merge, 0.0)
+        chunks = base.scenario.controller.chunks
+        assert chunks is not None  # as its merge is set
+        longest_ms = 1e3 * chunks.longest_inference_s(1e-9 * base.grid.period_ns)
+        limit_ms = min(wanted.limit_ms, longest_ms)
+        count = min(_MOST_TIMES, math.floor(limit_ms / wanted.resolution_ms + 1e-9))
+        steps_ms = {round(k * wanted.resolution_ms, 9) for k in range(count + 1)}
+        times_ms = sorted(steps_ms | {round(limit_ms, 9), min(wanted.at_ms, round(limit_ms, 9))})
+        self._setup(scenario, merge, times_ms[-1])
+        is_whole = longest_ms >= wanted.limit_ms
+        return Case(scenario, base.scenario.name, merge, times_ms, is_whole)
+
+    def _setup(self, scenario: str, merge: str, inference_ms: float) -> Setup:
+        return load_setup(scenario, self._overrides(merge, inference_ms, self._tasks[-1]))
+
+    def _overrides(self, merge: str, inference_ms: float, task: int | None) -> tuple[str, ...]:
+        wanted = self.definition
+        traces = {} if wanted.network is None else dict.fromkeys(_TRACES, wanted.network)
+        law = {} if wanted.law is None else {study_keys.LAW: wanted.law}
+        tasks = {} if task is None else {TASK: task}
+        values = {**traces, **law, MERGE: merge, INFERENCE: inference_ms, **tasks}
+        own = (override(key, value) for key, value in values.items())
+        return (*wanted.fixed_overrides, *own)
