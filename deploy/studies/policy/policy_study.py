@@ -17,7 +17,9 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, validated
 from deploy.studies.policy.findings import case_findings
-from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
+from deploy.study.definition import Different, StudyDefinition, scenario_name
+from deploy.study.planned_run import PlannedRun
+from deploy.study.study import StudyOfRuns
 
 INFERENCE, MERGE, TASK = "controller.inference_ms", "controller.chunks.merge", "reference.task"
 _TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
