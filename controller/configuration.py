@@ -212,6 +212,8 @@ class ControllerConfiguration(StrictModel):
         first_inference_ms: the same for the first question while the arm moves, which many policies
             answer more slowly; by default like the others. The answer that releases the arm acts at
             once.
+        answer_timeout_s: longest wall time in which a custom law that is slower than the loop must
+            answer, or the run stops; null for any.
         between_answers: targets for the drives until the next row of an answer: ``hold`` them, or
             ``linear``: continue at their velocity.
         chunks: how a law is asked whose answers are chunks of actions, and how a new chunk takes
@@ -235,6 +237,7 @@ class ControllerConfiguration(StrictModel):
     inference_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
+    answer_timeout_s: Positive | None = 60.0
     between_answers: BetweenAnswers = "hold"
     chunks: ChunksConfiguration | None = None
     preview_ms: Annotated[NonNegative, Field(le=10_000)] | Literal["auto"] = "auto"
@@ -464,7 +467,10 @@ class ControllerConfiguration(StrictModel):
         if not is_slow:
             return law
         holding = Holding(between, keeps_velocity=takes == "velocity")
-        timing = AnswerTiming(self.every, inference_s, jitter_s, holding, period_s, seed, first_s)
+        timing = AnswerTiming(
+            self.every, inference_s, jitter_s, holding, period_s, seed, first_s,
+            self.answer_timeout_s if is_custom(self.law) else None,
+        )  # fmt: skip
         chunks = self.chunks
         if chunks is None:
             return SlowLaw(law, timing)

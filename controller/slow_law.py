@@ -7,6 +7,7 @@ force once its inference time is over. An answer may be a chunk: rows for the ne
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, Protocol
 
 from bus_schema.arrays import Matrix, Vector
@@ -16,6 +17,7 @@ from controller.chunks.merge import ChunkMerge
 from controller.chunks.merges import Replace
 from controller.chunks.switches import ChunkLog
 from controller.control_law import ControlLaw, Tracking
+from controller.timed_calls import TimedCalls
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class AnswerTiming:
         period_s: of the control loop.
         seed: of the inference times drawn.
         first_s: `inference_s` of the first question in motion, the second of a run.
+        timeout_s: longest wall time of an answer; None for any.
     """
 
     every: int
@@ -39,6 +42,7 @@ class AnswerTiming:
     period_s: float
     seed: int
     first_s: float
+    timeout_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,8 @@ class SlowLaw:
         guide = getattr(law, "guide", None)
         self._guide = guide if callable(guide) else None
         self._row_s = self._rules.action_s or timing.period_s
+        limit_s = timing.timeout_s
+        self._in_time = None if limit_s is None else TimedCalls[tuple[Matrix, Matrix]](limit_s)
         self.diagnostics = law.diagnostics
         self._in_force: Answer | None = None
         self._open: OpenQuestion | None = None
@@ -185,7 +191,11 @@ class SlowLaw:
         now_s = tracking.time_s
         self._tell(now_s)
         self._note_question(now_s)
-        return self._waiting(self._as_answer(now_s, *self._answers(tracking)), None)
+        if self._in_time is None:
+            answers = self._answers(tracking)
+        else:
+            answers = self._in_time(partial(self._answers, tracking))
+        return self._waiting(self._as_answer(now_s, *answers), None)
 
     def _note_question(self, now_s: float) -> None:
         self._asked += 1

@@ -99,7 +99,7 @@ class PickConfiguration(DrawnTask):
         lift = _LIFTED_SHARE * spread * generator.uniform(-1.0, 1.0, robot.joints)
         over_pick, over_place = pick + lift, place + lift
         points = [home, over_pick, pick, over_pick, over_place, place, over_place, home]
-        times_s = self.move_s / self.speed * np.arange(len(points))
+        times_s = self.move_s / self.speed * np.arange(len(points), dtype=np.float64)
         return MinimumJerk(times_s, np.array(points))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,10 @@ class Policy:
 
 
 class BadPolicy(Policy):
-    """The same policy, whose answers from 1 s on are of no use: ``raise``, ``nan`` or ``shape``."""
+    """The same policy, whose answers from 1 s on are of no use, by ``how``.
+
+    ``raise``, ``nan``, ``shape``, or ``never``, for an answer that is never ready.
+    """
 
     def __init__(self, model, how="raise", **more):
         super().__init__(model, **more)
@@ -89,6 +93,8 @@ class BadPolicy(Policy):
             return rows
         if self._how == "raise":
             raise RuntimeError("out of memory")
+        if self._how == "never":
+            threading.Event().wait()
         if self._how == "nan":
             rows[5, 0, 0] = np.nan
             return rows

@@ -131,12 +131,13 @@ def test_a_jump_is_the_reason_of_a_loss(tmp_path):
         ("raise", "RuntimeError: out of memory"),
         ("nan", "targets[5, 0, 0] = nan: must be finite"),
         ("shape", "targets have shape (16, 1): must be (2, 1), or (2, 1) for each row"),
+        ("never", "TimeoutError: no answer within 3 s"),
     ],
 )
 def test_bad_answer_ends_in_a_safe_stop_and_is_named(tmp_path, how, words, in_processes):
     setup = policy(
         tmp_path, "merge: replace", 100, "controller.law=tests.one_joint:BadPolicy", "duration_s=3",
-        "link.kind=zenoh", "controller.gains.custom="
+        "link.kind=zenoh", "controller.answer_timeout_s=3", "controller.gains.custom="
         f"{{rows: 16, spacing_s: 0.04, knows_velocity: true, how: {how}}}",
     )  # fmt: skip
     if in_processes:
