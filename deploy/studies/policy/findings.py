@@ -46,18 +46,26 @@ def case_findings(
 
 
 def recommended(cases: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
-    """Return the merge that tolerates most, and of equals jumps least, then with the least jerk.
+    """Return the merge for the inference time of comparisons; None if none keeps the bounds.
 
-    None if no merge keeps the bounds.
+    Of those that keep them there, it jumps least, then with the least jerk. If none does, it is the
+    one that keeps them longest.
     """
     able = [case for case in cases if case["inference_ms"] is not None]
 
     def rank(case: Mapping[str, Any]) -> tuple[float, ...]:
-        at = case["at"] or {}
-        sizes = (at.get("jump_mm") or at.get("jump_rad"), at.get("jerk_rms_rad_s3"))
-        return (-case["inference_ms"], *(round(size or 0.0, 6) for size in sizes))
+        at, time_ms = case["at"] or {}, case["inference_ms"]
+        kept_ms = min(time_ms, at.get("inference_ms", 0.0))
+        jump = round(at.get("jump_mm") or at.get("jump_rad") or 0.0, 6)
+        sizes = (jump, at.get("jerk_rms_rad_s3"))
+        return (-kept_ms, *(float(f"{size or 0.0:.2g}") for size in sizes), -time_ms)
 
     return min(able, key=rank, default=None)
+
+
+def longest(cases: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Return the merge that keeps the bounds up to the largest inference time; one has to."""
+    return max(cases, key=lambda case: case["inference_ms"] or 0.0)
 
 
 def _point(time_ms: float, rows: list[Row]) -> dict[str, Any]:

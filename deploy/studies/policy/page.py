@@ -13,7 +13,7 @@ from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
 from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.tables import ABSENT, Cell, Column, Table, number, scaled, table_of
-from deploy.studies.policy.findings import recommended
+from deploy.studies.policy.findings import longest, recommended
 
 Summary = Mapping[str, Any]
 _HEIGHT_PX = 430
@@ -56,11 +56,18 @@ def advice(summary: Summary, arm: str) -> str:
     jump = _jump(at)
     most = [_jump(case["at"]) for case in cases if case["at"] and case is not best]
     others = f", where others jump by up to {max(most)[1]}" if most and max(most) > jump else ""
+    last = longest(cases)
+    more = ""
+    if last["inference_ms"] > best["inference_ms"]:
+        more = f"; {last['merge']} keeps them longest, up to {_up_to(last)}"
     return (
-        f"{arm}: use {best['merge']}, which keeps the bounds up to an inference time of"
-        f" {best['inference_ms']:g} ms{' (the largest tried)' if best['is_limit'] else ''}; at"
-        f" {at['inference_ms']:g} ms its chunks jump by {jump[1]}{others}."
+        f"{arm}: at an inference time of {at['inference_ms']:g} ms use {best['merge']}: its chunks"
+        f" jump by {jump[1]}{others}, and it keeps the bounds up to {_up_to(best)}{more}."
     )
+
+
+def _up_to(case: Summary) -> str:
+    return f"{case['inference_ms']:g} ms{' (the largest tried)' if case['is_limit'] else ''}"
 
 
 def _jump(point: Summary) -> tuple[float, str]:

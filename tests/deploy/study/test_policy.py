@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import funnel_hil as funnel_hil_api
-from deploy.studies.policy.findings import recommended
+from deploy.studies.policy.findings import longest, recommended
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
@@ -39,9 +39,9 @@ def test_perfect_chunks_are_tolerated_until_they_run_out(tmp_path, funnel_hil):
     assert (frozen["inference_ms"], frozen["is_limit"]) == (160.0, True)
     assert max(each["at"]["jump_rad"] for each in found["cases"]) < 1e-6
     assert replaced["at"]["age_largest_ms"] == 100.0 + 8 * 20.0 - 1.0
-    assert "one: use replace, which keeps the bounds up to an inference time of 200 ms" in (
-        " ".join(shown.split())
-    )
+    text = " ".join(shown.split())
+    assert "one: at an inference time of 100 ms use replace: its chunks jump by" in text
+    assert "and it keeps the bounds up to 200 ms" in text
     assert "frozen_prefix | ≥ 160" in (out / "table.md").read_text()
     assert "jumps-0" in (out / "report.html").read_text()
     again = funnel_hil.output(*words, "--at-least", "180 ms", code=3)  # no run is made again
@@ -89,12 +89,17 @@ def test_tasks_are_refused_for_a_reference_without_them(funnel_hil, tmp_path):
     assert "reference" in funnel_hil.output(*words, code=2)
 
 
-def test_the_merge_that_tolerates_most_and_jumps_least_is_recommended():
+def test_the_merge_that_jumps_least_at_the_inference_time_asked_for_is_recommended():
+    """Of equals the one with the least jerk. One that keeps the bounds longer may jump more."""
+
     def case(merge, time_ms, jump_mm, jerk):
-        at = {"jump_mm": jump_mm, "jump_rad": 0.1, "jerk_rms_rad_s3": jerk}
+        at = {"inference_ms": 100.0, "jump_mm": jump_mm, "jump_rad": 0.1, "jerk_rms_rad_s3": jerk}
         return {"merge": merge, "inference_ms": time_ms, "at": at}
 
-    rows = [case("a", 100.0, 2.0, 1.0), case("b", 100.0, 1.0, 9.0), case("c", 100.0, 1.0, 3.0)]
-    rows += [case("d", None, 0.0, 0.0)]
-    assert recommended(rows)["merge"] == "c"
-    assert recommended(rows[3:]) is None
+    longer = case("a", 300.0, 2.0, 1.0)
+    rows = [longer, case("b", 100.0, 1.0, 9.0), case("c", 150.0, 1.0, 3.0)]
+    lost = [case("d", None, 0.0, 0.0), case("e", 50.0, 0.0, 0.0)]
+    assert recommended([*rows, *lost])["merge"] == "c"
+    assert longest([*rows, *lost]) is longer
+    assert recommended(lost)["merge"] == "e"
+    assert recommended(lost[:1]) is None
