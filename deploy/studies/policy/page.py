@@ -22,7 +22,7 @@ _HEIGHT_PX = 430
 def policy_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a policy."""
     summary = study.summary
-    first, *more = [advice(summary, arm) for arm in _arms(summary)]
+    first, *more = [each for arm in _arms(summary) for each in advice(summary, arm)]
     return Page(
         "policy",
         summary["name"],
@@ -44,14 +44,14 @@ def policy_page(study: DrawnStudy) -> Page[DrawnStudy]:
     )  # fmt: skip
 
 
-def advice(summary: Summary, arm: str) -> str:
-    """Return the recommended setting for an arm, in one sentence."""
+def advice(summary: Summary, arm: str) -> list[str]:
+    """Return the recommended setting for an arm in one sentence, and what it rests on."""
     cases = [case for case in summary["cases"] if case["arm"] == arm]
     if not summary["completed"]:
-        return f"{arm}: not complete."
+        return [f"{arm}: not complete."]
     best = recommended(cases)
     if best is None:
-        return f"{arm}: no merge keeps the bounds, even without inference time."
+        return [f"{arm}: no merge keeps the bounds, even without inference time."]
     at = best["at"]
     jump = _jump(at)
     most = [_jump(case["at"]) for case in cases if case["at"] and case is not best]
@@ -60,10 +60,10 @@ def advice(summary: Summary, arm: str) -> str:
     more = ""
     if last["inference_ms"] > best["inference_ms"]:
         more = f"; {last['merge']} keeps them longest, up to {_up_to(last)}"
-    return (
-        f"{arm}: at an inference time of {at['inference_ms']:g} ms use {best['merge']}: its chunks"
-        f" jump by {jump[1]}{others}, and it keeps the bounds up to {_up_to(best)}{more}."
-    )
+    return [
+        f"{arm}: at an inference time of {at['inference_ms']:g} ms use {best['merge']}.",
+        f"Its chunks jump by {jump[1]}{others}. It keeps the bounds up to {_up_to(best)}{more}.",
+    ]
 
 
 def _up_to(case: Summary) -> str:

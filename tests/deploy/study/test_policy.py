@@ -40,8 +40,8 @@ def test_perfect_chunks_are_tolerated_until_they_run_out(tmp_path, funnel_hil):
     assert max(each["at"]["jump_rad"] for each in found["cases"]) < 1e-6
     assert replaced["at"]["age_largest_ms"] == 100.0 + 8 * 20.0 - 1.0
     text = " ".join(shown.split())
-    assert "one: at an inference time of 100 ms use replace: its chunks jump by" in text
-    assert "and it keeps the bounds up to 200 ms" in text
+    assert "one: at an inference time of 100 ms use replace Its chunks jump by" in text
+    assert "It keeps the bounds up to 200 ms." in text
     assert "frozen_prefix | ≥ 160" in (out / "table.md").read_text()
     assert "jumps-0" in (out / "report.html").read_text()
     again = funnel_hil.output(*words, "--at-least", "180 ms", code=3)  # no run is made again
