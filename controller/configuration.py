@@ -493,11 +493,17 @@ class ControllerConfiguration(StrictModel):
         between = self.every * max(1, math.ceil(inference_s / (self.every * period_s) - NEAR))
         return inference_s + 0.5 * (between - 1) * period_s
 
+    @property
+    def knows_inference_time(self) -> bool:
+        """Whether answers act after the configured time, not after the one a server took."""
+        return not is_address(self.law) or self.policy_server.inference == "configured"
+
     def largest_answer_age_s(self, period_s: float) -> float | None:
         """Return d + s, the largest age of the observation behind an answer in force.
 
         d is the longest inference time, s the time from one question to the next, which is at least
-        d, as one question at a time is open. None for chunks whose horizon the law chooses.
+        d, as one question at a time is open. None for chunks whose horizon the law chooses, and for
+        measured inference times.
 
         Args:
             period_s: of the control loop.
@@ -505,7 +511,7 @@ class ControllerConfiguration(StrictModel):
         longest_ms = max(self.inference_ms + self.inference_jitter_ms, self.first_inference_ms or 0)
         delay_s, states_s = 1e-3 * longest_ms, self.every * period_s
         between_s = 0.0 if self.chunks is None else self.chunks.between_questions_s(period_s)
-        if between_s is None:
+        if between_s is None or not self.knows_inference_time:
             return None
         if self.chunks is not None and self.chunks.acts_on_arrival:
             between_s += delay_s

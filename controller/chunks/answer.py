@@ -65,6 +65,10 @@ class Answer:
         """Return the time at which a row begins, s."""
         return self.starts_s + row * self.period_s
 
+    def has_row_at(self, time_s: float) -> bool:
+        """Whether a row is meant for a time; a single row goes on acting, but is meant for one."""
+        return self.row_at(time_s) < self.rows
+
     def is_over_at(self, time_s: float) -> bool:
         """Whether torques or targets of several rows have none left for a time."""
         row = self.row_at(time_s)

@@ -100,7 +100,7 @@ def blended(old: Answer, new: Answer, now_s: float, new_share: Callable[[int], f
     torques, targets = new.torques.copy(), new.targets.copy()
     for row in range(max(0, new.row_at(now_s)), new.rows):
         time_s = new.time_of(row)
-        if old.is_over_at(time_s):
+        if not old.has_row_at(time_s):
             break
         share = new_share(row)
         if row < len(targets):

@@ -90,12 +90,12 @@ class TemporalEnsemble(ChunkMerge):
 
     def merged(self, old: Answer, new: Answer, now_s: float) -> Answer:
         known = self._chunks or [old]
-        older = [each for each in known if not each.is_over_at(now_s)]
+        older = [each for each in known if each.has_row_at(now_s)]
         self._chunks = [*older[-_MOST_CHUNKS:], new]
         torques, targets = new.torques.copy(), new.targets.copy()
         for row in range(new.row_at(now_s), new.rows):
             time_s = new.time_of(row)
-            older = [each for each in self._chunks[:-1] if not each.is_over_at(time_s)]
+            older = [each for each in self._chunks[:-1] if each.has_row_at(time_s)]
             if row < len(targets):
                 rows = [*(each.target_at(time_s) for each in older), targets[row]]
                 targets[row] = ensemble(rows, self._rate)

@@ -41,7 +41,7 @@ class Chunks(Section):
         starved_share: share of these states
         switches: number of switches to a new answer
         jump_rad: the largest jump of a target there; null for a law without targets
-        jump_mm: the largest jump of the targets' tip there
+        jump_mm: the largest jump of the targets' tip in `jumps` and at `jump_rad`
         jump_joint: joint of `jump_rad`
         jump_s: time of `jump_rad`
         jumps: the first 1000 of these jumps

@@ -17,7 +17,7 @@ from deploy.scenario.held_arm import held_arm_ceiling_ms
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming, validated
-from deploy.study.definition import scenario_name
+from deploy.study.definition import require_own_names, scenario_name
 from deploy.study.execution.growth import may_be_added, may_change
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import Variant, with_ranges
@@ -85,7 +85,9 @@ class StudyOfCases(StudyOfRuns):
             self.definition = given.model_copy(update={"scenarios": scenarios})
             self.trials: dict[str, Trial] = {}
             self.cases = list(self._build_cases())
-            self._require_own_names()
+            require_own_names(
+                (case.setting.base.scenario.name, case.setting.scenario) for case in self.cases
+            )
             self.bases = list({base.scenario.name: base for base in self.variants}.values())
             study_keys.require_link_effect({**given.fixed, given.quantity: None}, self.bases)
 
@@ -148,17 +150,6 @@ class StudyOfCases(StudyOfRuns):
             return []
         found = (held_arm_ceiling_ms(setup, self.definition.direction) for setup in setups)
         return [each for each in found if each is not None]
-
-    def _require_own_names(self) -> None:
-        """Require different names of scenarios, which identify them in rows."""
-        files: dict[str, str] = {}
-        for setting in (case.setting for case in self.cases):
-            name = setting.base.scenario.name
-            if files.setdefault(name, setting.scenario) != setting.scenario:
-                raise ScenarioError(
-                    f"scenarios: {files[name]} and {setting.scenario} are both called {name!r}:"
-                    " must have different names"
-                )
 
     @property
     def variants(self) -> list[Setup]:

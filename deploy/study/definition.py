@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from bus_schema.configuration import StrictModel
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.xacro_arguments import split_arguments
-from deploy.scenario.yaml_files import find_yaml, override, read_yaml
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, read_yaml
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 _MOST_SEEDS = 10_000
@@ -82,6 +82,24 @@ def scenario_name(name_or_path: str, folder: Path) -> str:
     found = find_yaml(file, SHIPPED_SCENARIOS, folder)
     words = [f"{name}:={value}" for name, value in arguments.items()]
     return found.stem if found.parent == SHIPPED_SCENARIOS else " ".join([str(found), *words])
+
+
+def require_own_names(scenarios: Iterable[tuple[str, str]]) -> None:
+    """Require different names of scenarios, which identify them in rows.
+
+    Args:
+        scenarios: name and file of each.
+
+    Raises:
+        ScenarioError: two files have the same name.
+    """
+    files: dict[str, str] = {}
+    for name, file in scenarios:
+        if files.setdefault(name, file) != file:
+            raise ScenarioError(
+                f"scenarios: {files[name]} and {file} are both called {name!r}:"
+                " must have different names"
+            )
 
 
 def study_values(

@@ -52,15 +52,22 @@ def recommended(cases: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
     one that keeps them longest.
     """
     able = [case for case in cases if case["inference_ms"] is not None]
+    jump_key = jump_column(cases)
 
     def rank(case: Mapping[str, Any]) -> tuple[float, ...]:
         at, time_ms = case["at"] or {}, case["inference_ms"]
         kept_ms = min(time_ms, at.get("inference_ms", 0.0))
-        jump = round(at.get("jump_mm") or at.get("jump_rad") or 0.0, 6)
+        jump = round(at.get(jump_key) or 0.0, 6)
         sizes = (jump, at.get("jerk_rms_rad_s3"))
         return (-kept_ms, *(float(f"{size or 0.0:.2g}") for size in sizes), -time_ms)
 
     return min(able, key=rank, default=None)
+
+
+def jump_column(cases: Sequence[Mapping[str, Any]]) -> str:
+    """Return in which unit jumps are compared: in rad where no jump moves the tip."""
+    sizes_mm = [case["at"]["jump_mm"] for case in cases if case["at"]]
+    return "jump_mm" if any(sizes_mm) and None not in sizes_mm else "jump_rad"
 
 
 def longest(cases: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
@@ -97,13 +104,19 @@ def _largest(by_time: Mapping[float, list[Row]]) -> tuple[float | None, str | No
 
 
 def _of_tasks(rows: list[Row], times_ms: Sequence[float]) -> dict[str, Any] | None:
-    """Return smallest, median and largest of the tasks' largest inference times; None for one."""
+    """Return smallest, median and largest of the tasks' largest inference times; None for one.
+
+    Of a task that is lost without any, that time is None.
+    """
     by_task = rows_by((row for row in rows if row.get("task") is not None), lambda r: r["task"])
     if len(by_task) < 2:
         return None
     found = sorted(
-        _largest({t: [r for r in own if r["inference_ms"] == t] for t in times_ms})[0] or 0.0
-        for own in by_task.values()
+        (
+            _largest({t: [r for r in own if r["inference_ms"] == t] for t in times_ms})[0]
+            for own in by_task.values()
+        ),
+        key=lambda time_ms: -1.0 if time_ms is None else time_ms,
     )
     return {
         "tasks": len(found), "smallest": found[0], "median": found[(len(found) - 1) // 2],

@@ -13,7 +13,7 @@ from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
 from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.tables import ABSENT, Cell, Column, Table, number, scaled, table_of
-from deploy.studies.policy.findings import longest, recommended
+from deploy.studies.policy.findings import jump_column, longest, recommended
 
 Summary = Mapping[str, Any]
 _HEIGHT_PX = 430
@@ -52,9 +52,9 @@ def advice(summary: Summary, arm: str) -> list[str]:
     best = recommended(cases)
     if best is None:
         return [f"{arm}: no merge keeps the bounds, even without inference time."]
-    at = best["at"]
-    jump = _jump(at)
-    most = [_jump(case["at"]) for case in cases if case["at"] and case is not best]
+    at, key = best["at"], jump_column(cases)
+    jump = _jump(at, key)
+    most = [_jump(case["at"], key) for case in cases if case["at"] and case is not best]
     others = f", where others jump by up to {max(most)[1]}" if most and max(most) > jump else ""
     last = longest(cases)
     more = ""
@@ -67,15 +67,18 @@ def advice(summary: Summary, arm: str) -> list[str]:
 
 
 def _up_to(case: Summary) -> str:
-    return f"{case['inference_ms']:g} ms{' (the largest tried)' if case['is_limit'] else ''}"
+    text = f"{case['inference_ms']:g} ms"
+    if not case["is_limit"]:
+        return text
+    return f"{text} (the largest {'tried' if case['is_whole'] else 'for which it is defined'})"
 
 
-def _jump(point: Summary) -> tuple[float, str]:
-    """Return a jump at the tip, or of a joint where no joint moves the tip, and its text."""
-    mm, mrad = point["jump_mm"], scaled(point["jump_rad"], style.MRAD)
-    if mm is None or (not mm and mrad):
-        return mrad or 0.0, f"{number(mrad or 0.0)} mrad"
-    return mm, f"{number(mm)} mm"
+def _jump(point: Summary, key: str) -> tuple[float, str]:
+    """Return a jump at the tip or of a joint, by the column, and its text."""
+    if key == "jump_mm":
+        return point[key], f"{number(point[key])} mm"
+    mrad = scaled(point[key], style.MRAD) or 0.0
+    return mrad, f"{number(mrad)} mrad"
 
 
 def policy_table(summary: Summary) -> Table:
@@ -87,11 +90,17 @@ def policy_table(summary: Summary) -> Table:
 
     def largest(case: Summary) -> str | float | None:
         time_ms = case["inference_ms"]
-        return f"≥ {time_ms:g}" if case["is_limit"] else time_ms
+        return f"≥ {time_ms:g}" if case["is_limit"] and case["is_whole"] else time_ms
+
+    def ends(case: Summary) -> str:
+        if case["is_limit"] and not case["is_whole"]:
+            return "the merge: d > H − s"
+        return case["ends"] or ABSENT
 
     def tasks(case: Summary) -> str:
         found = case["of_tasks_ms"]
-        return f"{found['smallest']:g} · {found['median']:g} · {found['largest']:g}"
+        times = (found[name] for name in ("smallest", "median", "largest"))
+        return " · ".join(ABSENT if each is None else f"{each:g}" for each in times)
 
     columns: list[TableColumn] = [
         (Column("Arm", is_text=True), lambda case: case["arm"]),
@@ -100,7 +109,7 @@ def policy_table(summary: Summary) -> Table:
         (Column("Largest inference", "ms", "Largest\ninference"), largest),
         *([(Column("Of tasks: least · median · most", "ms", "Of tasks"), tasks)]
           if all(case["of_tasks_ms"] for case in summary["cases"]) else []),
-        (Column("Ends by", is_text=True, brief="Ends\nby"), lambda case: case["ends"] or ABSENT),
+        (Column("Ends by", is_text=True, brief="Ends\nby"), ends),
         (Column("Largest jump", "mrad", "Jump"), at("jump_rad", 1e3)),
         (Column("At the tip", "mm", "At the\ntip"), at("jump_mm")),
         (Column("Jerk, largest", "rad/s³", "Jerk"), at("jerk_rad_s3")),

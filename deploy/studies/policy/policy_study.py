@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field
 
-from bus_schema.configuration import NonNegative, Positive, Whole
+from bus_schema.configuration import ConfigurationError, NonNegative, Positive, Whole
 from controller.chunks.configuration import CHUNK_MERGES
 from deploy.judge.run_rows import Row
 from deploy.scenario import study_keys
@@ -17,7 +17,12 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, validated
 from deploy.studies.policy.findings import case_findings
-from deploy.study.definition import Different, StudyDefinition, scenario_name
+from deploy.study.definition import (
+    Different,
+    StudyDefinition,
+    require_own_names,
+    scenario_name,
+)
 from deploy.study.planned_run import PlannedRun
 from deploy.study.study import StudyOfRuns
 
@@ -89,7 +94,12 @@ class PolicyStudy(StudyOfRuns):
             self.columns = {
                 "arm": "string", "merge": "string", "inference_ms": "double", "task": "int64",
             }  # fmt: skip
+            if given.limit_ms > _MOST_TIMES * given.resolution_ms:
+                least_ms = given.limit_ms / _MOST_TIMES
+                allowed = f"must be at least limit_ms / {_MOST_TIMES} = {least_ms:g}"
+                raise ConfigurationError("resolution_ms", given.resolution_ms, allowed)
             self.cases = [self._case(name, merge) for name in names for merge in given.merges]
+            require_own_names((case.arm, case.scenario) for case in self.cases)
             self._variants = [self._setup(each.scenario, each.merge, 0.0) for each in self.cases]
             self.bases = self._variants[:: len(given.merges)]
 
@@ -158,9 +168,13 @@ class PolicyStudy(StudyOfRuns):
         wanted, base = self.definition, self._setup(scenario, merge, 0.0)
         chunks = base.scenario.controller.chunks
         assert chunks is not None  # as its merge is set
+        controller = base.scenario.controller
+        if not controller.knows_inference_time:
+            allowed = "must be configured: this study chooses the inference time"
+            raise ConfigurationError("controller.policy_server.inference", "measured", allowed)
         longest_ms = 1e3 * chunks.longest_inference_s(1e-9 * base.grid.period_ns)
         limit_ms = min(wanted.limit_ms, longest_ms)
-        count = min(_MOST_TIMES, math.floor(limit_ms / wanted.resolution_ms + 1e-9))
+        count = math.floor(limit_ms / wanted.resolution_ms + 1e-9)
         steps_ms = {round(k * wanted.resolution_ms, 9) for k in range(count + 1)}
         times_ms = sorted(steps_ms | {round(limit_ms, 9), min(wanted.at_ms, round(limit_ms, 9))})
         self._setup(scenario, merge, times_ms[-1])

@@ -274,3 +274,13 @@ def test_answer_of_another_length_is_refused():
 def test_settings_without_effect_are_refused(given, complaint):
     with pytest.raises(ValueError, match=complaint):
         ChunksConfiguration.model_validate(given)
+
+
+@pytest.mark.parametrize("merge", ["replace", "weighted", "temporal_ensemble"])
+def test_answers_of_one_row_are_not_averaged(merge):
+    """A row is meant for its own time, and only goes on acting until the next one."""
+    _, rule = merge_of(merge=merge, horizon=1)
+    acting = answer(0.0, [0.0])
+    for number in range(1, 300):
+        acting = rule.merged(acting, answer(number * ACTION_S, [number]), number * ACTION_S)
+        assert positions(acting) == [number]

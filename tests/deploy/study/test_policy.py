@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import funnel_hil as funnel_hil_api
-from deploy.studies.policy.findings import longest, recommended
+from deploy.studies.policy.findings import jump_column, longest, recommended
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
@@ -42,7 +42,7 @@ def test_perfect_chunks_are_tolerated_until_they_run_out(tmp_path, funnel_hil):
     text = " ".join(shown.split())
     assert "one: at an inference time of 100 ms use replace Its chunks jump by" in text
     assert "It keeps the bounds up to 200 ms." in text
-    assert "frozen_prefix | ≥ 160" in (out / "table.md").read_text()
+    assert "frozen_prefix | 160" in (out / "table.md").read_text()
     assert "jumps-0" in (out / "report.html").read_text()
     again = funnel_hil.output(*words, "--at-least", "180 ms", code=3)  # no run is made again
     assert "frozen_prefix, inference time: 160 ms, must be at least 180 ms" in again
@@ -103,3 +103,41 @@ def test_the_merge_that_jumps_least_at_the_inference_time_asked_for_is_recommend
     assert longest([*rows, *lost]) is longer
     assert recommended(lost)["merge"] == "e"
     assert recommended(lost[:1]) is None
+
+
+def test_one_unit_serves_all_merges_of_an_arm():
+    """Where the tip stays, joints decide, and no jump in mm is compared with one in rad."""
+
+    def case(merge, jump_mm, jump_rad):
+        at = {"inference_ms": 100.0, "jump_mm": jump_mm, "jump_rad": jump_rad,
+              "jerk_rms_rad_s3": 1.0}  # fmt: skip
+        return {"merge": merge, "inference_ms": 100.0, "at": at}
+
+    moved = [case("a", 0.0, 6e-4), case("b", 5e-4, 5e-7)]
+    assert jump_column(moved) == "jump_mm"
+    assert recommended(moved)["merge"] == "a"
+    still = [case("a", 0.0, 6e-4), case("b", 0.0, 5e-7)]
+    assert jump_column(still) == "jump_rad"
+    assert recommended(still)["merge"] == "b"
+
+
+def test_arms_of_one_name_are_refused(funnel_hil, tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        policy_setup(tmp_path / folder, CHUNKS)
+    files = [tmp_path / folder / "one.yaml" for folder in ("a", "b")]
+    words = ("policy", "tests.one_joint:Policy", *files, *SHORT, "--out", tmp_path / "out")
+    assert "must have different names" in funnel_hil.output(*words, code=2)
+
+
+def test_no_inference_time_is_left_out(funnel_hil, tmp_path):
+    policy_setup(tmp_path, CHUNKS)
+    words = ("policy", "tests.one_joint:Policy", tmp_path / "one.yaml", "--resolution", "0.1")
+    assert "resolution_ms = 0.1" in funnel_hil.output(*words, code=2)
+
+
+def test_a_servers_own_time_is_refused(funnel_hil, tmp_path):
+    policy_setup(tmp_path, CHUNKS)
+    measured = ("--set", "controller.policy_server.inference=measured", *SHORT)
+    words = ("policy", "openpi://127.0.0.1:1", tmp_path / "one.yaml", *measured)
+    assert "controller.policy_server.inference" in funnel_hil.output(*words, code=2)
