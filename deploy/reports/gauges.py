@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_args
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from deploy.judge.gate import Finite, Gauged
 from deploy.judge.verdict import Verdict
@@ -17,9 +17,29 @@ _RUNS, MM, _MS, JERK = "runs", "mm", "ms", "rad/s3"
 
 
 class Part(BaseModel):
-    """A part of a ``summary.json``; it may have more keys."""
+    """A part of a ``summary.json``; it may have more keys.
+
+    Null stands for the default of a key that allows no null: what was not tried yet, as of an
+    unfinished result.
+    """
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False, extra="allow")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_nulls(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        return {
+            key: each for key, each in given.items() if each is not None or cls._may_be_null(key)
+        }
+
+    @classmethod
+    def _may_be_null(cls, key: str) -> bool:
+        field = cls.model_fields.get(key)
+        if field is None or field.is_required():
+            return True
+        return field.annotation is Any or type(None) in get_args(field.annotation)
 
 
 class GaugedSummary(Part, ABC):

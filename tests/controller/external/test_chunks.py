@@ -112,8 +112,8 @@ def test_each_row_acts_at_its_tick_and_the_last_is_held(tmp_path):
     ("rows", "later", "complaint"),
     [
         (2, "[1.0] * 3", "did not answer within 0.2 s"),
-        (2, "[1.0] * 5 + [float('nan')]", "torques [[1.0, 1.0, 1.0], [1.0, 1.0, nan]]: must be"),
-        (1, "[1.0] * 8 + [float('inf')]", "targets [[[1.0, 1.0, 1.0], [1.0, 1.0, inf]]]: must be"),
+        (2, "[1.0] * 5 + [float('nan')]", "torques[1, 2] = nan: must be finite"),
+        (1, "[1.0] * 8 + [float('inf')]", "targets[0, 1, 2] = inf: must be finite"),
     ],
 )
 def test_answer_without_all_numbers_is_a_fault(tmp_path, rows, later, complaint):

@@ -12,6 +12,7 @@ from deploy.live.viewer import Viewer
 from deploy.reports.figures import study_figures, style
 from deploy.reports.html import write_page
 from deploy.reports.page import Page, Panel, ReportHead
+from deploy.reports.studies.study_result import Runs
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
@@ -93,9 +94,11 @@ SPANS = {"narrow": [24.0, 31.0], "decade": [3.0, 45.0], "wide": [1e-4, 100.0]}
 
 
 def curve(span):
+    runs = {"worst_point": "0", "runs": 1, "runs_kept": 1}
+    spreads = ({"mean": y, "lowest": y, "highest": y} for y in (1e-3 * each for each in span))
     points = [
-        (x, {"worst_rms_rad": {"mean": y, "lowest": y, "highest": y}, "worst_point": "0"})
-        for x, y in enumerate(1e-3 * value for value in span)
+        (x, Runs.model_validate({**runs, "worst_rms_rad": spread}))
+        for x, spread in enumerate(spreads)
     ]
     line, study = study_figures.Curve("smc", 0, 0, points), study_figures.DrawnStudy({}, str)
     return study_figures.curves(study, [line], "delay", study_figures.WORST_RMS)

@@ -9,8 +9,8 @@ import yaml
 from distributed import LocalCluster
 from distributed.security import Security
 
-from deploy.command import study_command as studies
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.studies.sweep.command import sweep
 from deploy.study.execution.dask_workers import DaskWorkers
 
 
@@ -61,7 +61,7 @@ def warning_of(address, folder, capsys):
     }  # fmt: skip
     file.write_text(yaml.safe_dump(wanted))
     with pytest.raises(typer.Exit) as left:
-        studies.sweep(sweep=str(file), scheduler=address, out=folder / "out")
+        sweep(sweep=str(file), scheduler=address, out=folder / "out")
     assert left.value.exit_code == 0
     return capsys.readouterr().err
 
