@@ -8,7 +8,7 @@ import pytest
 
 from bus_schema.link.configuration import LinkConfiguration
 from deploy.run.network.robot_network import RobotNetwork
-from tests.waiting import await_true
+from tests.waiting import HANG_S, await_true
 
 
 @pytest.fixture
@@ -47,13 +47,14 @@ def test_relays_of_earlier_clients_close_their_sockets(network):
     assert counts == 6 * counts[:1]
 
 
-def test_a_relay_asked_to_stop_is_woken(network, monkeypatch):
+def test_a_relay_asked_to_stop_is_woken(monkeypatch):
     """Without that, it would end only once its `select`, here of an hour, is over."""
     monkeypatch.setattr("deploy.run.network.link_relay._LOOK_UP_NS", 3_600_000_000_000)
+    network = RobotNetwork(LinkConfiguration(uplink={"delay_ms": 5}), 1)
     network.route(("127.0.0.1", 5555))
     threads = threading.active_count()
     closing = threading.Thread(target=network.close, daemon=True)
     closing.start()
-    closing.join(30.0)
+    closing.join(HANG_S)
     assert not closing.is_alive()
     assert threading.active_count() == threads - 1
