@@ -18,7 +18,7 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.command.common import say_warnings
-from deploy.command.options import Overrides, ScenarioArgument
+from deploy.command.options import Overrides, ScenarioArgument, finite
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.stop_signals import on_stop
@@ -33,7 +33,9 @@ from plant_emulator.drives.fault_plan import PlannedFault, parse_fault
 
 Duration = Annotated[
     float | None,
-    typer.Option("--duration", metavar="S", min=0.001, help="Stop after this time."),
+    typer.Option(
+        "--duration", metavar="S", min=0.001, callback=finite, help="Stop after this time."
+    ),
 ]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Decode every frame.")]
 Faults = Annotated[

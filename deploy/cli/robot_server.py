@@ -12,7 +12,14 @@ import typer
 
 from bus_schema.configuration import ConfigurationError
 from deploy.command.common import say_warnings, show_results
-from deploy.command.options import NoReport, Out, Overrides, Overwrite, ScenarioArgument
+from deploy.command.options import (
+    NoReport,
+    Out,
+    Overrides,
+    Overwrite,
+    ScenarioArgument,
+    finite,
+)
 from deploy.reports.results import write_run
 from deploy.run.console import Console
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
@@ -24,6 +31,7 @@ from deploy.run.processes.status import StatusMessage
 from deploy.run.run_folder import RunFolder
 from deploy.run.serve_robot import Place, ServedRobot
 from deploy.run.stop_signals import on_stop
+from deploy.scenario.definition import LONGEST_S
 from deploy.scenario.interface_choice import interface_values, takes_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -68,7 +76,14 @@ Live = Annotated[
 ]
 Duration = Annotated[
     float | None,
-    typer.Option("--duration", metavar="S", min=0.001, help="Stop after this time."),
+    typer.Option(
+        "--duration",
+        metavar="S",
+        min=0.001,
+        max=LONGEST_S,
+        callback=finite,
+        help="Stop after this time.",
+    ),
 ]
 
 

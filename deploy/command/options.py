@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,13 @@ def _newest(overrides: list[str] | None) -> list[str] | None:
         if place != last[keys[place]]:
             say(f"--set {text}: replaced by a later --set", err=True)
     return [text for place, text in enumerate(overrides) if place in last.values()]
+
+
+def finite(number: float | None) -> float | None:
+    """Refuse inf, and NaN, which is in any range."""
+    if number is not None and not math.isfinite(number):
+        raise typer.BadParameter(f"{number} is not finite.")
+    return number
 
 
 ScenarioArgument = Annotated[

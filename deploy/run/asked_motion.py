@@ -12,6 +12,8 @@ from controller.reference_file import KINDS, TIME
 _RESTS_S = 0.05
 """A position that stays longer than this is held; others are joined to the next by a line."""
 _IDLE_S = 0.02
+_SAME_LINE_RAD, _THINNED_S = 1e-9, 1.0
+"""Rows so near to a line are left out, but for one in this time."""
 _STRAIGHT_RAD, _TURN_S = 1e-4, 2e-6
 """A motion that leaves the line between two rows by more is made straight, but for these times."""
 
@@ -20,7 +22,7 @@ class AskedMotion:
     """Rows at the ticks at which a client asks for another position.
 
     Where it asks for none, the rows are the measured motion. What it asks for beyond the range of a
-    joint counts as the end of the range.
+    joint counts as the end of the range. Rows inside a line are left out as they arrive.
 
     Args:
         period_s: of the ticks.
@@ -33,6 +35,7 @@ class AskedMotion:
         self._lower_rad, self._upper_rad = lower_rad, upper_rad
         self._times_s: list[float] = []
         self._rows: list[Vector] = []
+        self._line_begin = 0
         self._follows = False
 
     def add(self, now_s: float, actual_rad: Vector, target_rad: Vector) -> None:
@@ -47,7 +50,8 @@ class AskedMotion:
         if not is_idle and self._follows and (target_rad == self._rows[-1]).all():
             return
         before_s = now_s - self._period_s
-        if self._times_s and before_s > self._times_s[-1] + _RESTS_S * self._follows:
+        rests_s = _RESTS_S if self._follows else 0.5 * self._period_s
+        if self._times_s and before_s > self._times_s[-1] + rests_s:
             self._put(before_s, self._rows[-1] if self._follows else actual_rad)
         self._put(now_s, actual_rad if is_idle else target_rad)
         self._follows = not is_idle
@@ -62,8 +66,26 @@ class AskedMotion:
         np.savetxt(file, table, "%.12g", ",", header=",".join(heads), comments="")
 
     def _put(self, now_s: float, row: Vector) -> None:
+        goes_on = self._is_on_line(now_s, row)
         self._times_s.append(now_s)
         self._rows.append(row.copy())
+        if not goes_on:
+            self._line_begin = max(len(self._rows) - 2, 0)
+            return
+        # Two rows at each end of a line keep its speed there.
+        is_inside = len(self._rows) - 3 > self._line_begin + 1
+        if is_inside and self._times_s[-2] - self._times_s[-4] <= _THINNED_S:
+            del self._times_s[-3], self._rows[-3]
+
+    def _is_on_line(self, now_s: float, row: Vector) -> bool:
+        """Return whether a row goes on with the line through the first two rows of the last one."""
+        first, second = self._line_begin, self._line_begin + 1
+        if second >= len(self._rows):
+            return False
+        begin_s, begin = self._times_s[first], self._rows[first]
+        share = (now_s - begin_s) / (self._times_s[second] - begin_s)
+        away = np.abs(begin + share * (self._rows[second] - begin) - row)
+        return bool((away <= _SAME_LINE_RAD).all())
 
 
 def monotone_slopes(times_s: Vector, rows: Matrix) -> Matrix:

@@ -15,6 +15,7 @@ from deploy.run.network.robot_network import RobotNetwork, listening
 from deploy.run.processes.child import RunOutcome
 from deploy.run.run_folder import RunFolder
 from deploy.run.served_run import ServedRun
+from deploy.scenario.definition import LONGEST_S
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
@@ -85,25 +86,27 @@ class ServedRobot:
     def run(self, folder: RunFolder, ticks: int | None) -> JudgedRun:
         """Run for a number of ticks, or until a stop is requested; return the recorded run.
 
-        Its ports have to be open.
+        Its ports have to be open. The longest duration of a scenario ends it, too.
         """
         self._folder, network = folder, self._network
         self._run = ServedRun(self._setup, folder, self._arm)
         self._clock.start()
+        most_ticks = round(LONGEST_S * 1e9) // self._setup.grid.period_ns
         self._say(f"{self._setup.scenario.name} {self._place.words(self._server)}")
         try:
-            self._rig.run(ticks)
+            self._rig.run(most_ticks if ticks is None else ticks)
         finally:
             self._arm.close()
             self._server.close()
             if network is not None:
                 network.close()
         is_whole = ticks is None or self._rig.ticks >= ticks
-        judged = self._judged_setup()
+        judged = self._judged_or_given()
         counts = self._counts(None if network is None else network.counts())
         self._run.close(judged, counts, ticks=self._rig.ticks, completed=is_whole)
         folder.write_scenario(judged)
-        (folder.path / REFERENCE_FILE).unlink(missing_ok=True)  # the scenario has a copy
+        if judged is not self._setup:
+            (folder.path / REFERENCE_FILE).unlink()  # the scenario has a copy
         return recorded(folder, RunOutcome(interrupted=not is_whole))
 
     def _report(self, sentence: str) -> None:
@@ -116,6 +119,18 @@ class ServedRobot:
         now_s = 1e-9 * self._setup.grid.tick_ns(tick)
         self._asked.add(now_s, self._arm.measured[0], target_rad)
         self._run.tick(tick, target_rad, was_skipped=was_skipped)
+
+    def _judged_or_given(self) -> Setup:
+        """Return the scenario that judges the run; if it cannot be built, that is a fault of it."""
+        try:
+            return self._judged_setup()
+        except (ScenarioError, OSError, MemoryError) as error:
+            folder = self._folder.path
+            sentence = f"what the client asked for cannot judge the run in {folder}: {error!s}"
+            self._say(sentence)
+            now_ns = self._rig.ticks * self._setup.grid.period_ns
+            self._run.note(now_ns, EventKind.FAULT, sentence)
+            return self._setup
 
     def _judged_setup(self) -> Setup:
         """Return the scenario with what the client asked for as its reference."""
@@ -148,9 +163,10 @@ def open_robot(server: RobotServer, network: RobotNetwork | None, place: Place) 
         try:
             server.client_host = socket.gethostbyname(place.client)
             stack.enter_context(listening(server, place.host, network, place.ports))
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             what = f"--host {place.host}" + (f" --client {place.client}" * server.calls_client)
-            raise ScenarioError(f"{what}: {error.strerror or error}") from error
+            words = getattr(error, "strerror", None) or error
+            raise ScenarioError(f"{what}: {words}") from error
         yield
 
 

@@ -26,6 +26,8 @@ def _as_text(value: object) -> object:
     return str(value).lower() if isinstance(value, bool | int | float) else value
 
 
+LONGEST_S = 86_400.0
+"""Longest duration of a run, a day."""
 _Argument = Annotated[str, Field(max_length=1000), BeforeValidator(_as_text)]
 _Angle = Annotated[Number, Field(ge=-6.3, le=6.3)]
 
@@ -82,7 +84,7 @@ class ScenarioConfiguration(StrictModel):
     """
 
     name: Name
-    duration_s: Annotated[Number, Field(gt=0, le=86_400)]
+    duration_s: Annotated[Number, Field(gt=0, le=LONGEST_S)]
     rate_hz: Annotated[Number, Field(ge=10, le=10_000)] = 1000.0
     clock: Literal["realtime", "lockstep"] = "realtime"
     seed: Annotated[Whole, Field(ge=0)] = 0

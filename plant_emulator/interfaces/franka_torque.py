@@ -1,7 +1,8 @@
 """``franka_torque``: torques at 1 kHz; a lost one is held, 20 lost in a row stop the robot.
 
 After libfranka (its documentation and headers). The torque's rate is checked on backward
-differences. Torques are whole ones here: a Franka arm adds those of gravity itself.
+differences. Torques are whole ones here: a Franka arm adds those of gravity itself. The first one
+is therefore no step, unless the torque before it is given.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ class FrankaTorque(Stoppable):
         self._share = low_pass_share(period_s, filter_hz)
         self._lost = LostCount(MOST_LOST)
 
-    def start(self, position_rad: Vector) -> None:
-        """Begin; the first torque is no step."""
-        self._torque = np.full(position_rad.size, np.nan)
+    def start(self, position_rad: Vector, torque_nm: Vector | None = None) -> None:
+        """Begin, with the torque before the first one; without it, the first one is no step."""
+        self._torque = np.full(position_rad.size, np.nan) if torque_nm is None else torque_nm
         self._lost.start()
 
     def step(self, target: Matrix | None, measured: Matrix) -> Vector:  # noqa: ARG002

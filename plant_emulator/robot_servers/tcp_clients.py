@@ -13,6 +13,11 @@ _CHUNK_BYTES = 1 << 16
 Receive = Callable[[bytes], None]
 
 
+def is_open(client: socket.socket) -> bool:
+    """Return whether a connection has not been closed here; nobody obeys one that has."""
+    return client.fileno() >= 0
+
+
 class TcpClients:
     """Listens at ports, and passes on what their clients send.
 
@@ -54,14 +59,15 @@ class TcpClients:
             else:
                 self._read(key.fileobj, key.data)
 
-    def send(self, client: socket.socket, data: bytes) -> None:
-        """Send bytes; a client that does not read them is closed."""
+    def send(self, client: socket.socket, data: bytes) -> bool:
+        """Send bytes; a client that does not read them is closed. Return whether it is open."""
         try:
             sent = client.send(data)
         except OSError:
             sent = 0
         if sent < len(data):
             self.forget(client)
+        return is_open(client)
 
     def forget(self, client: socket.socket) -> None:
         """Close a connection."""

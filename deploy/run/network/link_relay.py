@@ -73,6 +73,7 @@ class LinkRelay:
         self._peers: dict[Address, tuple[socket.socket, DatagramSink]] = {}
         self._streams: list[RelayedStream] = []
         self.begun_ns = time.monotonic_ns()
+        self._woken, self._waker = socket.socketpair()
         listener.setblocking(False)
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
@@ -93,8 +94,13 @@ class LinkRelay:
             if self._listener in readable:
                 self._take_datagrams(self._listener) if self._is_datagrams else self._accept()
             self._forget_ended()
-        for each in self._sockets():
+        for each in (*self._sockets(), self._woken, self._waker):
             each.close()
+
+    def wake(self) -> None:
+        """Let `run` look now, from another thread, whether it is to stop."""
+        with contextlib.suppress(OSError):  # it has stopped
+            self._waker.send(b"\0")
 
     def counts(self) -> dict[str, Any]:
         """Counts of chunks in both directions; percentiles of their lateness, µs."""
@@ -115,7 +121,7 @@ class LinkRelay:
 
     def _await(self) -> tuple[set[socket.socket], set[socket.socket]]:
         """Sockets that can be read and written, once there are any or something is due."""
-        reads = [self._listener, *(far for far, _ in self._peers.values())]
+        reads = [self._listener, self._woken, *(far for far, _ in self._peers.values())]
         reads += [stream.source for stream in self._streams if stream.wants_more]
         writes = [stream.sink for stream in self._streams if stream.is_blocked]
         now_ns = self._now_ns()

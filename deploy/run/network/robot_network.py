@@ -30,23 +30,27 @@ class RobotNetwork:
         self._stop = threading.Event()
 
     def relay_port(self, outer: socket.socket) -> int:
-        """Pass connections at a socket on to a free port, whose number this returns."""
+        """Pass connections at a socket on to a free port, whose number this returns.
+
+        The socket is closed at the end.
+        """
         with socket.create_server((_LOCAL, 0)) as free:
             inner: int = free.getsockname()[1]
-        self._run(LinkRelay(outer, (_LOCAL, inner), self._link, self._seed))
+        self._run(LinkRelay(outer, (_LOCAL, inner), self._link, self._seed), outer)
         return inner
 
     def route(self, client: Address) -> Address:
         """Pass the robot's datagrams on to a client; return where the robot is to send them.
 
-        The client before is forgotten; traces of delays go on.
+        The client before is forgotten; traces of delays go on. The robot's loop calls this, so it
+        does not wait for the thread of the client before, which closes its sockets itself.
         """
         listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         listener.bind((_LOCAL, 0))
         relay = LinkRelay(listener, client, self._link, self._seed, is_from_robot=True)
         if self._relay is not None:
             relay.begun_ns = self._relay.begun_ns
-        self._run(relay)
+        self._run(relay, listener)
         address: Address = listener.getsockname()
         return address
 
@@ -56,15 +60,27 @@ class RobotNetwork:
 
     def close(self) -> None:
         """Stop relaying."""
-        self._stop.set()
+        self._request_stop()
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, relay: LinkRelay) -> None:
-        self.close()
+    def _request_stop(self) -> None:
+        self._stop.set()
+        if self._relay is not None:
+            self._relay.wake()
+
+    def _run(self, relay: LinkRelay, listener: socket.socket) -> None:
+        """Relay in a thread, which closes the listener at its end, instead of the relay before."""
+        self._request_stop()
         self._relay, self._stop = relay, threading.Event()
-        self._thread = threading.Thread(target=relay.run, args=(self._stop.is_set,), daemon=True)
+        work = (relay, listener, self._stop)
+        self._thread = threading.Thread(target=_relay, args=work, daemon=True)
         self._thread.start()
+
+
+def _relay(relay: LinkRelay, listener: socket.socket, stop: threading.Event) -> None:
+    with listener:
+        relay.run(stop.is_set)
 
 
 @contextmanager
@@ -76,7 +92,6 @@ def listening(
     Raises:
         OSError: one is taken.
     """
-    opened: list[socket.socket] = []
     try:
         if network is None:
             server.open(host, ports)
@@ -84,9 +99,7 @@ def listening(
             server.route = network.route
             server.open(host, ports)
         else:
-            outer = socket.create_server((host, ports[server.relayed]))
-            opened.append(outer)
-            inner = network.relay_port(outer)
+            inner = network.relay_port(socket.create_server((host, ports[server.relayed])))
             server.open(_LOCAL, {server.relayed: inner})
             server.open(
                 host, {name: port for name, port in ports.items() if name != server.relayed}
@@ -95,5 +108,3 @@ def listening(
     finally:
         if network is not None:
             network.close()
-        for each in opened:
-            each.close()

@@ -25,20 +25,30 @@ class Kind(StrEnum):
 class ExternalTorque(Stoppable):
     """Torques of a client, to which the robot adds that of gravity.
 
+    The limit of the rate holds from the first torque on, as a step from 0: libfranka's limiter
+    takes its steps from ``tau_J_d``, the desired torque without gravity. A torque that ends the
+    move does not act.
+
     Args:
         torques: checks and holds them.
+
+    Attributes:
+        torque_nm: that acts besides gravity's, shape (joints,).
     """
 
     def __init__(self, torques: FrankaTorque) -> None:
         self._torques = torques
 
     def start(self, position_rad: Vector) -> None:
-        self._torques.start(position_rad)
+        self.torque_nm: Vector = np.zeros(position_rad.size)
+        self._torques.start(position_rad, self.torque_nm)
 
     def step(self, target: Matrix | None, measured: Matrix) -> FreeTorque:
         torque_nm = self._torques.step(target, measured)
         self.reflex = self._torques.reflex
-        return FreeTorque(np.nan_to_num(torque_nm))  # NaN before the first one in time
+        if self.reflex is None:
+            self.torque_nm = torque_nm
+        return FreeTorque(self.torque_nm)
 
 
 def interface_for(kind: Kind, settings: InterfaceSettings, period_s: float) -> RobotInterface:

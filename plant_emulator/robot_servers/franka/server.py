@@ -18,9 +18,9 @@ from plant_emulator.interfaces.interface import Reflex
 from plant_emulator.interfaces.settings import InterfaceSettings
 from plant_emulator.robot_servers.client_motion import ClientMotion
 from plant_emulator.robot_servers.franka.description import described
-from plant_emulator.robot_servers.franka.moves import Kind, interface_for, rows_of
+from plant_emulator.robot_servers.franka.moves import ExternalTorque, Kind, interface_for, rows_of
 from plant_emulator.robot_servers.robot_server import RobotServer
-from plant_emulator.robot_servers.tcp_clients import Receive, TcpClients
+from plant_emulator.robot_servers.tcp_clients import Receive, TcpClients, is_open
 
 _STOP_RAD_S2 = 10.0
 _AT_ONCE, _MOST_BYTES = 64, 1 << 12
@@ -45,6 +45,7 @@ class FrankaServer(RobotServer):
         self._place: tuple[str, int] | None = None
         self._move: Request | None = None
         self._kind = Kind.POSITION
+        self._torques: ExternalTorque | None = None
         self._reflex: Reflex | None = None
         self._state = states.new_state()
         self._in_time: deque[bool] = deque(maxlen=_RATED_CYCLES)
@@ -99,11 +100,17 @@ class FrankaServer(RobotServer):
         state["message_id"] = round(1e3 * cycles * self._period_s)
         state["q"], state["dq"] = state["theta"], state["dtheta"] = measured
         state["q_d"], state["dq_d"] = planned
-        state["tau_J"] = state["tau_J_d"] = torque_nm
+        state["tau_J"], state["tau_J_d"] = torque_nm, self._desired_nm(torque_nm)
         rate = np.mean(self._in_time) if self._in_time and self._motion.is_moved else 0.0
         state["control_command_success_rate"] = rate
         with contextlib.suppress(OSError):  # no client there
             self._udp.sendto(state.tobytes(), self._place)
+
+    def _desired_nm(self, torque_nm: Vector) -> Vector:
+        """Return the desired torque; clients take their first step from the one without gravity."""
+        if not self._motion.is_moved:
+            return np.zeros_like(torque_nm)
+        return torque_nm if self._torques is None else self._torques.torque_nm
 
     def _take_datagrams(self) -> None:
         with contextlib.suppress(OSError):  # nothing more
@@ -136,6 +143,8 @@ class FrankaServer(RobotServer):
 
         def receive(data: bytes) -> None:
             for request in reader.take(data):
+                if not is_open(client):
+                    return
                 self._obey(client, request)
 
         return receive
@@ -183,11 +192,11 @@ class FrankaServer(RobotServer):
             self._say(f"a client of version {version}: must be {commands.VERSION}")
             self._tcp.send(client, answer(request, commands.INCOMPATIBLE, rest))
             return
-        self._client = client
         try:
-            self._place = self.route((client.getpeername()[0], port))
+            place = self.route((client.getpeername()[0], port))
         except OSError as error:
             raise ValueError("it has gone") from error
+        self._client, self._place = client, place
         self._say(f"client connected, with version {version}")
         self._tcp.send(client, answer(request, commands.SUCCESS, rest))
 
@@ -209,7 +218,9 @@ class FrankaServer(RobotServer):
         self._move, self._kind = request, kind
         self._count["moves"] += 1
         self._in_time.clear()
-        self._motion.begin(interface_for(kind, self._settings, self._period_s))
+        interface = interface_for(kind, self._settings, self._period_s)
+        self._torques = interface if isinstance(interface, ExternalTorque) else None
+        self._motion.begin(interface)
         self._set_modes(states.ROBOT_MOVES, generator + 1, controller)
         self._say(f"move of {kind} begins")
         self._answer(request, MoveStatus.STARTED)

@@ -19,12 +19,12 @@ class RtdeClient:
     """One connection.
 
     Args:
-        send: sends bytes to it.
+        send: sends bytes to it; returns whether the connection is still open.
         take: takes the input registers of a package.
     """
 
     def __init__(
-        self, send: Callable[[bytes], None], take: Callable[[Mapping[str, Value]], None]
+        self, send: Callable[[bytes], bool], take: Callable[[Mapping[str, Value]], None]
     ) -> None:
         self._send, self._take = send, take
         self._reader = PackageReader()
@@ -46,7 +46,8 @@ class RtdeClient:
                     self._take(recipe.unpack(payload))
             elif kind in self._ANSWERS:
                 answer = self._ANSWERS[Kind(kind)](self, payload)
-                self._send(package(Kind(kind), answer))
+                if not self._send(package(Kind(kind), answer)):
+                    return
 
     def publish(self, now_s: float, values: Mapping[str, Value]) -> None:
         """Send the variables that it asked for, if they are due."""

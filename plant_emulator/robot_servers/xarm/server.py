@@ -28,7 +28,7 @@ _DETAILS = {
     "report": Detail.NORMAL, "rich report": Detail.RICH, "real-time report": Detail.SHORT,
 }  # fmt: skip
 _MOVES, _READY, _PAUSED, _STOPPED = 1, 2, 3, 4
-_SERVO_MODE = 1
+_SERVO_MODE, _MOST_MODE = 1, 15
 
 
 class HeldTarget(Stoppable):
@@ -132,7 +132,8 @@ class XArmServer(RobotServer):
 
         def receive(data: bytes) -> None:
             for command in reader.take(data):
-                self._tcp.send(client, self._answered(client, command))
+                if not self._tcp.send(client, self._answered(client, command)):
+                    return
 
         return receive
 
@@ -204,9 +205,11 @@ class XArmServer(RobotServer):
         return b""
 
     def _set_mode(self, payload: bytes) -> bytes:
+        if payload[0] > _MOST_MODE:
+            raise ValueError(f"mode {payload[0]}: must be from 0 to {_MOST_MODE}")
         if self._mode != payload[0]:
             self._stop(f"mode {payload[0]} set by the client", is_fault=False)
-        self._mode = payload[0] & 0x0F
+        self._mode = payload[0]
         return b""
 
     def _get_joints(self, payload: bytes) -> bytes:

@@ -3,19 +3,25 @@
 import json
 import signal
 import socket
+from unittest.mock import Mock
 
 import pytest
 
 from bus_schema.egm.messages import _TYPES
+from deploy.cli.robot_server import _checked
 from deploy.run.exit_codes import FINISHED, INTERRUPTED
 from deploy.run.network.live_feed import FeedReceiver
-from deploy.run.serve_robot import Place, network_of, open_robot
+from deploy.run.run_folder import RunFolder, load_run
+from deploy.run.serve_robot import Place, ServedRobot, network_of, open_robot
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.robot_servers.universal_robots.server import UniversalRobotsServer
 from tests.plant_emulator.robot_servers.test_abb_robot import sensor
 from tests.waiting import await_true
 from tests.warm_process import WarmProcess, output_of
+
+
+BAD_DURATIONS = ("inf", "nan", "-inf", "86401")
 
 
 @pytest.mark.parametrize(
@@ -33,6 +39,9 @@ from tests.warm_process import WarmProcess, output_of
         (["ur5e_motors", "--client", "127.0.0.1"], "must be left out with --interface servoj"),
         (["ur5e_motors", "--interface", "egm", "--client", "192.0.2.1"], "--client 192.0.2.1: "),
         (["ur5e_motors", "--interface", "egm", "--client", ":x"], "must be HOST or HOST:PORT"),
+        (["ur5e_motors", "--interface", "egm", "--client", "a..b"], "--client a..b: "),
+        (["ur5e_motors", "--host", "a..b"], "--host a..b: "),
+        *((["ur5e_motors", "--duration", bad], "'--duration': ") for bad in BAD_DURATIONS),
         (["ur5e", "--interface", "servo_j"], "--interface servo_j: must be one of torque, servoj"),
         (["ur5e_motors", "--network", "nowhere.csv"], "nowhere.csv"),
     ],
@@ -73,6 +82,30 @@ def test_an_interrupted_run_is_not_complete(tmp_path):
     process.send_signal(signal.SIGTERM)
     assert process.wait() == INTERRUPTED
     assert not json.loads((tmp_path / "out" / "summary.json").read_text())["completed"]
+
+
+@pytest.mark.parametrize("error", ["too large", "no room"])
+def test_a_run_that_its_reference_cannot_judge_has_a_whole_recording(tmp_path, monkeypatch, error):
+    """The file of what the client asked for is larger than is read, or cannot be written."""
+    if error == "too large":
+        monkeypatch.setattr("bus_schema.tables.MOST_BYTES", 100)
+    else:
+        full = OSError(28, "No space left on device")
+        monkeypatch.setattr("deploy.run.asked_motion.np.savetxt", Mock(side_effect=full))
+    setup, server = _checked("ur5e_motors", "servoj", None, None, None)
+    said, place = [], Place("127.0.0.58", "127.0.0.1", server.ports)
+    robot = ServedRobot(setup, server, "servoj", place, said.append)
+    with robot.opened(), RunFolder.begin(setup, tmp_path / "out", overwrite=False) as folder:
+        run = robot.run(folder, 50)
+    data, contents = load_run(folder.path)
+    assert contents.complete
+    assert data.damage == []
+    assert len(contents.payloads["joint_states"]) == 51
+    [fault] = run.summary["faults"]
+    assert f"what the client asked for cannot judge the run in {folder.path}: " in fault
+    assert ("larger than" in fault) or ("No space left" in fault)
+    assert run.verdict == "faulted"
+    assert fault.partition("s: ")[2] in " ".join(said)
 
 
 @pytest.fixture

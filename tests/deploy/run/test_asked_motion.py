@@ -39,6 +39,45 @@ def test_a_ramp_sent_in_steps_is_the_line_through_them(robot, tmp_path):
     assert velocity[inner] == pytest.approx(0.3, abs=1e-6)
 
 
+def test_rows_inside_a_line_are_left_out_and_the_motion_stays(robot, tmp_path):
+    """A minute: rest, 0.02 rad/s, then a sine, which no line joins; all within 1e-8 rad of it."""
+    times_s = H * np.arange(60_001)
+    asked = 0.02 * np.clip(times_s - 10.0, 0.0, 45.0)
+    asked += 0.2 * np.sin(np.clip(times_s - 58.0, 0.0, None))
+    file = tmp_path / "a.csv"
+    position, velocity = reference_of(robot, file, [np.full(6, each) for each in asked])
+    assert position == pytest.approx(asked, abs=1e-8)
+    assert velocity[11_000:54_000] == pytest.approx(0.02, abs=1e-8)
+    assert velocity[58_100:59_400] == pytest.approx(
+        0.2 * np.cos(times_s[58_100:59_400] - 58.0), abs=1e-5
+    )
+    times = np.loadtxt(file, delimiter=",", skiprows=1, usecols=0)
+    assert (times < 58.0).sum() < 100
+    assert (times >= 58.0).sum() >= 2000
+
+
+def test_a_long_idle_run_has_few_rows(robot, tmp_path):
+    asked = AskedMotion(H, robot.lower_rad, robot.upper_rad)
+    for tick in range(0, 100_000, 20):
+        asked.add(tick * H, np.full(6, 0.5), NONE)
+    asked.write(tmp_path / "a.csv", robot.joint_names)
+    assert len((tmp_path / "a.csv").read_text().splitlines()) < 150
+
+
+@pytest.mark.parametrize("period_s", [1e-3, 2e-3, 4e-3, 8e-3])
+def test_rows_are_never_nearer_than_half_a_tick(robot, tmp_path, period_s):
+    """Sums of seconds are rounded: a client may begin one tick after an idle row."""
+    for start in range(1, 60):
+        asked = AskedMotion(period_s, robot.lower_rad, robot.upper_rad)
+        for tick in range(start + 3):
+            target = NONE if tick < start else np.full(6, 0.5 + 0.01 * tick)
+            asked.add(tick * period_s, np.full(6, 1e-3 * tick**2), target)
+        asked.write(tmp_path / "a.csv", robot.joint_names)
+        times_s = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1, usecols=0)
+        assert np.diff(times_s).min() >= 0.999e-6
+        CsvConfiguration(kind="csv", file=str(tmp_path / "a.csv"), beyond="hold").build(robot)
+
+
 def test_a_jump_takes_a_tick_and_passes_neither_position(robot, tmp_path):
     targets = 300 * [NONE] + 300 * [np.full(6, 0.1)] + 300 * [np.full(6, 0.3)] + 100 * [NONE]
     position, _ = reference_of(robot, tmp_path / "a.csv", targets)

@@ -1,6 +1,7 @@
 """Robots of the tests: an arm in real time, and the server that answers its clients."""
 
 import socket
+import struct
 import threading
 from contextlib import contextmanager
 
@@ -39,3 +40,18 @@ def free_port(kind=socket.SOCK_STREAM):
     with socket.socket(socket.AF_INET, kind) as free:
         free.bind((HOST, 0))
         return free.getsockname()[1]
+
+
+@contextmanager
+def client_that_leaves(server):
+    """What takes a client's bytes, and a function with which it resets its connection."""
+    with socket.create_server((HOST, 0)) as listener:
+        far = socket.create_connection(listener.getsockname())
+        near, _ = listener.accept()
+    far.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    server._tcp.add(near, lambda: None)
+    try:
+        yield server._accept(near, "commands"), far.close
+    finally:
+        far.close()
+        near.close()

@@ -16,7 +16,7 @@ from bus_schema.franka.commands import Command, RequestReader, answer
 from deploy.run.network.robot_network import RobotNetwork
 from plant_emulator.interfaces.franka import FrankaMotionSettings
 from plant_emulator.robot_servers.franka.server import FrankaServer
-from tests.plant_emulator.robot_servers.served import HOST, free_port, robot
+from tests.plant_emulator.robot_servers.served import HOST, client_that_leaves, free_port, robot
 from tests.waiting import HANG_S, await_true
 
 H = 1e-3
@@ -202,6 +202,64 @@ def test_velocities_and_torques_reach_their_interfaces():
     cycle(server, 0, tau_J_d=np.zeros(7))
     cycle(server, 1, tau_J_d=np.full(7, 1.1))  # more than 1000 N m/s
     assert np.flatnonzero(wire.sent[-1]["reflex_reason"]).tolist() == [32]
+
+
+@pytest.mark.parametrize("torque_nm", [1e308, -1e308, 1.1])
+def test_the_first_torque_is_a_step_from_0_and_one_too_large_does_not_act(torque_nm):
+    """1000 N m/s at 1 kHz are 1 N m in a cycle."""
+    server, wire = connected()
+    move(server, controller=2, generator=1)
+    cycle(server, 0, tau_J_d=np.zeros(7))
+    server._end(0)
+    move(server, controller=2, generator=1)
+    row = np.zeros(1, states.TARGET)
+    row["message_id"], row["tau_J_d"] = server._state["message_id"], torque_nm
+    server._take_target(row.tobytes())
+    assert server.interface.step(None, REST).torque_nm.tolist() == 7 * [0.0]
+    server.cycle(H, REST, np.zeros(7))
+    assert np.flatnonzero(wire.sent[-1]["reflex_reason"]).tolist() == [32]
+
+
+def test_the_desired_torque_is_without_gravity():
+    """libfranka's limiter takes its first step from it: a client of zeros must get zeros."""
+    server, wire = connected()
+    gravity_nm = np.full(7, 20.0)
+    server.cycle(0.0, REST, gravity_nm)
+    move(server, controller=2, generator=1)
+    for number in range(1, 3):
+        cycle(server, number, tau_J_d=np.full(7, 0.5 * number))
+        server.cycle((number + 0.5) * H, REST, gravity_nm)
+    assert wire.sent[0]["tau_J"].tolist() == 7 * [20.0]
+    assert wire.sent[0]["tau_J_d"].tolist() == 7 * [0.0]
+    assert wire.sent[-1]["tau_J_d"].tolist() == 7 * [1.0]
+
+
+def test_a_client_that_left_amid_its_requests_does_not_keep_the_robot():
+    server = FrankaServer(FrankaMotionSettings(), H, lambda _: None)
+    server.interface.start(np.zeros(7))
+    connect = HEADER.pack(0, 1, 16) + struct.pack("<2H", 10, 5555)
+    setting = HEADER.pack(Command.STOP_MOVE, 2, 12)
+    with client_that_leaves(server) as (receive, leave):
+        receive(connect)
+        assert server._client is not None
+        leave()
+        receive(setting + connect)
+    with client_that_leaves(server) as (receive, _):
+        receive(connect)
+        assert server._client is not None
+        assert server._client.fileno() >= 0
+    server.close()
+
+
+def test_a_client_of_which_no_way_leads_back_does_not_keep_the_robot():
+    server = FrankaServer(FrankaMotionSettings(), H, lambda _: None)
+    connect = HEADER.pack(0, 1, 16) + struct.pack("<2H", 10, 5555)
+    with client_that_leaves(server) as (receive, leave):
+        leave()
+        with pytest.raises(ValueError, match="it has gone"):
+            receive(connect)
+    assert server._client is None
+    server.close()
 
 
 @pytest.mark.parametrize(("generator", "behind"), [(2, b""), (3, b""), (9, b""), (0, b"\1")])

@@ -204,6 +204,20 @@ def test_a_dashboard_line_in_two_segments_is_one_and_quit_disconnects(dashboard)
         assert client.recv(1) == b""
 
 
+def test_packages_of_a_client_that_left_before_them_are_not_taken():
+    """To pause (P) is answered; the data (U) behind it go to the first recipe of inputs."""
+    is_open, taken = [True], []
+    rtde = RtdeClient(lambda _: is_open[0], taken.append)
+    name = b"input_int_register_0"
+    rtde.receive(struct.pack(">HB", 3 + len(name), ord("I")) + name)
+    data = struct.pack(">HBBi", 8, ord("U"), 1, 7)
+    rtde.receive(data)
+    assert taken == [{"input_int_register_0": 7}]
+    is_open[0] = False
+    rtde.receive(struct.pack(">HB", 3, ord("P")) + data)
+    assert len(taken) == 1
+
+
 def test_an_output_frequency_that_is_no_number_is_refused():
     rtde = RtdeClient(lambda _: None, lambda _: None)
     payload = struct.pack(">d", np.nan) + b"timestamp"

@@ -14,7 +14,7 @@ import pytest
 from bus_schema.xarm.messages import CommandReader, Detail, report
 from plant_emulator.interfaces.servoj import ServoJSettings
 from plant_emulator.robot_servers.xarm.server import XArmServer
-from tests.plant_emulator.robot_servers.served import HOST, free_port, robot
+from tests.plant_emulator.robot_servers.served import HOST, client_that_leaves, free_port, robot
 from tests.waiting import HANG_S, await_true
 
 H = 4e-3
@@ -60,6 +60,26 @@ def test_servo_targets_are_reached_and_held():
     assert cycles(server, 500)[0] == pytest.approx(6 * [0.1], abs=1e-4)
     assert ask(server, 13)[1] == b"\x02"
     assert server.target_rad == pytest.approx(6 * [0.1])
+
+
+def test_a_mode_above_15_is_refused_and_stops_nothing():
+    server = ready()
+    servo(server, *6 * [1.0])
+    assert ask(server, 19, b"\x11")[0] & 0x08 == 0x08
+    assert server.interface.is_moved
+    assert server.counts["stops"] == []
+
+
+def test_a_client_that_left_amid_its_commands_moves_nothing():
+    server = ready()
+    state = struct.pack(">3HB", 1, 2, 1, 13)
+    target = struct.pack(">3HB", 2, 2, 41, 29) + struct.pack("<10f", *10 * [0.5])
+    with client_that_leaves(server) as (receive, leave):
+        leave()
+        receive(state + target)
+    assert not server.interface.is_moved
+    assert server._mover is None
+    server.close()
 
 
 def test_a_state_of_4_brakes_and_refuses_targets():

@@ -1,0 +1,60 @@
+"""The network of a robot server: the robot's loop never waits for it, and it leaves no socket."""
+
+import gc
+import socket
+import threading
+
+import pytest
+
+from bus_schema.link.configuration import LinkConfiguration
+from deploy.run.network.robot_network import RobotNetwork
+from tests.waiting import HANG_S, await_true
+
+
+@pytest.fixture
+def network():
+    network = RobotNetwork(LinkConfiguration(uplink={"delay_ms": 5}), 1)
+    yield network
+    network.close()
+
+
+def inet_sockets():
+    gc.collect()
+    found = [each for each in gc.get_objects() if isinstance(each, socket.socket)]
+    return sum(each.fileno() >= 0 for each in found)
+
+
+def test_a_new_client_does_not_wait_for_the_relay_of_the_one_before(network, monkeypatch):
+    """The robot's own loop routes: a wait for a thread in `select` would hold it up."""
+    network.route(("127.0.0.1", 5555))
+    joined = []
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "join", lambda *_: joined.append(1))
+        network.route(("127.0.0.1", 5555))
+    assert joined == []
+
+
+def test_relays_of_earlier_clients_close_their_sockets(network):
+    """Six clients, of which each had a message, have as many open sockets as one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        before = threading.active_count()
+        counts = []
+        for _ in range(6):
+            robot.sendto(b"state", network.route(("127.0.0.1", 5555)))
+            await_true(lambda: threading.active_count() == before + 1)
+            await_true(lambda: network.counts()["chunks"] == 1)
+            counts.append(inet_sockets())
+    assert counts == 6 * counts[:1]
+
+
+def test_a_relay_asked_to_stop_is_woken(monkeypatch):
+    """Without that, it would end only once its `select`, here of an hour, is over."""
+    monkeypatch.setattr("deploy.run.network.link_relay._LOOK_UP_NS", 3_600_000_000_000)
+    network = RobotNetwork(LinkConfiguration(uplink={"delay_ms": 5}), 1)
+    network.route(("127.0.0.1", 5555))
+    threads = threading.active_count()
+    closing = threading.Thread(target=network.close, daemon=True)
+    closing.start()
+    closing.join(HANG_S)
+    assert not closing.is_alive()
+    assert threading.active_count() == threads - 1
