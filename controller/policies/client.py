@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,10 @@ from bus_schema.arrays import Matrix
 from controller.errors import ControllerError
 
 Image = npt.NDArray[np.uint8]
+MOST_BYTES = 64 * 1024 * 1024
+"""Largest answer of a policy server."""
+UNREADABLE = (ArithmeticError, MemoryError, RecursionError, TypeError, ValueError)
+"""What reading a foreign value may raise."""
 Text = Annotated[str, Field(min_length=1)]
 """A setting that cannot be empty."""
 
@@ -98,8 +103,8 @@ def checked_actions(given: object, robot: Robot) -> Matrix:
     """
     try:
         actions: Matrix = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise PolicyServerError(f"the actions are no numbers: {repr(given)[:80]}") from None
+    except UNREADABLE:
+        raise PolicyServerError(f"the actions are no numbers: {reprlib.repr(given)}") from None
     if actions.ndim != 2 or actions.shape[1] != robot.joints or not actions.size:
         wanted = f"(actions, {robot.joints}), a column for each joint"
         raise PolicyServerError(f"the actions have shape {actions.shape}: must be {wanted}")

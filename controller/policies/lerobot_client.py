@@ -7,6 +7,7 @@ and reads.
 from __future__ import annotations
 
 import pickle
+import reprlib
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -16,6 +17,7 @@ from google.protobuf.wrappers_pb2 import BytesValue
 
 from bus_schema.configuration import StrictModel
 from controller.policies.client import (
+    MOST_BYTES,
     NoAnswerError,
     Observation,
     PolicyClient,
@@ -62,8 +64,9 @@ class LeRobotClient(PolicyClient):
     def connect(self, timeout_s: float) -> None:
         import grpc
 
-        unlimited = [(f"grpc.max_{way}_message_length", -1) for way in ("send", "receive")]
-        self._channel = grpc.insecure_channel(self._place, unlimited)
+        sizes = ("send", -1), ("receive", MOST_BYTES)
+        options = [(f"grpc.max_{way}_message_length", size) for way, size in sizes]
+        self._channel = grpc.insecure_channel(self._place, options)
         self._call("Ready", b"", timeout_s, waits=True)
         setup = pickled_instance("RemotePolicyConfig", self._instructions())
         self._call("SendPolicyInstructions", _message(setup), timeout_s)
@@ -116,10 +119,11 @@ class LeRobotClient(PolicyClient):
             found = timed_actions(data)
         except pickle.UnpicklingError as error:
             raise PolicyServerError(f"its answer cannot be read: {error}") from error
-        if found[0].timestep != number:
+        answered = found[0].timestep
+        if answered != number:
             raise PolicyServerError(
-                f"it answered question {found[0].timestep} instead of {number}: it must have one"
-                " client at a time"
+                f"it answered question {reprlib.repr(answered)} instead of {number}: it must have"
+                " one client at a time"
             )
         return [each.action for each in found]
 
@@ -129,7 +133,10 @@ class LeRobotClient(PolicyClient):
     ) -> bytes:  # fmt: skip
         import grpc
 
-        make = self._channel.stream_unary if streams else self._channel.unary_unary
+        channel = self._channel
+        if channel is None:
+            raise ServerGoneError("another thread closed the connection")
+        make = channel.stream_unary if streams else channel.unary_unary
         try:
             answer: bytes = make(f"{_SERVICE}/{method}", None, None)(
                 _in_messages(data) if streams else data, timeout=timeout_s, wait_for_ready=waits

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,13 +35,13 @@ class ServedLaw(SlowLaw):
     def __init__(self, policy: ServedPolicy, timing: AnswerTiming, rules: ChunkRules) -> None:
         self._policy = policy
         self._recorded: Sequence[Mapping[str, Any]] | None = None
-        self._thread: ThreadPoolExecutor | None = None
+        self._is_real_time = False
         self._new: list[str] = []
         super().__init__(policy, timing, rules)
 
     def answer_in_real_time(self) -> None:
         """Have a thread wait for the server while the loop goes on."""
-        self._thread = ThreadPoolExecutor(1, "policy server")
+        self._is_real_time = True
 
     def answer_from(self, recorded: Sequence[Mapping[str, Any]]) -> None:
         """Answer from a recorded run instead of a server; see `new_answers`."""
@@ -54,12 +55,6 @@ class ServedLaw(SlowLaw):
         """
         answers, self._new = self._new, []
         return answers
-
-    def close(self) -> None:
-        """Close the connection; an open question ends."""
-        super().close()
-        if self._thread is not None:
-            self._thread.shutdown(wait=False, cancel_futures=True)
 
     def keep(self, asked_s: float, ready_s: float | None, actions: Matrix) -> None:
         """Keep an answer for the recording."""
@@ -82,8 +77,8 @@ class ServedLaw(SlowLaw):
         if self._recorded is not None:
             return self._next_recorded(asked_s)
         observation = self._policy.observe(tracking)
-        if self._thread is not None:
-            future = self._thread.submit(self._policy.answer, observation)
+        if self._is_real_time:
+            future = _in_thread(lambda: self._policy.answer(observation))
             return _InThread(self, asked_s, future)
         actions, took_s = timed_answer(self._policy, observation)
         is_measured = self._policy.settings.inference == "measured"
@@ -127,3 +122,17 @@ class _InThread:
         actions = self.future.result()
         self.law.keep(self.asked_s, now_s, actions)
         return self.law.with_actions(self.asked_s, actions)
+
+
+def _in_thread(function: Callable[[], Matrix]) -> Future[Matrix]:
+    """Call a function in a thread that the exit of the process does not wait for."""
+    future = Future[Matrix]()
+
+    def call() -> None:
+        try:
+            future.set_result(function())
+        except BaseException as error:  # noqa: BLE001 (it is raised where the loop waits)
+            future.set_exception(error)
+
+    threading.Thread(target=call, name="policy server", daemon=True).start()
+    return future

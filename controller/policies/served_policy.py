@@ -11,6 +11,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from controller.control_law import Diagnostics, Tracking
 from controller.policies.client import (
+    UNREADABLE,
     Observation,
     PolicyServerError,
     ServerGoneError,
@@ -20,6 +21,7 @@ from controller.policies.configuration import PolicyServerConfiguration
 
 _GREY = 128
 _MOST_QUESTIONS = 1_000_000
+_MOST_LETTERS = 200
 
 
 class ServedPolicy:
@@ -49,7 +51,7 @@ class ServedPolicy:
             name: np.full((*shape, 3), _GREY, np.uint8) for name, shape in settings.images.items()
         }
         self._number = os.getpid() * _MOST_QUESTIONS  # those of two clients differ
-        self._is_connected = self._has_answered = False
+        self._is_connected = self._has_answered = self._is_closed = False
 
     def reset(self) -> None:
         """Do nothing: all state is the server's, which has one question at a time."""
@@ -79,7 +81,7 @@ class ServedPolicy:
         Where the connection is lost, the question is repeated once on a new one.
 
         Raises:
-            PolicyServerError: it failed; the message has its address.
+            PolicyServerError: it failed, or this object is closed; the message has its address.
         """
         try:
             try:
@@ -92,6 +94,9 @@ class ServedPolicy:
                 return self._asked(observation)
         except PolicyServerError as error:
             raise type(error)(f"policy server {self._address}: {error}") from error.__cause__
+        except UNREADABLE as error:
+            reason = f"its answer cannot be read: {type(error).__name__}: {error}"[:_MOST_LETTERS]
+            raise PolicyServerError(f"policy server {self._address}: {reason}") from error
 
     def as_targets(self, actions: object) -> Matrix:
         """Return positions and velocities, rad and rad/s, shape (actions, 2, joints).
@@ -109,19 +114,26 @@ class ServedPolicy:
         return np.stack([positions, velocities], axis=1)
 
     def close(self) -> None:
-        """Close the connection, which also ends an open question."""
+        """Close the connection for good, which also ends an open question."""
+        self._is_closed = True
         self._client.close()
-        self._is_connected = False
 
     def _asked(self, observation: Observation) -> Matrix:
         settings, limit_s = self.settings, self.settings.timeout_s
         if not self._is_connected:
             limit_s = max(limit_s, settings.start_timeout_s)
+            self._refuse_if_closed()
             self._client.connect(settings.start_timeout_s)
             self._is_connected = True
+            self._refuse_if_closed()  # another thread may have called `close` meanwhile
         actions = checked_actions(self._client.ask(observation, limit_s), self._robot)
         self._has_answered = True
         return actions
+
+    def _refuse_if_closed(self) -> None:
+        if self._is_closed:
+            self._client.close()
+            raise PolicyServerError("the connection is closed")
 
 
 def timed_answer(policy: ServedPolicy, observation: Observation) -> tuple[Matrix, float]:
