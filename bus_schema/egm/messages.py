@@ -40,7 +40,7 @@ _MS_PER_S, _SEQUENCE_NUMBERS = 1e3, 1 << 32
 
 
 class Correction(NamedTuple):
-    """What a client asks for.
+    """Positions and velocities that a client asks for.
 
     Attributes:
         position_rad: shape (joints,); None if it gives none.

@@ -98,7 +98,7 @@ def text(words: str) -> bytes:
 
 
 class Detail(IntEnum):
-    """How much a report has."""
+    """Amount of detail in a report."""
 
     SHORT = 0
     NORMAL = 1

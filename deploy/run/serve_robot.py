@@ -26,7 +26,7 @@ REFERENCE_FILE = "asked.csv"
 
 
 class Place(NamedTuple):
-    """Where a server listens, and where the client is that it calls.
+    """Address at which a server listens, and of the client that it calls.
 
     Attributes:
         ports: numbers of its ports, by what they are for.

@@ -16,7 +16,7 @@ COMPENSATION = {None: "", False: "without", True: "with"}
 
 
 class Equipped(Protocol):
-    """What has or lacks compensation and feedback at the drives; None where that is not asked."""
+    """A setting with or without compensation and feedback at the drives; None if it is not asked."""
 
     @property
     def compensation(self) -> bool | None: ...
@@ -78,7 +78,7 @@ Case = TypeVar("Case", bound=CaseResult)
 
 
 class Saved(Part):
-    """How much less was run than all variants and seeds at all tried values."""
+    """Runs and simulated time, against those of all variants and seeds at all tried values."""
 
     runs_planned: int
     runs_ended_early: int

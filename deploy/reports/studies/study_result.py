@@ -68,7 +68,7 @@ class Runs(Share):
 
 
 class StudyResult(GaugedSummary):
-    """What the result of every study has.
+    """Parts that the result of every study has.
 
     Attributes:
         kind: name of its kind.

@@ -1,4 +1,4 @@
-"""What a search for a margin found, for a summary."""
+"""Findings of a search for a margin, for a summary."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Growth(Part):
 
 
 class Theory(Part):
-    """What the linear loop tolerates, or the reason why there is no linear loop."""
+    """Delays that the linear loop tolerates, or the reason why there is no linear loop."""
 
     reason: str | None = None
     constant_ms: float | None = None

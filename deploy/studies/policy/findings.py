@@ -1,4 +1,4 @@
-"""What the runs of a merge say: the largest inference time, and jumps, jerk and ages at one."""
+"""Findings about the runs of a merge: the largest inference time; jumps, jerk and ages at one."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class ValueResult(TriedValue):
 
 
 class Effect(Part):
-    """How much a drawn quantity distinguishes lost plants, from −1 to 1."""
+    """Degree to which a drawn quantity distinguishes lost plants, from −1 to 1."""
 
     quantity: str
     effect: float

@@ -15,7 +15,7 @@ from plant_emulator.interfaces.settings import InterfaceSettings
 
 
 class Kind(StrEnum):
-    """What a client sends."""
+    """Kind of the targets that a client sends."""
 
     POSITION = "position"
     VELOCITY = "velocity"
