@@ -20,7 +20,6 @@ from tests.plant_emulator.robot_servers.test_abb_robot import sensor
 from tests.waiting import await_true
 from tests.warm_process import WarmProcess, output_of
 
-
 BAD_DURATIONS = ("inf", "nan", "-inf", "86401")
 
 
