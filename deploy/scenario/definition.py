@@ -26,7 +26,7 @@ def _as_text(value: object) -> object:
     return str(value).lower() if isinstance(value, bool | int | float) else value
 
 
-LONGEST_S = 86_400.0
+LONGEST_S = 86_400
 """Longest duration of a run, a day."""
 _Argument = Annotated[str, Field(max_length=1000), BeforeValidator(_as_text)]
 _Angle = Annotated[Number, Field(ge=-6.3, le=6.3)]

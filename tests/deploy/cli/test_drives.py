@@ -5,6 +5,7 @@ import socket
 from contextlib import closing
 
 import canopen
+import pytest
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.protocol import PROTOCOLS
@@ -17,7 +18,7 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.commissioning import build_bank
 from tests.plant_emulator.drives.test_clients import patient_node
 from tests.waiting import HANG_S, await_true
-from tests.warm_process import WarmProcess
+from tests.warm_process import WarmProcess, output_of
 
 GROUP = "239.74.163.9"
 
@@ -90,6 +91,12 @@ def test_other_drives_on_the_bus_are_refused():
     finally:
         first.send_signal(signal.SIGINT)
         first.communicate()
+
+
+@pytest.mark.parametrize("duration", ["inf", "nan"])
+def test_a_duration_that_is_not_finite_is_refused(duration):
+    output = " ".join(output_of("drives", "--duration", duration, code=2).split())
+    assert "'--duration': " in output
 
 
 def test_command_ends_after_its_duration_and_a_requested_fault():

@@ -107,6 +107,16 @@ def test_a_run_that_its_reference_cannot_judge_has_a_whole_recording(tmp_path, m
     assert fault.partition("s: ")[2] in " ".join(said)
 
 
+def test_the_longest_duration_ends_a_run_without_one(tmp_path, monkeypatch):
+    monkeypatch.setattr("deploy.run.serve_robot.LONGEST_S", 0.05)
+    setup, server = _checked("ur5e_motors", "servoj", None, None, None)
+    place = Place("127.0.0.57", "127.0.0.1", server.ports)
+    robot = ServedRobot(setup, server, "servoj", place, lambda _: None)
+    with robot.opened(), RunFolder.begin(setup, tmp_path / "out", overwrite=False) as folder:
+        summary = robot.run(folder, None).summary
+    assert (summary["ticks"], summary["completed"]) == (50, True)
+
+
 @pytest.fixture
 def ur5e():
     setup = load_setup("ur5e_motors", ["plant.interface.kind=servoj", "controller.law=streaming"])
