@@ -72,6 +72,7 @@ class LeRobotClient(PolicyClient):
         self._call("SendPolicyInstructions", _message(setup), timeout_s)
 
     def ask(self, observation: Observation, timeout_s: float) -> object:
+        until_s = time.monotonic() + timeout_s
         robot, values = self._robot, dict[str, object](observation.images)
         values |= zip(robot.state_names, map(float, observation.state), strict=True)
         if observation.task:
@@ -83,7 +84,8 @@ class LeRobotClient(PolicyClient):
         }  # fmt: skip
         data = pickled_instance("TimedObservation", sent)
         self._call("SendObservations", data, timeout_s, streams=True)
-        answer = _data_of(self._call("GetActions", b"", timeout_s))
+        left_s = max(0.0, until_s - time.monotonic())
+        answer = _data_of(self._call("GetActions", b"", timeout_s, left_s))
         if not answer:
             raise PolicyServerError(
                 "it answered without actions, as it does when its policy raises (its log has the"
@@ -128,8 +130,8 @@ class LeRobotClient(PolicyClient):
         return [each.action for each in found]
 
     def _call(
-        self, method: str, data: bytes, timeout_s: float, *, streams: bool = False,
-        waits: bool = False,
+        self, method: str, data: bytes, timeout_s: float, left_s: float | None = None, *,
+        streams: bool = False, waits: bool = False,
     ) -> bytes:  # fmt: skip
         import grpc
 
@@ -139,8 +141,9 @@ class LeRobotClient(PolicyClient):
         make = channel.stream_unary if streams else channel.unary_unary
         try:
             answer: bytes = make(f"{_SERVICE}/{method}", None, None)(
-                _in_messages(data) if streams else data, timeout=timeout_s, wait_for_ready=waits
-            )
+                _in_messages(data) if streams else data,
+                timeout=timeout_s if left_s is None else left_s, wait_for_ready=waits,
+            )  # fmt: skip
         except grpc.RpcError as error:
             raise _error_of(error, method, timeout_s, is_connecting=waits) from None
         except ValueError as error:  # another thread closed the channel

@@ -19,7 +19,7 @@ import numpy as np
 SERVICE = "transport.AsyncInference"
 
 
-class _Named:
+class Named:
     """Reduces to a call of a name that is not importable here."""
 
     def __init__(self, module, name, arguments):
@@ -27,8 +27,8 @@ class _Named:
 
 
 def pickled(value):
-    """Return opcodes for lists, numbers, tuples, bytes and `_Named`, as protocol 4 has them."""
-    if isinstance(value, _Named):
+    """Return opcodes for lists, numbers, tuples, bytes and `Named`, as protocol 4 has them."""
+    if isinstance(value, Named):
         called = f"c{value.module}\n{value.name}\n".encode()
         return called + pickled(value.arguments) + pickle.REDUCE
     if isinstance(value, tuple):
@@ -45,13 +45,13 @@ def tensor(values):
     described = b"\x80\x02" + kind + pickle.dumps(values.size, 2)[2:-1] + b"NtQ."
     parts = [0x1950A86A20F9469CFC6C, 1001, {"protocol_version": 1001, "little_endian": True}]
     head = b"".join(pickle.dumps(each, 2) for each in parts) + described + pickle.dumps(["0"], 2)
-    storage = _Named(
+    storage = Named(
         "torch.storage", "_load_from_bytes",
         (head + struct.pack("<q", values.size) + values.tobytes(),),
     )  # fmt: skip
-    hooks = _Named("collections", "OrderedDict", ())
+    hooks = Named("collections", "OrderedDict", ())
     arguments = (storage, 0, values.shape, tuple(n // 4 for n in values.strides), False, hooks)
-    return _Named("torch._utils", "_rebuild_tensor_v2", arguments)
+    return Named("torch._utils", "_rebuild_tensor_v2", arguments)
 
 
 def action_pickle(number, actions):

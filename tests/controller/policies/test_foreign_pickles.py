@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 from controller.policies.foreign_pickles import pickled_instance, timed_actions
-from tests.controller.policies.servers import ClassesOfTheServer, action_pickle
+from tests.controller.policies.servers import (
+    ClassesOfTheServer,
+    Named,
+    action_pickle,
+    pickled,
+    tensor,
+)
 
 OF_LEROBOT = zlib.decompress(
     base64.b85decode(
@@ -84,3 +90,87 @@ def test_refused_pickle_runs_nothing(tmp_path):
     with pytest.raises(pickle.UnpicklingError):
         timed_actions(pickle.dumps([Writes()]))
     assert not (tmp_path / "ran").exists()
+
+
+HELPERS = "lerobot.async_inference.helpers"
+REBUILD = "torch._utils", "_rebuild_tensor_v2"
+LIST, BUILD_STEP = pickle.EMPTY_LIST, b"}X\x08\x00\x00\x00timestepK\x07sb"
+
+
+def answer_of(timestep, action):
+    """Opcodes of a list of one action, whose attributes are given as opcodes."""
+    state = pickled("timestep") + timestep + pickled("action") + action
+    new = f"c{HELPERS}\nTimedAction\n".encode() + b")\x81"
+    return b"\x80\x04](" + new + b"}(" + state + b"ube."
+
+
+def view(storage, offset, size, stride):
+    return pickled(Named(*REBUILD, (storage, offset, size, stride)))
+
+
+def storage_of(count):
+    return tensor(np.arange(count)).arguments[0]
+
+
+def repeated(opcodes):
+    """A tuple of twice the same object."""
+    return opcodes + b"q\x00h\x00\x86"
+
+
+def test_answer_of_these_opcodes_is_read():
+    found = timed_actions(answer_of(pickled(4), view(storage_of(4), 1, (2,), (2,))))
+    np.testing.assert_array_equal(found[0].action, [1.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (
+            view(Named(*REBUILD, (storage_of(4), 0, (2, 2), (2, 1))), 1, (3,), (1,)),
+            "without a storage",
+        ),
+        (view(b"12345678", 0, (2,), (1,)), "without a storage"),
+        (view(storage_of(4), True, (2,), (1,)), "no counts"),
+        (view(storage_of(4), 0, (2.0,), (1,)), "no counts"),
+        (view(storage_of(4), 0, (2,), (True,)), "no counts"),
+        (view(storage_of(4), 3, (2,), (-1,)), "no counts"),
+        (view(storage_of(4), 0, (2,), (1, 1)), "without sizes and strides"),
+        (view(storage_of(1), 0, (10_000_000,), (0,)), "outside its storage"),
+        (view(storage_of(4), 0, (3, 3), (1, 1)), "outside its storage"),
+        (view(storage_of(4), 0, (2, 2), (2, 1)), "no tensor of one axis"),
+        (pickled(1.0), "no tensor of one axis"),
+        (LIST, "no tensor of one axis"),
+        (repeated(LIST), "repeats an object"),
+        (repeated(b"))\x86"), "repeats an object"),
+        (repeated(pickled(b"many bytes")), "repeats an object"),
+        (b"K\x01r\x00\xe1\xf5\x05", "memo index 100000000"),
+        (b"K\x012", "opcode DUP"),
+        (b"\x8b\x01\x00\x00\x00\x01", "opcode LONG4"),
+        (LIST * 500_000, "more than 500000 opcodes"),
+    ],
+)
+def test_hostile_actions_are_refused(action, message):
+    with pytest.raises(pickle.UnpicklingError, match=message):
+        timed_actions(answer_of(pickled(4), action))
+
+
+@pytest.mark.parametrize("step", [pickled(True), pickled(4.0), pickle.NONE, pickled(tensor([4]))])
+def test_timestep_must_be_an_integer(step):
+    with pytest.raises(pickle.UnpicklingError, match="timestep that is no integer"):
+        timed_actions(answer_of(step, pickled(tensor([1.0]))))
+
+
+@pytest.mark.parametrize(
+    "name", [(HELPERS, "TimedAction"), REBUILD, ("torch.storage", "_load_from_bytes")]
+)
+def test_answer_cannot_change_what_the_next_one_needs(name):
+    hostile = b"\x80\x02c" + "\n".join(name).encode() + b"\nN" + BUILD_STEP[:-1] + b"\x86b."
+    with pytest.raises(pickle.UnpicklingError, match="sets attributes|__setstate__"):
+        timed_actions(hostile)
+    assert [each.timestep for each in timed_actions(OF_LEROBOT)] == [7, 8, 9]
+
+
+def test_storage_of_another_type_is_refused():
+    part = OF_LEROBOT.replace(b"ctorch\nFloatStorage\n", b"X\x0f\x00\x00\x00" + b"V" * 15)
+    with pytest.raises(pickle.UnpicklingError, match="no storage of numbers"):
+        timed_actions(part)
