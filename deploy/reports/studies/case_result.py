@@ -16,7 +16,7 @@ COMPENSATION = {None: "", False: "without", True: "with"}
 
 
 class Equipped(Protocol):
-    """A setting with or without compensation and feedback at the drives; None if it is not asked."""
+    """A setting with or without compensation and feedback at the drives; None if not asked."""
 
     @property
     def compensation(self) -> bool | None: ...

@@ -165,7 +165,7 @@ def test_timestep_must_be_an_integer(step):
 )
 def test_answer_cannot_change_what_the_next_one_needs(name):
     hostile = b"\x80\x02c" + "\n".join(name).encode() + b"\nN" + BUILD_STEP[:-1] + b"\x86b."
-    with pytest.raises(pickle.UnpicklingError, match="sets attributes|__setstate__"):
+    with pytest.raises(pickle.UnpicklingError, match=r"sets attributes|__setstate__"):
         timed_actions(hostile)
     assert [each.timestep for each in timed_actions(OF_LEROBOT)] == [7, 8, 9]
 

@@ -144,7 +144,7 @@ def test_time_limit_holds_while_sending():
     with deaf_server() as (place, _):
         client = OpenPiClient(place, OpenPiSettings(), ROBOT)
         client.connect(30.0)
-        with pytest.raises(NoAnswerError, match="did not read the observation within 0.5 s"):
+        with pytest.raises(NoAnswerError, match=r"did not read the observation within 0\.5 s"):
             client.ask(LARGE, 0.5)
         client.close()
 
