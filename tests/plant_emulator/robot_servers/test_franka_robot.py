@@ -1,6 +1,7 @@
 """The emulated research interface: messages, moves, reflexes, and pylibfranka itself."""
 
 import json
+import os
 import random
 import socket
 import struct
@@ -352,7 +353,7 @@ print(json.dumps(found))
 def test_pylibfranka_unmodified_moves_a_joint_in_three_ways_and_recovers_from_a_reflex():
     """At 50 Hz and with the limiter, so that a busy machine keeps pace: 20 lost are 0.4 s."""
     port = 1337  # the client has no other
-    host = "127.0.0.64"
+    host = f"127.1.{os.getpid() // 256 % 256}.{os.getpid() % 256 or 1}"  # of this run alone
     with robot(
         FrankaServer, "panda_motors", "franka_position", {"commands": port}, *SCENARIO,
         "plant.interface.rate_hz=50", "plant.interface.franka_position.limiter=true", host=host,
