@@ -14,7 +14,7 @@ import pickle
 import pickletools
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -116,7 +116,7 @@ class _Scan:
         begin, left, before, repeatable = file.tell(), self._left, "", dict[int, bool]()
         for opcode, argument, _ in pickletools.genops(file):
             self._left -= 1
-            name, index = opcode.name, argument
+            name, index = opcode.name, cast(int, argument)
             if self._left < 0:
                 raise pickle.UnpicklingError(f"has more than {_MOST_OPCODES} opcodes")
             if name not in _OPCODES:

@@ -29,6 +29,15 @@ from deploy.study.study import StudyOfRuns
 INFERENCE, MERGE, TASK = "controller.inference_ms", "controller.chunks.merge", "reference.task"
 _TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _MOST_TIMES = 1000
+_YAML = (".yaml", ".yml")
+_OF_ARM_FILES: dict[str, Any] = {
+    "plant.interface": {"kind": "servoj", "servoj": {"lookahead_time_s": 0.03, "gain": 1200}},
+    "controller.between_answers": "linear",
+    "controller.chunks": {"horizon": 16, "period_ms": 40, "ask_every": 6},
+    "funnel": {"final_rad": 0.08, "convergence_margin_rad": 0.08, "overshoot_margin_rad": 0.08},
+    "metrics.from_s": 1.0,
+}
+"""Values for the file of an arm, which says nothing of the robot's interface and of chunks."""
 
 
 def usual_merges() -> list[str]:
@@ -40,7 +49,8 @@ class PolicyDefinition(StudyDefinition):
     """Settings of a study of a policy.
 
     Attributes:
-        scenarios: scenarios, or files of arms.
+        scenarios: scenarios, or files of arms: those get ``servoj`` and chunks of 16 actions at
+            25 Hz, asked for at every sixth, unless `fixed` has others.
         law: the policy; null for that of each scenario.
         merges: names of the merges to try; those that ship and do not wait by default.
         network: a file of delays, or the name of a shipped trace; null for the scenario's link.
@@ -125,7 +135,7 @@ class PolicyStudy(StudyOfRuns):
                         "arm": case.arm, "merge": case.merge, "inference_ms": time_ms, "task": task,
                     }  # fmt: skip
                     point = f"{number:03d}-{round(1e3 * time_ms):08d}-{task or 0:04d}"
-                    overrides = self._overrides(case.merge, time_ms, task)
+                    overrides = self._overrides(case.scenario, case.merge, time_ms, task)
                     for seed in wanted.seeds:
                         yield PlannedRun(
                             point, case.scenario, overrides, seed, columns, bool(wanted.confirm),
@@ -182,13 +192,19 @@ class PolicyStudy(StudyOfRuns):
         return Case(scenario, base.scenario.name, merge, times_ms, is_whole)
 
     def _setup(self, scenario: str, merge: str, inference_ms: float) -> Setup:
-        return load_setup(scenario, self._overrides(merge, inference_ms, self._tasks[-1]))
+        last = self._tasks[-1]
+        return load_setup(scenario, self._overrides(scenario, merge, inference_ms, last))
 
-    def _overrides(self, merge: str, inference_ms: float, task: int | None) -> tuple[str, ...]:
+    def _overrides(
+        self, scenario: str, merge: str, inference_ms: float, task: int | None
+    ) -> tuple[str, ...]:
         wanted = self.definition
+        usual: tuple[str, ...] = ()
+        if Path(scenario).suffix and not scenario.endswith(_YAML):
+            usual = tuple(override(key, value) for key, value in _OF_ARM_FILES.items())
         traces = {} if wanted.network is None else dict.fromkeys(_TRACES, wanted.network)
         law = {} if wanted.law is None else {study_keys.LAW: wanted.law}
         tasks = {} if task is None else {TASK: task}
         values = {**traces, **law, MERGE: merge, INFERENCE: inference_ms, **tasks}
         own = (override(key, value) for key, value in values.items())
-        return (*wanted.fixed_overrides, *own)
+        return (*usual, *wanted.fixed_overrides, *own)

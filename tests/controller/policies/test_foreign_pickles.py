@@ -94,7 +94,7 @@ def test_refused_pickle_runs_nothing(tmp_path):
 
 HELPERS = "lerobot.async_inference.helpers"
 REBUILD = "torch._utils", "_rebuild_tensor_v2"
-LIST, BUILD_STEP = pickle.EMPTY_LIST, b"}X\x08\x00\x00\x00timestepK\x07sb"
+LIST, STEP_OF_7 = pickle.EMPTY_LIST, b"}X\x08\x00\x00\x00timestepK\x07s"
 
 
 def answer_of(timestep, action):
@@ -164,7 +164,7 @@ def test_timestep_must_be_an_integer(step):
     "name", [(HELPERS, "TimedAction"), REBUILD, ("torch.storage", "_load_from_bytes")]
 )
 def test_answer_cannot_change_what_the_next_one_needs(name):
-    hostile = b"\x80\x02c" + "\n".join(name).encode() + b"\nN" + BUILD_STEP[:-1] + b"\x86b."
+    hostile = b"\x80\x02c" + "\n".join(name).encode() + b"\nN" + STEP_OF_7 + b"\x86b."
     with pytest.raises(pickle.UnpicklingError, match=r"sets attributes|__setstate__"):
         timed_actions(hostile)
     assert [each.timestep for each in timed_actions(OF_LEROBOT)] == [7, 8, 9]

@@ -81,8 +81,8 @@ def generic(dtype):
     [
         (generic("V1000000000"), "values of type 'V1000000000'"),
         (generic("O"), "values of type 'O'"),
-        (generic("M8[s]"), r"values of type 'M8\[s\]'"),
-        (generic(["f4"]), r"values of type \['f4'\]"),
+        (generic("M8[s]"), "values of type 'M8[s]'"),
+        (generic(["f4"]), "values of type ['f4']"),
         ({"actions": [[None] * 1000] * 1001}, "more than 1000000 entries"),
         ({"actions": [[]] * 1_000_000}, "more than 1000000 entries"),
         (bytes(64 * MIB + 1), "its answer is larger than 67108864 bytes"),
@@ -92,8 +92,7 @@ def generic(dtype):
 )
 def test_hostile_answers_of_openpi_end_in_a_short_error(start, answer, message):
     server = packed_server(start, answer)
-    with pytest.raises(AssertionError, match=message):
-        raise AssertionError(error_of(server))
+    assert message in error_of(server)
 
 
 def test_too_large_answer_of_lerobot_names_its_size(start):
