@@ -94,7 +94,7 @@ def policy_table(summary: Summary) -> Table:
 
     def ends(case: Summary) -> str:
         if case["is_limit"] and not case["is_whole"]:
-            return "the merge: d > H − s"
+            return "d > H − s"
         return case["ends"] or ABSENT
 
     def tasks(case: Summary) -> str:

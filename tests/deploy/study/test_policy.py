@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import funnel_hil as funnel_hil_api
+from deploy.scenario.scenario import load_setup
 from deploy.studies.policy.findings import jump_column, longest, recommended
+from deploy.studies.policy.policy_study import PolicyStudy
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
@@ -141,3 +144,16 @@ def test_a_servers_own_time_is_refused(funnel_hil, tmp_path):
     measured = ("--set", "controller.policy_server.inference=measured", *SHORT)
     words = ("policy", "openpi://127.0.0.1:1", tmp_path / "one.yaml", *measured)
     assert "controller.policy_server.inference" in funnel_hil.output(*words, code=2)
+
+
+def test_the_file_of_an_arm_gets_an_interface_and_chunks_which_options_change():
+    arm = str(load_setup("ur5e_motors").robot.path)
+    given = {"scenarios": [arm], "law": "funnel_hil:Demonstrator", "merges": ["replace"]}
+    [base] = PolicyStudy(given, Path("policy")).bases
+    assert base.scenario.plant.interface.kind == "servoj"
+    assert (base.scenario.controller.chunks.horizon, base.scenario.funnel.final_rad[0]) == (
+        16,
+        0.08,
+    )
+    [base] = PolicyStudy({**given, "set": {"controller.chunks.horizon": 8}}, Path("policy")).bases
+    assert base.scenario.controller.chunks.horizon == 8
