@@ -17,7 +17,7 @@ from controller.chunks.merge import ChunkMerge
 from controller.chunks.merges import Replace
 from controller.chunks.switches import ChunkLog
 from controller.control_law import ControlLaw, Tracking
-from controller.timed_calls import TimedCalls
+from controller.timed_calls import CallThread
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,7 @@ class SlowLaw:
         guide = getattr(law, "guide", None)
         self._guide = guide if callable(guide) else None
         self._row_s = self._rules.action_s or timing.period_s
-        limit_s = timing.timeout_s
-        self._in_time = None if limit_s is None else TimedCalls[tuple[Matrix, Matrix]](limit_s)
+        self._calls = CallThread[tuple[Matrix, Matrix]]()
         self.diagnostics = law.diagnostics
         self._in_force: Answer | None = None
         self._open: OpenQuestion | None = None
@@ -191,11 +190,9 @@ class SlowLaw:
         now_s = tracking.time_s
         self._tell(now_s)
         self._note_question(now_s)
-        if self._in_time is None:
-            answers = self._answers(tracking)
-        else:
-            answers = self._in_time(partial(self._answers, tracking))
-        return self._waiting(self._as_answer(now_s, *answers), None)
+        answers, limit_s = partial(self._answers, tracking), self._timing.timeout_s
+        given = answers() if limit_s is None else self._calls.wait(answers, limit_s)
+        return self._waiting(self._as_answer(now_s, *given), None)
 
     def _note_question(self, now_s: float) -> None:
         self._asked += 1

@@ -5,58 +5,59 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Callable
-from queue import Empty, SimpleQueue
+from concurrent.futures import Future
+from queue import SimpleQueue
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
 
-class TimedCalls(Generic[T]):
-    """Calls a function in a thread of its own, and waits for it no longer than a given time.
+class CallThread(Generic[T]):
+    """Calls functions in a thread of its own.
 
     All calls come from one thread, as some libraries ask for that. It ends with this object, or is
-    left behind if the function never returns.
-
-    Args:
-        timeout_s: longest time of a call, wall time.
+    left behind if a function never returns; the exit of the process does not wait for it.
     """
 
-    def __init__(self, timeout_s: float) -> None:
-        self._timeout_s = timeout_s
-        self._calls: SimpleQueue[Callable[[], T] | None] = SimpleQueue()
-        self._results: SimpleQueue[tuple[T | None, BaseException | None]] = SimpleQueue()
+    def __init__(self) -> None:
+        self._calls: SimpleQueue[tuple[Callable[[], T], Future[T]] | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
 
-    def __call__(self, function: Callable[[], T]) -> T:
-        """Return what the function returns.
+    def start(self, function: Callable[[], T]) -> Future[T]:
+        """Have the thread call a function after those before it; return its future result."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
+            self._thread.start()
+            weakref.finalize(self, self._calls.put, None)
+        future = Future[T]()
+        self._calls.put((function, future))
+        return future
+
+    def wait(self, function: Callable[[], T], timeout_s: float) -> T:
+        """Return what a function returns.
+
+        Args:
+            function: what to call.
+            timeout_s: longest time, wall time.
 
         Raises:
             TimeoutError: it did not return in time.
             BaseException: as the function raises.
         """
-        if self._thread is None:
-            self._thread = threading.Thread(
-                target=_serve, args=(self._calls, self._results), daemon=True
-            )
-            self._thread.start()
-            weakref.finalize(self, self._calls.put, None)
-        self._calls.put(function)
+        future = self.start(function)
         try:
-            result, error = self._results.get(timeout=self._timeout_s)
-        except Empty:
-            raise TimeoutError(f"no answer within {self._timeout_s:g} s") from None
-        if error is not None:
-            raise error
-        return result  # type: ignore[return-value]  # of a function that raised nothing
+            return future.result(timeout_s)
+        except TimeoutError:
+            if future.done():  # the function's own
+                raise
+            raise TimeoutError(f"no answer within {timeout_s:g} s") from None
 
 
-def _serve(
-    calls: SimpleQueue[Callable[[], T] | None],
-    results: SimpleQueue[tuple[T | None, BaseException | None]],
-) -> None:
-    while (function := calls.get()) is not None:
+def _serve(calls: SimpleQueue[tuple[Callable[[], T], Future[T]] | None]) -> None:
+    while (call := calls.get()) is not None:
+        function, future = call
         try:
-            results.put((function(), None))
+            future.set_result(function())
         except BaseException as error:  # noqa: BLE001 (it is raised where the caller waits)
-            results.put((None, error))
-        del function
+            future.set_exception(error)
+        del call, function, future  # or they would live until the next call

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +17,7 @@ from controller.control_law import Tracking
 from controller.policies.client import PolicyServerError
 from controller.policies.served_policy import ServedPolicy, timed_answer
 from controller.slow_law import AnswerTiming, ChunkRules, OpenQuestion, SlowLaw, WaitingAnswer
+from controller.timed_calls import CallThread
 
 
 class ServedLaw(SlowLaw):
@@ -36,6 +36,7 @@ class ServedLaw(SlowLaw):
         self._policy = policy
         self._recorded: Sequence[Mapping[str, Any]] | None = None
         self._is_real_time = False
+        self._questions = CallThread[Matrix]()
         self._new: list[str] = []
         super().__init__(policy, timing, rules)
 
@@ -78,7 +79,7 @@ class ServedLaw(SlowLaw):
             return self._next_recorded(asked_s)
         observation = self._policy.observe(tracking)
         if self._is_real_time:
-            future = _in_thread(lambda: self._policy.answer(observation))
+            future = self._questions.start(lambda: self._policy.answer(observation))
             return _InThread(self, asked_s, future)
         actions, took_s = timed_answer(self._policy, observation)
         is_measured = self._policy.settings.inference == "measured"
@@ -122,17 +123,3 @@ class _InThread:
         actions = self.future.result()
         self.law.keep(self.asked_s, now_s, actions)
         return self.law.with_actions(self.asked_s, actions)
-
-
-def _in_thread(function: Callable[[], Matrix]) -> Future[Matrix]:
-    """Call a function in a thread that the exit of the process does not wait for."""
-    future = Future[Matrix]()
-
-    def call() -> None:
-        try:
-            future.set_result(function())
-        except BaseException as error:  # noqa: BLE001 (it is raised where the loop waits)
-            future.set_exception(error)
-
-    threading.Thread(target=call, name="policy server", daemon=True).start()
-    return future
