@@ -52,6 +52,14 @@ class ClientMotion(Stoppable):
         return np.stack([self._joints.position, self._joints.velocity])
 
     @property
+    def target_rad(self) -> Vector:
+        """Position of the newest target, shape (joints,); NaN without one."""
+        if self.target is None:
+            return np.full(self._joints.position.size, np.nan)
+        position: Vector = self.target[0]
+        return position
+
+    @property
     def is_moved(self) -> bool:
         """Whether an interface moves the robot."""
         return self._interface is not None

@@ -123,8 +123,7 @@ class EgmServer(RobotServer):
 
     @property
     def target_rad(self) -> Vector:
-        target = self._motion.target
-        return np.full(self._motion.planned.shape[1], np.nan) if target is None else target[0]
+        return self._motion.target_rad
 
     @property
     def counts(self) -> dict[str, Any]:

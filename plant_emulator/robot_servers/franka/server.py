@@ -69,11 +69,8 @@ class FrankaServer(RobotServer):
 
     @property
     def target_rad(self) -> Vector:
-        target = self._motion.target
-        if target is None or self._kind is not Kind.POSITION:
-            return np.full(self._motion.planned.shape[1], np.nan)
-        position: Vector = target[0]
-        return position
+        asked_rad = self._motion.target_rad
+        return asked_rad if self._kind is Kind.POSITION else np.full_like(asked_rad, np.nan)
 
     @property
     def counts(self) -> dict[str, Any]:

@@ -88,11 +88,7 @@ class XArmServer(RobotServer):
 
     @property
     def target_rad(self) -> Vector:
-        target = self._motion.target
-        if target is None:
-            return np.full(self._motion.planned.shape[1], np.nan)
-        position: Vector = target[0]
-        return position
+        return self._motion.target_rad
 
     @property
     def counts(self) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
@@ -12,15 +11,13 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from bus_schema.runtime.clock import MonotonicClock
-from deploy.scenario.scenario import load_setup
 from plant_emulator.interfaces.servoj import ServoJSettings
-from plant_emulator.robot_servers.robot_rig import RobotRig
 from plant_emulator.robot_servers.universal_robots.control_script import ControlScript
 from plant_emulator.robot_servers.universal_robots.dashboard import answer
 from plant_emulator.robot_servers.universal_robots.motion import ScriptMotion
 from plant_emulator.robot_servers.universal_robots.rtde_port import RtdeClient
 from plant_emulator.robot_servers.universal_robots.server import UniversalRobotsServer
+from tests.plant_emulator.robot_servers import served
 from tests.waiting import HANG_S
 
 H = 2e-3
@@ -237,22 +234,11 @@ def test_what_is_not_emulated_is_said():
 @contextmanager
 def robot(host, **ports):
     """A UR5e in real time; its server and its rig."""
-    setup = load_setup("ur5e_motors", ["plant.interface.kind=servoj", "controller.law=streaming"])
-    interface = setup.scenario.plant.interface
-    server = UniversalRobotsServer(interface.settings, interface.period_s, lambda _: None)
-    arm = setup.arm()
-    arm.be_controlled_by(setup.robot_controller(server.interface))
-    server.open(host, ports or server.ports)
-    rig = RobotRig(arm, server, MonotonicClock(), setup.grid, lambda *_: None)
-    thread = threading.Thread(target=rig.run)
-    thread.start()
-    try:
-        yield server, rig
-    finally:
-        rig.request_stop()
-        thread.join()
-        server.close()
-        arm.close()
+    with served.robot(
+        UniversalRobotsServer, "ur5e_motors", "servoj", ports or UniversalRobotsServer.ports,
+        "controller.law=streaming", host=host,
+    ) as found:  # fmt: skip
+        yield found
 
 
 class Client:
