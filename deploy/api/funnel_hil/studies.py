@@ -20,7 +20,7 @@ from deploy.scenario.yaml_files import naming
 from deploy.studies.benchmark.benchmark import Benchmark
 from deploy.studies.benchmark.cells import BENCHMARK_DELAYS_MS, BENCHMARK_PREDICTORS
 from deploy.studies.margin.margin_study import margin_study
-from deploy.studies.policy.policy_study import PolicyStudy
+from deploy.studies.policy.policy import PolicyStudy
 from deploy.studies.sweep.sweep import Sweep
 from deploy.study.execution.folder import StudyFolder, here
 from deploy.study.execution.runner import Workers

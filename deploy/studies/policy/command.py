@@ -14,7 +14,7 @@ from deploy.command.options import GateOptions, taking
 from deploy.command.study_command import run_study
 from deploy.command.study_options import WorkerOptions
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.studies.policy.policy_study import PolicyStudy
+from deploy.studies.policy.policy import PolicyStudy
 
 
 @dataclass(kw_only=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from deploy.reports.kinds import ResultKind
-from deploy.studies.policy.numbers import GaugedPolicy
 from deploy.studies.policy.page import policy_page
-from deploy.studies.policy.policy_study import PolicyStudy
+from deploy.studies.policy.policy import PolicyStudy
+from deploy.studies.policy.result import GaugedPolicy
 
 KIND = ResultKind(PolicyStudy.kind, GaugedPolicy, PolicyStudy, policy_page)

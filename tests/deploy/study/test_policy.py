@@ -8,7 +8,7 @@ from pathlib import Path
 import funnel_hil as funnel_hil_api
 from deploy.scenario.scenario import load_setup
 from deploy.studies.policy.findings import jump_column, longest, recommended
-from deploy.studies.policy.policy_study import PolicyStudy
+from deploy.studies.policy.policy import PolicyStudy
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
