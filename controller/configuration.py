@@ -63,6 +63,7 @@ from controller.policies.served_law import ServedLaw
 from controller.policies.served_policy import ServedPolicy
 from controller.slow_law import AnswerTiming, ChunkRules, SlowLaw
 
+USUAL_ANSWER_TIMEOUT_S = 60.0
 LONGEST_HORIZON_MS = 1e-6 * LONGEST_HORIZON_NS
 LONGEST_BRIDGE_MS = 1000.0
 """Longest time for which a command may bridge the loss of later ones."""
@@ -237,7 +238,7 @@ class ControllerConfiguration(StrictModel):
     inference_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     inference_jitter_ms: Annotated[NonNegative, Field(le=10_000)] = 0.0
     first_inference_ms: Annotated[NonNegative, Field(le=10_000)] | None = None
-    answer_timeout_s: Positive | None = 60.0
+    answer_timeout_s: Positive | None = USUAL_ANSWER_TIMEOUT_S
     between_answers: BetweenAnswers = "hold"
     chunks: ChunksConfiguration | None = None
     preview_ms: Annotated[NonNegative, Field(le=10_000)] | Literal["auto"] = "auto"
@@ -464,12 +465,19 @@ class ControllerConfiguration(StrictModel):
                 " 1, controller.inference_ms above 0 or controller.chunks"
             )
             raise ConfigurationError("controller.between_answers", between, allowed)
+        limit_s = self.answer_timeout_s if is_custom(self.law) and is_slow else None
+        if limit_s is None and self.answer_timeout_s not in (None, USUAL_ANSWER_TIMEOUT_S):
+            allowed = (
+                "must be left out, unless a custom law is slower than the loop, as with chunks"
+            )
+            key = "controller.answer_timeout_s"
+            raise ConfigurationError(key, self.answer_timeout_s, allowed, ["controller.law"])
         if not is_slow:
             return law
         holding = Holding(between, keeps_velocity=takes == "velocity")
         timing = AnswerTiming(
             self.every, inference_s, jitter_s, holding, period_s, seed, first_s,
-            self.answer_timeout_s if is_custom(self.law) else None,
+            limit_s,
         )  # fmt: skip
         chunks = self.chunks
         if chunks is None:

@@ -181,6 +181,7 @@ def test_lockstep_simulation_and_replay_have_equal_digests(merge, tmp_path):
          "d is 10, s is 8 and H is 16"),
         ("controller.chunks={merge: replac}", "did you mean replace?"),
         ("controller.chunks={horizon: 0}", "controller.chunks.horizon = 0"),
+        ("controller.answer_timeout_s=5", "controller.answer_timeout_s = 5"),
     ],
 )  # fmt: skip
 def test_bad_chunks_are_refused(funnel_hil, override, words):
