@@ -32,7 +32,7 @@ from tests.waiting import HANG_S
 ROOT = Path(__file__).resolve().parents[1]
 IMPORTED = (
     "deploy.cli.processes", "deploy.cli.run_and_simulate", "deploy.cli.recorded",
-    "deploy.command.study_command", "deploy.reports.html", "deploy.reports.runs.run_panels",
+    "deploy.cli.parts.study_command", "deploy.reports.html", "deploy.reports.runs.run_panels",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
 FUNNEL_HIL = "deploy.cli:main"
@@ -117,7 +117,7 @@ def here(*words: object, **environment: str) -> tuple[int, str]:
         with (
             mock.patch.object(sys, "argv", ["funnel-hil", *map(str, words)]),
             mock.patch.dict(os.environ, environment),
-            mock.patch("deploy.command.watched.run_watched", _call),
+            mock.patch("deploy.cli.parts.watched.run_watched", _call),
             mock.patch("deploy.cli.run_and_simulate.run_watched", _call),
             mock.patch("os.nice"),  # `view` lowers its priority, and nothing can raise it again
             # it also leaves the first and last CPU for good

@@ -70,7 +70,7 @@ PANELS = {
     "Other systems": {
         "ros2": "cli.ros2:app",
         "reference": "cli.export:reference",
-        "bench": "bench.bench:bench",
+        "bench": "studies.bench.command:bench",
     },
 }
 """Place of each command below `deploy`, ``module:function`` or ``module:app`` for a group, by the
@@ -157,7 +157,7 @@ class LazyCommand(TyperCommand):
         """Import the command."""
         name = self.name or ""
         if name in _added():
-            found = import_module("deploy.command.file_command").command_of(name)
+            found = import_module("deploy.cli.parts.file_command").command_of(name)
         else:
             module, _, attribute = COMMANDS[name].partition(":")
             found = getattr(import_module(f"deploy.{module}"), attribute)

@@ -29,8 +29,8 @@ from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.runtime.extensions import PREFIX, installed
 from bus_schema.safe_path import safe_path
 from controller.laws.custom import custom_laws_left_out
-from deploy.command.findings import Finding, Status, show
-from deploy.command.options import Overrides
+from deploy.cli.parts.findings import Finding, Status, show
+from deploy.cli.parts.options import Overrides
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT
 from deploy.run.processes.scheduling import remedy

@@ -17,8 +17,8 @@ from bus_schema.can.survey import require_no_others
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.command.common import say_warnings
-from deploy.command.options import Overrides, ScenarioArgument, finite
+from deploy.cli.parts.common import say_warnings
+from deploy.cli.parts.options import Overrides, ScenarioArgument, finite
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.stop_signals import on_stop

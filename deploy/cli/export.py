@@ -12,7 +12,7 @@ import typer
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.foreign_text import say
-from deploy.command.options import Overrides, ScenarioArgument
+from deploy.cli.parts.options import Overrides, ScenarioArgument
 from deploy.judge.bounds import all_damage
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_data import RunData

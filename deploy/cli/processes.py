@@ -10,8 +10,8 @@ import typer
 
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import partial_path
-from deploy.command.common import finish
-from deploy.command.options import OneRunOptions, Out, Overrides, Overwrite, ScenarioArgument
+from deploy.cli.parts.common import finish
+from deploy.cli.parts.options import OneRunOptions, Out, Overrides, Overwrite, ScenarioArgument
 from deploy.run.console import Console
 from deploy.run.execute import recorded
 from deploy.run.exit_codes import FINISHED

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from controller.laws.custom import is_custom
-from deploy.command.common import show_results
+from deploy.cli.parts.common import show_results
 from deploy.judge.arithmetic import difference_of_arithmetic
 from deploy.judge.bounds import all_damage
 from deploy.judge.run_data import ROBOT_SERVER, RunData

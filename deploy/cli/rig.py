@@ -10,7 +10,7 @@ from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.can.survey import FORMAT, ask_drives
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
-from deploy.command.findings import Finding
+from deploy.cli.parts.findings import Finding
 from deploy.scenario.link_kinds.can import check_drives
 from deploy.scenario.setup import Setup
 

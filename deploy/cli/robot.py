@@ -20,7 +20,7 @@ from bus_schema.urdf.checks import finite_number
 from bus_schema.urdf.end_effectors import BESIDE
 from bus_schema.urdf.implausible import telescope_warnings, tip_warnings
 from controller.manipulator_model import ManipulatorModel
-from deploy.command.options import IncludeOption, InterfaceOption, JointsOption, MassOption
+from deploy.cli.parts.options import IncludeOption, InterfaceOption, JointsOption, MassOption
 from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console

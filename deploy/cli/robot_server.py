@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from bus_schema.configuration import ConfigurationError
-from deploy.command.common import say_warnings, show_results
-from deploy.command.options import (
+from deploy.cli.parts.common import say_warnings, show_results
+from deploy.cli.parts.options import (
     NoReport,
     Out,
     Overrides,

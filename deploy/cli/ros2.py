@@ -15,7 +15,7 @@ from bus_schema.errors import InputError
 from bus_schema.messages.types import PACKAGE
 from bus_schema.recording.atomic_files import write_whole
 from bus_schema.view.arm_view import description
-from deploy.command.options import Overrides, ScenarioArgument
+from deploy.cli.parts.options import Overrides, ScenarioArgument
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 

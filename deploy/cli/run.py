@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from deploy.command.options import RunOptions, SimulateOptions, taking
+from deploy.cli.parts.options import RunOptions, SimulateOptions, taking
 
 
 @taking(RunOptions)

@@ -12,11 +12,11 @@ import typer
 
 from bus_schema.messages.topics import Role
 from controller.laws.custom import custom_laws_left_out
+from deploy.cli.parts.common import ResultGate, finish, say_warnings, watching
+from deploy.cli.parts.options import RunOptions, SimulateOptions
+from deploy.cli.parts.progress import CommandProgress
+from deploy.cli.parts.watched import run_watched
 from deploy.cli.show_run import show_relay, status_handler
-from deploy.command.common import ResultGate, finish, say_warnings, watching
-from deploy.command.options import RunOptions, SimulateOptions
-from deploy.command.progress import CommandProgress
-from deploy.command.watched import run_watched
 from deploy.judge.tested_with import tested_with
 from deploy.reports.results import load_report
 from deploy.run.confirmation import check_confirmable, check_repeatable, simulated_otherwise

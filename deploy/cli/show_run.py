@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from bus_schema.runtime.compiled import say_that_it_compiles
-from deploy.command.progress import CommandProgress
+from deploy.cli.parts.progress import CommandProgress
 from deploy.reports.tables import number, short_names
 from deploy.run.console import Console
 from deploy.run.processes.child import VIEWER

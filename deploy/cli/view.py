@@ -13,9 +13,9 @@ import typer
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.recording.atomic_files import write_json
 from controller.laws.custom import custom_laws_left_out
-from deploy.live.foxglove_layout import foxglove_layout
-from deploy.live.playback import Playback
-from deploy.live.viewer import Source, Viewer, stand_back
+from deploy.reports.live.foxglove_layout import foxglove_layout
+from deploy.reports.live.playback import Playback
+from deploy.reports.live.viewer import Source, Viewer, stand_back
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.network.live_feed import FeedReceiver
 from deploy.run.processes.scheduling import leave_loops_their_cpus

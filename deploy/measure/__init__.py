@@ -1,1 +1,1 @@
-"""Measures networks and systems of others, and writes what the emulated link replays."""
+"""Measurements of real networks and robots: delays, traces for the emulated link, plants."""

@@ -34,9 +34,9 @@ from bus_schema.can.medium import CandumpLog, CanMedium
 from bus_schema.can.session import open_can_bus, open_python_can, to_message
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.runtime.compiled import c_function, compiled
-from deploy.bench.bench import show_section
-from deploy.bench.measure import Costs, Ratio, Section, interleave, ratio
 from deploy.run.network.links import free_ports
+from deploy.studies.bench.command import show_section
+from deploy.studies.bench.measure import Costs, Ratio, Section, interleave, ratio
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveSettings

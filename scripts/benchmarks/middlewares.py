@@ -11,7 +11,7 @@ from importlib.util import find_spec
 
 from rich.console import Console
 
-from deploy.bench.bench import show_section
+from deploy.studies.bench.command import show_section
 from scripts.benchmarks.round_trip import (
     SECURED_ZENOH,
     TRANSPORTS,

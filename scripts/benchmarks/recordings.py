@@ -15,14 +15,14 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Topic
 from bus_schema.recording.mcap_log import McapLog, read_log
-from deploy.bench.bench import show_section
-from deploy.bench.measure import Section, cost_us, interleave, ratio
 from deploy.judge.metrics import judge
 from deploy.reports.html import write_page
 from deploy.reports.runs.run_pages import run_page
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from deploy.studies.bench.command import show_section
+from deploy.studies.bench.measure import Section, cost_us, interleave, ratio
 
 RECORDING, BARE = "recorded message", "message of the bare MCAP writer"
 READ, LIBRARY = "recording read and checked", "read by the MCAP library, chunks checked"

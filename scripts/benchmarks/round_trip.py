@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 
-from deploy.bench.loop import (
+from deploy.scenario.setup import Setup
+from deploy.studies.bench.loop import (
     LOCKSTEP,
     ROUND_TRIP,
     SIMULATE,
@@ -18,8 +19,7 @@ from deploy.bench.loop import (
     realtime_setup,
     simulate_us,
 )
-from deploy.bench.measure import Section, interleave, ratio
-from deploy.scenario.setup import Setup
+from deploy.studies.bench.measure import Section, interleave, ratio
 from scripts.benchmarks import cyclictest
 from scripts.benchmarks.echo import EchoPair, Transport
 from scripts.benchmarks.transports.bare import RawUdp, SecuredZenoh, Zenoh

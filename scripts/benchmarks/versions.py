@@ -22,8 +22,8 @@ from llvmlite.binding import get_host_cpu_name
 from rich.console import Console
 
 from bus_schema.runtime.kernel_cache import FOLDER
-from deploy.bench.bench import show_section
-from deploy.bench.measure import Costs, Section, Spread, interleave, ratio
+from deploy.studies.bench.command import show_section
+from deploy.studies.bench.measure import Costs, Section, Spread, interleave, ratio
 
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = {

@@ -18,9 +18,9 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.robot_description import load_robot
-from deploy.identify.identification import Wishes, identify
-from deploy.identify.identified import Identified
-from deploy.identify.quality import predicted_before
+from deploy.measure.identify.identification import Wishes, identify
+from deploy.measure.identify.identified import Identified
+from deploy.measure.identify.quality import predicted_before
 from deploy.scenario.referenced_files import find_urdf
 
 _WIDTH, _ROW, _LEFT, _TOP = 760, 78, 60, 26

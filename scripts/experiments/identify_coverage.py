@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.identify.identification import Wishes, identify
-from tests.deploy.identify.virtual_logs import excitation, intervals, truth_of, write_log
+from deploy.measure.identify.identification import Wishes, identify
+from tests.deploy.measure.identify.virtual_logs import excitation, intervals, truth_of, write_log
 
 
 class Off(NamedTuple):

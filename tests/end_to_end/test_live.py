@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from running import ENDLESS, assert_as_simulated, processes_of, settings, started
 
-from tests.deploy.live.watched import Events, get, place
+from tests.deploy.reports.live.watched import Events, get, place
 from tests.security import issued_keys
 from tests.waiting import HANG_S, await_true
 from tests.warm_process import WarmProcess

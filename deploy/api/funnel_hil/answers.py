@@ -23,7 +23,7 @@ from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLik
 from funnel_hil.studies import OnProgress, session_of, written_scenarios
 
 if TYPE_CHECKING:
-    from deploy.identify.identified import Identified
+    from deploy.measure.identify.identified import Identified
 
 
 class Identification(Drawn):
@@ -78,9 +78,9 @@ def identify(
     Raises:
         InputError: a log or the arm cannot be used.
     """
-    from deploy.identify.identification import Wishes  # heavy
-    from deploy.identify.identification import identify as identify_arm
-    from deploy.identify.results import SCENARIO, check_is_free, summary_of, write_results
+    from deploy.measure.identify.identification import Wishes  # heavy
+    from deploy.measure.identify.identification import identify as identify_arm
+    from deploy.measure.identify.results import SCENARIO, check_is_free, summary_of, write_results
     from deploy.studies.identify.page import write_identify_report
 
     if unknown := more.keys() - Wishes.__dataclass_fields__.keys():

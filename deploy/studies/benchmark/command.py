@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from controller.laws import torque_laws
-from deploy.command.common import parse_laws
-from deploy.command.options import GateOptions, taking
-from deploy.command.study_command import run_study
-from deploy.command.study_options import StudyOptions, listed
+from deploy.cli.parts.common import parse_laws
+from deploy.cli.parts.options import GateOptions, taking
+from deploy.cli.parts.study_command import run_study
+from deploy.cli.parts.study_options import StudyOptions, listed
 from deploy.scenario.referenced_files import TRACES
 from deploy.studies.benchmark.benchmark import Benchmark
 from deploy.studies.benchmark.cells import (

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.command.common import parse_laws
-from deploy.command.options import Confirm, GateOptions, RequireBounds, ScenarioArgument, taking
-from deploy.command.study_command import run_study
-from deploy.command.study_options import DEFAULT_LAWS, WorkerOptions
+from deploy.cli.parts.common import parse_laws
+from deploy.cli.parts.options import Confirm, GateOptions, RequireBounds, ScenarioArgument, taking
+from deploy.cli.parts.study_command import run_study
+from deploy.cli.parts.study_options import DEFAULT_LAWS, WorkerOptions
 from deploy.studies.comparison.comparison import LawComparison
 from deploy.study.comparison.settling import OFFSETS_RAD
 

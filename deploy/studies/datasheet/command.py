@@ -10,11 +10,11 @@ from typing import Annotated, Any
 import typer
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.command.common import ResultGate, leave, parse_laws, say_warnings, show_results
-from deploy.command.options import GateOptions, InterfaceOption, ScenarioArgument, taking
-from deploy.command.progress import CommandProgress
-from deploy.command.study_command import carried_out
-from deploy.command.study_options import WorkerOptions
+from deploy.cli.parts.common import ResultGate, leave, parse_laws, say_warnings, show_results
+from deploy.cli.parts.options import GateOptions, InterfaceOption, ScenarioArgument, taking
+from deploy.cli.parts.progress import CommandProgress
+from deploy.cli.parts.study_command import carried_out
+from deploy.cli.parts.study_options import WorkerOptions
 from deploy.judge.run_rows import Row
 from deploy.reports.studies.results import write_study
 from deploy.run.console import Console

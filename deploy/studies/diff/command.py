@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.command.common import show_results
-from deploy.command.options import NoReport, Out, Overwrite
+from deploy.cli.parts.common import show_results
+from deploy.cli.parts.options import NoReport, Out, Overwrite
 from deploy.reports.results import write_results
 from deploy.run.console import Console
 from deploy.run.new_folder import new_folder

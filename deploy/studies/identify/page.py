@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from deploy.identify.identified import Identified
-from deploy.identify.quality import predicted_before
-from deploy.identify.regression import (
+from deploy.measure.identify.identified import Identified
+from deploy.measure.identify.quality import predicted_before
+from deploy.measure.identify.regression import (
     COULOMB,
     LOAD,
     ROTOR,

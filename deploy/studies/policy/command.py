@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from controller.policies.configuration import is_address
-from deploy.command.common import parse_laws
-from deploy.command.options import GateOptions, taking
-from deploy.command.study_command import run_study
-from deploy.command.study_options import WorkerOptions
+from deploy.cli.parts.common import parse_laws
+from deploy.cli.parts.options import GateOptions, taking
+from deploy.cli.parts.study_command import run_study
+from deploy.cli.parts.study_options import WorkerOptions
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.policy.policy import PolicyStudy
 

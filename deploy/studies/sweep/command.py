@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from deploy.command.options import GateOptions, taking
-from deploy.command.study_command import run_study
-from deploy.command.study_options import ConfirmedStudyOptions
+from deploy.cli.parts.options import GateOptions, taking
+from deploy.cli.parts.study_command import run_study
+from deploy.cli.parts.study_options import ConfirmedStudyOptions
 from deploy.studies.sweep.sweep import load_sweep
 
 

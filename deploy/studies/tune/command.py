@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from controller.laws import COMPARED_LAWS
-from deploy.command.common import parse_laws
-from deploy.command.options import ScenarioArgument, taking
-from deploy.command.study_command import run_study
-from deploy.command.study_options import StudyOptions, listed
+from deploy.cli.parts.common import parse_laws
+from deploy.cli.parts.options import ScenarioArgument, taking
+from deploy.cli.parts.study_command import run_study
+from deploy.cli.parts.study_options import StudyOptions, listed
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.studies.tune.tuning import Tuning
 

@@ -9,7 +9,7 @@ import pytest
 
 import funnel_hil
 from deploy.scenario.scenario import load_setup
-from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
+from tests.deploy.measure.identify.virtual_logs import excitation, truth_of, write_log
 
 SHORT = {"duration_s": 0.5}
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from bus_schema.runtime import kernel_cache, realtime
 from deploy.cli.doctor import examine
-from deploy.command.findings import Finding, show
+from deploy.cli.parts.findings import Finding, show
 from plant_emulator.physics.engines import ENGINES
 
 WIDTH = 80

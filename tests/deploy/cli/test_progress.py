@@ -11,10 +11,10 @@ from rich.console import Console
 from bus_schema.runtime.compiled import COMPILES, HAS_SAID
 from deploy.cli import run_and_simulate
 from deploy.cli.commands import LogLines
+from deploy.cli.parts import progress as progress_module
+from deploy.cli.parts.progress import CommandProgress
+from deploy.cli.parts.study_command import RunCounter
 from deploy.cli.show_run import status_handler
-from deploy.command import progress as progress_module
-from deploy.command.progress import CommandProgress
-from deploy.command.study_command import RunCounter
 from deploy.run.processes.status import StatusMessage
 from tests.waiting import HANG_S
 

@@ -43,7 +43,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
 
 
 def test_a_run_is_ended_in_order(tmp_path, monkeypatch):
-    from deploy.command.progress import CommandProgress  # what it shows is what it has got to
+    from deploy.cli.parts.progress import CommandProgress  # what it shows is what it has got to
 
     follow, asked = CommandProgress.follow, []
 

@@ -111,4 +111,4 @@ def test_only_kinds_and_python_import_kinds() -> None:
         for file in (ROOT / room).rglob("*.py")
         if re.search(r"^ *from deploy\.studies\.", file.read_text(encoding="utf-8"), re.MULTILINE)
     ]
-    assert {folder for _, folder in outside} <= {"studies", "api", "bench"}
+    assert {folder for _, folder in outside} <= {"studies", "api"}

@@ -15,8 +15,8 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import write_json
 from deploy.api.funnel_hil.results import Run
-from deploy.command.common import finish
-from deploy.command.options import OneRunOptions
+from deploy.cli.parts.common import finish
+from deploy.cli.parts.options import OneRunOptions
 from deploy.judge.bounds import plant_count
 from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_rows import held, row

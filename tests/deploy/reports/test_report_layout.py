@@ -18,7 +18,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 
-sys.path.append(str(Path(__file__).parents[1] / "live"))
+sys.path.append(str(Path(__file__).parent / "live"))
 from browser import CHROMIUM, opened
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")

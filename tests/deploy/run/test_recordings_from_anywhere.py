@@ -16,7 +16,7 @@ from deploy.judge.bounds import judge_bounds
 from deploy.judge.metrics import summarise
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.reported_values import reported_values
-from deploy.live.figures import live_figures
+from deploy.reports.live.figures import live_figures
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.command.common import parse_laws
+from deploy.cli.parts.common import parse_laws
 from deploy.run.execute import InProcess, execute
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

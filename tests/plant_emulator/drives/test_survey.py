@@ -14,8 +14,8 @@ from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.can.session import open_can_bus
 from bus_schema.can.survey import ask_drives, require_no_others
 from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
+from deploy.cli.parts.findings import Finding
 from deploy.cli.rig import examine_rig
-from deploy.command.findings import Finding
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.drive import DriveFault
 from tests.eds_decoding import EdsDecoder

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scripts.experiments import identified_torques, identify_coverage
-from tests.deploy.identify.virtual_logs import excitation, truth_of, write_log
+from tests.deploy.measure.identify.virtual_logs import excitation, truth_of, write_log
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
 

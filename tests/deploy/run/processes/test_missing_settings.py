@@ -12,8 +12,8 @@ from rich.console import Console
 
 from bus_schema.link.configuration import DEFAULT_FOLDER, KeyFolder
 from bus_schema.runtime import realtime
+from deploy.cli.parts.progress import CommandProgress
 from deploy.cli.show_run import status_handler
-from deploy.command.progress import CommandProgress
 from deploy.run.processes.scheduling import missing_settings, remedy
 from deploy.run.processes.status import StatusMessage
 

@@ -13,7 +13,7 @@ from controller.laws import COMPARED_LAWS, LAWS
 from controller.laws.fixed_time_model_based import FixedTimeModelBased
 from controller.laws.pid import Pid
 from controller.laws.sliding_mode import SlidingMode
-from deploy.command.common import parse_laws
+from deploy.cli.parts.common import parse_laws
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_rows import row, write_rows
 from deploy.reports.runs import run_panels
