@@ -148,6 +148,7 @@ def _engine(name: str) -> Finding:
 
 def _extensions() -> Iterator[Finding]:
     """Load all that installed packages add to funnel-hil."""
+    import deploy.reports.runs.run_panels  # noqa: F401  (the registry of figures)
     import plant_emulator.drives.commissioning  # noqa: F401  (the registry of drives)
 
     for kind, names in installed().items():

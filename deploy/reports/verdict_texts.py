@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from deploy.judge.bounds import plant_count
 from deploy.judge.chunks import Chunks
-from deploy.judge.findings.loss_reason import LossReason
-from deploy.judge.findings.reasons import Reason
+from deploy.judge.findings.loss_reason import LossReason, Reason
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData

@@ -18,7 +18,7 @@ from deploy.judge.verdict import Verdict
 from deploy.reports.figures.style import template
 from deploy.reports.page import Panel
 from deploy.reports.results import Results
-from deploy.reports.runs.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
+from deploy.reports.runs.run_panels import LAW_PANELS, RECORDED_PANELS, panels_of_run
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.recorded import RecordedRuns
@@ -95,7 +95,7 @@ class Run(Drawn):
         self.data: RunData = run.data
         self._result, self.summary = run.result, run.summary
         self.path: Path | None = run.path
-        super().__init__(RUN_PANELS, ComparedRuns([JudgedRun(self.law, run.data, run.result)]))
+        super().__init__(panels_of_run(), ComparedRuns([JudgedRun(self.law, run.data, run.result)]))
 
     def __repr__(self) -> str:
         return f"<Run of {self._result.scenario}, {self.law}: {self.verdict}>"

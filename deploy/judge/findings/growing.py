@@ -34,6 +34,9 @@ _LEAST_EVEN = 0.82
 """Least ratio of the slopes of both halves; it is 0.79 for linear growth by `_LEAST_GROWTH`."""
 _ROUNDINGS = 16.0
 """Of the position, below which nothing counts."""
+_FEWEST_SWINGS, _MOST_SWINGS = 4, 8
+_LEAST_SWING = 0.1
+"""Share of the largest swing below which one is the reference's own, or noise."""
 
 
 @dataclass(frozen=True)
@@ -134,3 +137,23 @@ def _exponent(amplitudes_rad: Vector) -> float | None:
     is_even = min(first, second) >= _LEAST_EVEN * max(first, second)
     grows = logs[-1] - logs[0] >= np.log(_LEAST_GROWTH)
     return float(rise) if grows and is_straight and is_even else None
+
+
+def growing_swings(times_s: Vector, errors_rad: Vector) -> Growth | None:
+    """Return the growth of an oscillation by its turning points; None for none that grows."""
+    if not np.isfinite(errors_rad).all():
+        return None
+    steps = np.diff(errors_rad)
+    turns = np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1
+    swings = np.abs(np.diff(errors_rad[turns]))
+    if not swings.size:
+        return None
+    grown = int(swings.argmax())  # it may saturate later
+    is_large = np.flatnonzero(swings >= _LEAST_SWING * swings[grown])
+    used = is_large[is_large <= grown][-_MOST_SWINGS:]
+    if len(is_large) < _FEWEST_SWINGS or len(used) < 2:
+        return None
+    rate, _ = np.polyfit(times_s[turns[used + 1]], np.log(swings[used]), 1)
+    half_periods_s = np.diff(times_s[turns])[is_large]
+    hertz = float(0.5 / np.median(half_periods_s))
+    return Growth(float(rate), hertz) if rate > 0.0 else None

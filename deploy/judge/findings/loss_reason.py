@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from typing import Annotated
 
@@ -15,9 +16,8 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.bounds import bound_usage
 from deploy.judge.findings.divergence import divergence
-from deploy.judge.findings.growing import Growth
+from deploy.judge.findings.growing import Growth, growing_swings
 from deploy.judge.findings.lag import lag_s
-from deploy.judge.findings.reasons import Reason
 from deploy.judge.findings.vibration import at_limits
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.result.section import Column, Section
@@ -31,13 +31,77 @@ _LATELY_S, _MUCH_OLDER, _LATE_NS = 0.15, 3.0, 10e6
 its likely cause."""
 AFTER_S = 0.3
 """Time after the loss in which its oscillation continues, if there is one."""
-_FEWEST_SWINGS, _MOST_SWINGS = 4, 8
-_LEAST_SWING = 0.1
-"""Share of the largest swing below which one is the reference's own, or noise."""
 _SWUNG_BACK = 2
 """Changes from one torque limit to the other; a braked motion has one."""
 _PERIODS_WITHOUT_DELAY = 1.5
 """A command acts one period after the measurement where nothing delays it."""
+
+
+class Reason(StrEnum):
+    """Reason why a run left its funnel, or does not hold although it kept it.
+
+    Attributes:
+        words: how the error left the funnel, as the end of a sentence about it.
+        meaning: when a run has this reason, for the documentation.
+    """
+
+    words: str
+    meaning: str
+
+    def __new__(cls, name: str, words: str = "", meaning: str = "") -> Reason:
+        """Create a member whose value is its name in rows and summaries."""
+        member = str.__new__(cls, name)
+        member._value_ = name
+        member.words, member.meaning = words, meaning
+        return member
+
+    START = (
+        "start", "before any command acted",
+        "no command had acted yet: brakes held the arm while the reference moved",
+    )  # fmt: skip
+    UNSTABLE = (
+        "unstable", "as an error of an unstable loop grew",
+        "the error grew exponentially without a delay, or without swinging, which no delay causes:"
+        " look at signs and gains of the law",
+    )  # fmt: skip
+    GROWING = (
+        "growing", "as an oscillation grew",
+        "an oscillation grew: the delay is too long for the gains",
+    )  # fmt: skip
+    VIBRATION = (
+        "vibration", "as its torque swung between its limits",
+        "the torque swung from one limit to the other and back",
+    )  # fmt: skip
+    LATE = (
+        "late command", "after a command that was much later than usual",
+        "shortly before, a command in force was much older than usual",
+    )  # fmt: skip
+    RAN_OUT = (
+        "chunk ran out", "with nothing left to send",
+        "the law's chunk had no row left, and the next one was not there yet: answers take too"
+        " long for their length",
+    )  # fmt: skip
+    JUMPED = (
+        "jump", "after a jump of its target between two chunks",
+        "shortly before, a new chunk moved the joint's target by half of its bound or more",
+    )  # fmt: skip
+    OLD_ANSWER = (
+        "old answer", "while an answer acted that was much older than usual",
+        "shortly before, the observation behind the law's answer was much older than usual",
+    )  # fmt: skip
+    SATURATED = (
+        "saturated", "with torques at their limits",
+        "torques were at their limits for most of the time before",
+    )  # fmt: skip
+    LAG = (
+        "lag", "behind the reference, in proportion to its speed",
+        "the error was proportional to the reference's speed: the arm follows a constant time"
+        " behind",
+    )  # fmt: skip
+    SLOW = (
+        "friction or model", "slowly, as by friction or an error of the model",
+        "anything else, a slow error",
+    )  # fmt: skip
 
 
 class LossReason(Section):
@@ -180,7 +244,7 @@ class _Loss:
 
     def _oscillation(self) -> LossReason | None:
         around = slice(self.first, self.end)
-        growth = _growing_swings(self.times_s[around], self.errors_rad[around])
+        growth = growing_swings(self.times_s[around], self.errors_rad[around])
         return None if growth is None else self._because(Reason.GROWING, growth)
 
     def _late(self) -> LossReason | None:
@@ -237,23 +301,3 @@ class _Loss:
         wanted = self.truth["position"][before, self.joint] - errors
         lag = lag_s(errors, np.gradient(wanted, period_s), len(errors) * period_s)
         return None if lag is None else self._because(Reason.LAG, lag_ms=1e3 * lag)
-
-
-def _growing_swings(times_s: Vector, errors_rad: Vector) -> Growth | None:
-    """Return the growth of an oscillation by its turning points; None for none that grows."""
-    if not np.isfinite(errors_rad).all():
-        return None
-    steps = np.diff(errors_rad)
-    turns = np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1
-    swings = np.abs(np.diff(errors_rad[turns]))
-    if not swings.size:
-        return None
-    grown = int(swings.argmax())  # it may saturate later
-    is_large = np.flatnonzero(swings >= _LEAST_SWING * swings[grown])
-    used = is_large[is_large <= grown][-_MOST_SWINGS:]
-    if len(is_large) < _FEWEST_SWINGS or len(used) < 2:
-        return None
-    rate, _ = np.polyfit(times_s[turns[used + 1]], np.log(swings[used]), 1)
-    half_periods_s = np.diff(times_s[turns])[is_large]
-    hertz = float(0.5 / np.median(half_periods_s))
-    return Growth(float(rate), hertz) if rate > 0.0 else None

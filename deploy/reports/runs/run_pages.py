@@ -6,7 +6,6 @@ Each function lists the tables, facts, sentences and figures of its page.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +53,7 @@ def run_page(
                  "share of the ticks that met their deadline"),
             Fact("Digest", result.digest[:12], result.digest),
         ],
-        partial(panels_of, "RUN_PANELS"),
+        _panels_of_run,
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
         heading=f"{result.scenario} · {result.law} · {result.clock}",
@@ -125,6 +124,12 @@ def _link_lines(result: RunResult) -> list[str]:
     if playout and playout["late"] is not None and playout["arrival_ms"]["max"] is not None:
         lines.append(playout_sentence(playout))
     return lines
+
+
+def _panels_of_run() -> list[Panel[ComparedRuns]]:
+    from deploy.reports.runs.run_panels import panels_of_run  # heavy
+
+    return panels_of_run()
 
 
 def panels_of(name: str) -> list[Panel[ComparedRuns]]:

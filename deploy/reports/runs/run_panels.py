@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from importlib import resources
 from typing import Any, TypeAlias, TypeVar
 
+from bus_schema.registry import Registry
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import chunks, joints, learned, link, several_runs, space, timeline
 from deploy.reports.figures.arm_pictures import arm_pictures
@@ -18,6 +21,7 @@ from deploy.reports.runs import run_numbers
 from deploy.scenario.yaml_text import values_of
 from deploy.study.comparison.compared_runs import ComparedRuns
 
+logger = logging.getLogger(__name__)
 T = TypeVar("T")
 RunsPanel = Panel[ComparedRuns]
 Draw: TypeAlias = "Callable[[ComparedRuns], Content | Callable[[], Content | None] | None]"
@@ -104,9 +108,33 @@ _FILE = resources.files("deploy.reports").joinpath("templates/panels.yaml")
 _TEXTS = values_of(_FILE.read_text(encoding="utf-8"))
 
 RUN_PANELS = _panels(_TEXTS["one_run"], _ONE_RUN)
-"""The figures of a run."""
+"""The figures of a run that ship."""
+RUN_FIGURES: Registry[RunsPanel] = Registry(
+    "figures", "figure", Panel, {panel.id: panel for panel in RUN_PANELS}
+)
+"""The figures of a run by name; installed packages add some."""
 _RUNS_PANELS = _panels(_TEXTS["several_runs"], _SEVERAL_RUNS)
 LAW_PANELS = [panel for panel in _RUNS_PANELS if panel.id not in _OF_RECORDINGS]
 """The figures of a comparison of laws."""
 RECORDED_PANELS = [panel for panel in _RUNS_PANELS if panel.id not in _OF_LAWS]
 """The figures of recorded runs side by side."""
+
+
+def panels_of_run() -> list[RunsPanel]:
+    """Return the figures of a run, those of installed packages last in their sections."""
+    added = [
+        replace(panel, id=name, draw=partial(_drawn, str(extension), panel.draw))
+        for name, panel in RUN_FIGURES.usable().items()
+        if (extension := RUN_FIGURES.extension(name)) is not None
+    ]
+    return [*RUN_PANELS, *added]
+
+
+def _drawn(extension: str, draw: Draw, runs: ComparedRuns) -> Content | None:
+    """Draw a figure of a package; one that raises is left out, so that the report is written."""
+    try:
+        content = draw(runs)
+        return content() if callable(content) else content
+    except Exception as error:  # noqa: BLE001  code of a package may raise anything
+        logger.warning("%s is left out: %s: %s", extension, type(error).__name__, error)
+        return None

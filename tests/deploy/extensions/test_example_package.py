@@ -16,6 +16,7 @@ from bus_schema.runtime.extensions import installed
 from controller.chunks.answer import Answer, Holding
 from controller.chunks.configuration import ChunksConfiguration
 from controller.laws import LAWS
+from deploy.reports.runs.run_panels import RUN_FIGURES
 from deploy.run.confirmation import other_physics
 from deploy.run.run_folder import manifest_of
 from deploy.run.simulate import simulate
@@ -44,6 +45,7 @@ def run(*overrides):
 def test_example_has_an_entry_of_each_kind():
     # imported here, so that their registries exist
     assert DRIVES.extension("toy") is not None
+    assert RUN_FIGURES.extension("speeds") is not None
     assert ROBOT_SERVERS.extension("jog") is not None
     assert set(installed()) == {kind for kind, each in REGISTRIES.items() if each.shipped}
 
@@ -134,6 +136,31 @@ def test_merge_of_a_package_takes_its_share():
     assert run(*law, "controller.chunks={merge: halves}").faults() == []
     with pytest.raises(ScenarioError, match=r"own\.shar: unknown key; did you mean share"):
         load_setup("paper_arm", [*law, "controller.chunks={merge: halves, own: {shar: 1}}"])
+
+
+@pytest.mark.usefixtures("example_package")
+def test_report_of_a_run_has_the_figure_of_a_package(funnel_hil, tmp_path):
+    import funnel_hil as api
+
+    funnel_hil("simulate", "paper_arm", "--set", SHORT, "--out", str(tmp_path / "run"))
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert '<figure class="card" id="speeds"><h3>Speeds of the joints</h3>' in page
+    run = api.load_run(tmp_path / "run")
+    shown = run.figure("speeds").data[1].y
+    assert shown.tolist() == run.table("plant_truth")["velocity"][:, 1].tolist()
+
+
+def test_figure_that_raises_is_left_out_and_named(add_package, funnel_hil, tmp_path, caplog):
+    source = (
+        "from deploy.reports.page import Panel\n"
+        "BAD = Panel('Motion', 'bad', 'Bad', lambda _: 1 / 0, 'It raises.')\n"
+    )
+    (tmp_path / "bad_figure.py").write_text(source)
+    add_package(project(group="figures", bad="bad_figure:BAD"), tmp_path)
+    funnel_hil("simulate", "paper_arm", "--set", SHORT, "--out", str(tmp_path / "run"))
+    assert 'id="bad"' not in (tmp_path / "run" / "report.html").read_text()
+    assert "bad (funnel_hil.figures) of" in caplog.text
+    assert "ZeroDivisionError" in caplog.text
 
 
 @pytest.mark.usefixtures("example_package")

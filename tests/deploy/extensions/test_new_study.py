@@ -76,6 +76,7 @@ def test_each_extension_of_the_example_is_one_file() -> None:
         "law",
         "predictor",
         "fault",
+        "figure",
         "interface",
         "merge",
         "link",

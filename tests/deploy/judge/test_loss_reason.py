@@ -7,8 +7,7 @@ import pytest
 
 from controller.control_law import Diagnostics
 from deploy.judge.findings.lag import lag_s
-from deploy.judge.findings.loss_reason import LossReason, loss_reason
-from deploy.judge.findings.reasons import Reason
+from deploy.judge.findings.loss_reason import LossReason, Reason, loss_reason
 from deploy.judge.metrics import summarise
 from deploy.reports.verdict_texts import loss_words
 from deploy.run.simulate import simulate
