@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import Any, Generic, TypeVar, cast
 
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import did_you_mean
 from bus_schema.runtime.extensions import Extension, ExtensionError, installed
@@ -28,6 +31,26 @@ class NameIn:
     """
 
     kind: str
+
+
+@dataclass(frozen=True)
+class KnownNameIn(NameIn):
+    """Likewise, and a value that is no such name is refused when its section is read.
+
+    Attributes:
+        besides: further values.
+    """
+
+    besides: tuple[str, ...] = ()
+
+    def __get_pydantic_core_schema__(self, of: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, handler(of))
+
+    def _checked(self, name: str) -> str:
+        registry = REGISTRIES[self.kind]
+        if name not in (known := (*self.besides, *registry)):
+            raise ValueError(f"one of {', '.join(known)}{did_you_mean(name, registry)}")
+        return name
 
 
 class Registry(Generic[T]):

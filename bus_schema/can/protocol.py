@@ -101,7 +101,7 @@ class DriveProtocol(ABC):
         """Return the answers required of each joint's drive, as far as the scenario gives them."""
         return [{}] * robot.joints
 
-    def oddities(
+    def warnings(
         self,
         can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
         robot: RobotDescription,  # noqa: ARG002

@@ -6,12 +6,11 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError, Positive, StrictModel, Whole, validated
-from bus_schema.errors import did_you_mean
-from bus_schema.registry import NameIn, Registry
+from bus_schema.registry import KnownNameIn, Registry
 from controller.chunks.merge import ChunkMerge, ChunkTiming, MergeSettings
 from controller.chunks.merges import (
     FrozenPrefixSettings,
@@ -60,7 +59,7 @@ class ChunksConfiguration(StrictModel):
     period_ms: Annotated[Positive, Field(le=10_000)] | None = None
     ask_when: Annotated[Positive, Field(le=1)] | None = None
     ask_every: _Actions | None = None
-    merge: Annotated[str, NameIn("chunk_merges")] = "replace"
+    merge: Annotated[str, KnownNameIn("chunk_merges")] = "replace"
     align: Literal["time", "count"] = "time"
     own: dict[str, Any] = Field(default_factory=dict)
     replace: ReplaceSettings = ReplaceSettings()
@@ -69,14 +68,6 @@ class ChunksConfiguration(StrictModel):
     temporal_ensemble: TemporalEnsembleSettings = TemporalEnsembleSettings()
     frozen_prefix: FrozenPrefixSettings = FrozenPrefixSettings()
     spline: SplineSettings = SplineSettings()
-
-    @field_validator("merge")
-    @classmethod
-    def _is_known(cls, merge: str) -> str:
-        if merge not in CHUNK_MERGES:
-            known = ", ".join(CHUNK_MERGES)
-            raise ValueError(f"one of {known}{did_you_mean(merge, CHUNK_MERGES)}")
-        return merge
 
     @model_validator(mode="after")
     def _has_effect(self) -> ChunksConfiguration:

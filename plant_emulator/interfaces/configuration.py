@@ -7,8 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator
 
 from bus_schema.configuration import NonNegative, Number, Positive, StrictModel, validated
-from bus_schema.errors import did_you_mean
-from bus_schema.registry import NameIn, Registry
+from bus_schema.registry import KnownNameIn, Registry
 from plant_emulator.interfaces.egm import EgmSettings
 from plant_emulator.interfaces.franka import FrankaMotionSettings, FrankaVelocitySettings
 from plant_emulator.interfaces.franka_torque import FrankaTorqueSettings
@@ -52,7 +51,7 @@ class InterfaceConfiguration(StrictModel):
         own: settings of a kind that an installed package adds.
     """
 
-    kind: Annotated[str, NameIn("interfaces")] = TORQUE
+    kind: Annotated[str, KnownNameIn("interfaces", (TORQUE,))] = TORQUE
     rate_hz: Annotated[Positive, Field(le=1e4)] | None = None
     clock_ppm: Annotated[Number, Field(ge=-_MOST_PPM, le=_MOST_PPM)] = 0.0
     phase_ms: NonNegative = 0.0
@@ -67,14 +66,6 @@ class InterfaceConfiguration(StrictModel):
     rsi: RsiSettings = RsiSettings()
     joint_trajectory: JointTrajectorySettings = JointTrajectorySettings()
     servo: ServoSettings = ServoSettings()
-
-    @field_validator("kind")
-    @classmethod
-    def _is_known(cls, kind: str) -> str:
-        if kind not in (TORQUE, *INTERFACES):
-            known = ", ".join((TORQUE, *INTERFACES))
-            raise ValueError(f"one of {known}{did_you_mean(kind, INTERFACES)}")
-        return kind
 
     @field_validator("own")
     @classmethod

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.interfaces.interface import RobotInterface
 from plant_emulator.interfaces.settings import InterfaceSettings
+from plant_emulator.robot_servers.tcp_clients import TcpClients
 
 Address = tuple[str, int]
 
 
 def _directly(client: Address) -> Address:
     return client
+
+
+class ClientInterface(RobotInterface, Protocol):
+    """An interface that a client moves."""
+
+    @property
+    def target_rad(self) -> Vector:
+        """Position that the client asks for now, shape (joints,); NaN if it asks for none."""
 
 
 class RobotServer(ABC):
@@ -92,6 +101,26 @@ class RobotServer(ABC):
         ``stops``, if the robot has any, is a list of stops with ``time_s``, ``reason`` and
         ``is_fault``: whether the robot decided it while its client wanted to go on.
         """
+
+
+class TcpRobotServer(RobotServer):
+    """A robot with ports of TCP, whose interface has the target of its client."""
+
+    interface: ClientInterface
+    _tcp: TcpClients
+
+    def open(self, host: str, ports: Mapping[str, int]) -> None:
+        self._tcp.open(host, ports)
+
+    def serve(self, timeout_s: float) -> None:
+        self._tcp.serve(timeout_s)
+
+    def close(self) -> None:
+        self._tcp.close()
+
+    @property
+    def target_rad(self) -> Vector:
+        return self.interface.target_rad
 
 
 _ABB = "plant_emulator.robot_servers.abb.server:EgmServer"

@@ -87,16 +87,6 @@ _VEL_BYTES = (4, 8)
 """`openarm_can` and the manual send four bytes, other clients fill them up to eight."""
 
 
-def packed_target(mode: DamiaoMode, target: Target) -> bytes:
-    """Data of a command in any mode but MIT."""
-    if mode is DamiaoMode.POS_VEL:
-        return _PAIR.pack(*target[:2])
-    if mode is DamiaoMode.VEL:
-        return _SINGLE.pack(target.velocity_rad_s)
-    speed, share = target.velocity_rad_s * _VELOCITY_SCALE, target.torque_share * _SHARE_SCALE
-    return _FORCE.pack(target.position_rad, int(speed), int(share))
-
-
 def target_of(mode: DamiaoMode, data: bytes) -> Target | None:
     """Return the command in a frame of a mode other than MIT; None if it is no command."""
     if len(data) not in (_VEL_BYTES if mode is DamiaoMode.VEL else (COMMAND_BYTES,)):

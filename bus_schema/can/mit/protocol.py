@@ -91,7 +91,7 @@ class MitProtocol(DriveProtocol):
             for ranges in self.ranges(can, robot.joints)
         )
 
-    def oddities(
+    def warnings(
         self, can: CanConfiguration, robot: RobotDescription, most_nm: Vector
     ) -> list[str]:
         rows = zip(robot.joint_names, self.ranges(can, robot.joints), most_nm.tolist(), strict=True)

@@ -69,7 +69,7 @@ def scenario_warnings(setup: Setup) -> list[str]:
     viscous = friction_table(scenario.plant.friction, _rated_torques(setup))["viscous_nm_s"]
     of_file = np.isclose(viscous, robot.drives.damping_nm_s, rtol=1e-3)
     sentences += damping_warnings(robot, np.where(of_file, viscous, 0.0), largest_nm)
-    return sentences + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
+    return sentences + setup.link_kind.warnings(setup.link_run(lockstep=True), most_nm)
 
 
 def tenth_of_rotors(setup: Setup) -> str | None:

@@ -75,9 +75,9 @@ class CanKind(LinkKind[DrivenArm]):
             except ConfigurationError as error:
                 raise ConfigurationError("link.can.faults.drives", text, error.allowed) from error
 
-    def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:
+    def warnings(self, run: LinkRun, most_nm: Vector) -> list[str]:
         can = run.link.can
-        return PROTOCOLS[can.protocol]().oddities(can, run.robot, most_nm)
+        return PROTOCOLS[can.protocol]().warnings(can, run.robot, most_nm)
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if link.can.interface == "virtual" and not one_process:

@@ -98,7 +98,7 @@ class LinkKind(ABC, Generic[Arm]):
             ConfigurationError: it does not.
         """
 
-    def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:  # noqa: ARG002 (most have none)
+    def warnings(self, run: LinkRun, most_nm: Vector) -> list[str]:  # noqa: ARG002 (most have none)
         """Return warnings about accepted but suspicious settings, a sentence each.
 
         Args:

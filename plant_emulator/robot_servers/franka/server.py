@@ -19,7 +19,7 @@ from plant_emulator.interfaces.settings import InterfaceSettings
 from plant_emulator.robot_servers.client_motion import ClientMotion
 from plant_emulator.robot_servers.franka.description import described
 from plant_emulator.robot_servers.franka.moves import ExternalTorque, Kind, interface_for, rows_of
-from plant_emulator.robot_servers.robot_server import RobotServer
+from plant_emulator.robot_servers.robot_server import TcpRobotServer
 from plant_emulator.robot_servers.tcp_clients import Receive, TcpClients, is_open
 
 _STOP_RAD_S2 = 10.0
@@ -28,7 +28,7 @@ _RATED_CYCLES = 100
 """Cycles over which the share of targets in time is taken."""
 
 
-class FrankaServer(RobotServer):
+class FrankaServer(TcpRobotServer):
     """A Franka arm's controller with seven joints; one client at a time."""
 
     ports: ClassVar[Mapping[str, int]] = {"commands": commands.PORT}
@@ -59,13 +59,7 @@ class FrankaServer(RobotServer):
         self._udp.bind((host, 0))
         self._udp.setblocking(False)
         self._tcp.add(self._udp, self._take_datagrams)
-        self._tcp.open(host, ports)
-
-    def serve(self, timeout_s: float) -> None:
-        self._tcp.serve(timeout_s)
-
-    def close(self) -> None:
-        self._tcp.close()
+        super().open(host, ports)
 
     @property
     def target_rad(self) -> Vector:

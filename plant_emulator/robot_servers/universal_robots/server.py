@@ -12,7 +12,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from plant_emulator.interfaces.servoj import ServoJSettings
 from plant_emulator.interfaces.settings import InterfaceSettings
-from plant_emulator.robot_servers.robot_server import RobotServer
+from plant_emulator.robot_servers.robot_server import TcpRobotServer
 from plant_emulator.robot_servers.tcp_clients import Receive, TcpClients
 from plant_emulator.robot_servers.universal_robots import dashboard
 from plant_emulator.robot_servers.universal_robots.control_script import BY, ControlScript
@@ -27,7 +27,7 @@ _MOST_SCRIPT_BYTES = 1 << 20
 _MOST_LINE_BYTES = 1 << 12
 
 
-class UniversalRobotsServer(RobotServer):
+class UniversalRobotsServer(TcpRobotServer):
     """An e-Series controller with six joints, as ``ur-rtde`` uses it."""
 
     ports: ClassVar[Mapping[str, int]] = {"rtde": 30004, "script": 30003, "dashboard": 29999}
@@ -45,12 +45,6 @@ class UniversalRobotsServer(RobotServer):
         self._unread: dict[socket.socket, bytes] = {}
         self._period_s, self._next_s = period_s, 0.0
 
-    def open(self, host: str, ports: Mapping[str, int]) -> None:
-        self._tcp.open(host, ports)
-
-    def serve(self, timeout_s: float) -> None:
-        self._tcp.serve(timeout_s)
-
     def cycle(self, now_s: float, measured: Matrix, torque_nm: Vector) -> None:
         if now_s < self._next_s - 1e-6:
             return
@@ -63,13 +57,6 @@ class UniversalRobotsServer(RobotServer):
         )  # fmt: skip
         for client in list(self._clients.values()):
             client.publish(now_s, values)
-
-    @property
-    def target_rad(self) -> Vector:
-        return self._motion.target_rad
-
-    def close(self) -> None:
-        self._tcp.close()
 
     @property
     def counts(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from plant_emulator.interfaces.response import Response
 from plant_emulator.interfaces.servoj import ServoJSettings
 from plant_emulator.interfaces.settings import InterfaceSettings
 from plant_emulator.robot_servers.client_motion import ClientMotion
-from plant_emulator.robot_servers.robot_server import RobotServer
+from plant_emulator.robot_servers.robot_server import TcpRobotServer
 from plant_emulator.robot_servers.tcp_clients import Receive, TcpClients
 
 _STOP_RAD_S2 = 20.0
@@ -50,7 +50,7 @@ class HeldTarget(Stoppable):
         return self._response.step(self._target)
 
 
-class XArmServer(RobotServer):
+class XArmServer(TcpRobotServer):
     """An xArm's controller of at most seven joints, of which servo mode moves the arm."""
 
     ports: ClassVar[Mapping[str, int]] = {
@@ -76,19 +76,6 @@ class XArmServer(RobotServer):
         self._now_s = 0.0
         self._stops: list[dict[str, Any]] = []
         self._count = {"targets": 0, "invalid": 0, "not_emulated": 0}
-
-    def open(self, host: str, ports: Mapping[str, int]) -> None:
-        self._tcp.open(host, ports)
-
-    def serve(self, timeout_s: float) -> None:
-        self._tcp.serve(timeout_s)
-
-    def close(self) -> None:
-        self._tcp.close()
-
-    @property
-    def target_rad(self) -> Vector:
-        return self._motion.target_rad
 
     @property
     def counts(self) -> dict[str, Any]:

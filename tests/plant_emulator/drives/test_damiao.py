@@ -9,7 +9,7 @@ import pytest
 from dialects import CLEAR, DISABLE, DM4310, ENABLE, command, unpacked
 from drive_bench import MS, NODE, Bench
 
-from bus_schema.can.damiao.codec import DamiaoMode, Target, packed_target, target_of
+from bus_schema.can.damiao.codec import DamiaoMode, Target, target_of
 from bus_schema.can.damiao.motors import MOTORS
 from bus_schema.can.damiao.protocol import DamiaoSettings
 from bus_schema.can.frame import CanFrame
@@ -88,12 +88,11 @@ def test_loop_of_each_mode_has_its_limits(mode, data, position, velocity, torque
     assert loop.torque_nm(position, velocity) == pytest.approx(torque_nm, abs=1e-3)
 
 
-@pytest.mark.parametrize("mode", [DamiaoMode.POS_VEL, DamiaoMode.VEL, DamiaoMode.POS_FORCE])
-def test_targets_survive_packing(mode):
-    target = Target(
-        0.0 if mode is DamiaoMode.VEL else 0.5, 1.5, 0.25 if mode is DamiaoMode.POS_FORCE else 1.0
-    )
-    assert target_of(mode, packed_target(mode, target)) == target
+def test_targets_are_read_as_openarm_can_packs_them():
+    speed_and_share = struct.pack("<fHH", 0.5, 150, 2500)  # rad/s / 100, and 1/10,000
+    assert target_of(DamiaoMode.POS_VEL, struct.pack("<ff", 0.5, 1.5)) == Target(0.5, 1.5)
+    assert target_of(DamiaoMode.VEL, struct.pack("<f", 1.5)) == Target(0.0, 1.5)
+    assert target_of(DamiaoMode.POS_FORCE, speed_and_share) == Target(0.5, 1.5, 0.25)
 
 
 @pytest.mark.parametrize("mode", list(DamiaoMode))
