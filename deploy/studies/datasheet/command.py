@@ -11,7 +11,13 @@ import typer
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.cli.parts.common import ResultGate, leave, parse_laws, say_warnings, show_results
-from deploy.cli.parts.options import GateOptions, InterfaceOption, ScenarioArgument, taking
+from deploy.cli.parts.options import (
+    GateOptions,
+    InterfaceOption,
+    NetworkOption,
+    ScenarioArgument,
+    taking,
+)
 from deploy.cli.parts.progress import CommandProgress
 from deploy.cli.parts.study_command import carried_out
 from deploy.cli.parts.study_options import WorkerOptions
@@ -42,12 +48,7 @@ class DatasheetOptions(GateOptions, WorkerOptions):
         typer.Option(help=f"The control law; by default {_LAW}, or those of the interface."),
     ] = None
     interface: InterfaceOption = None
-    network: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LOG", help="A trace or its name, output of ping -D, or tshark's table."
-        ),
-    ] = None
+    network: NetworkOption = None
     plants: Annotated[int, typer.Option(min=0, help="Number of uncertain plants.")] = 0
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter runs.")] = False
 
