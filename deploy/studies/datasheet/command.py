@@ -19,7 +19,7 @@ from deploy.cli.parts.options import (
     taking,
 )
 from deploy.cli.parts.progress import CommandProgress
-from deploy.cli.parts.study_command import carried_out
+from deploy.cli.parts.study_command import SharedWorkers, carried_out
 from deploy.cli.parts.study_options import WorkerOptions
 from deploy.judge.run_rows import Row
 from deploy.reports.studies.results import write_study
@@ -73,13 +73,14 @@ def datasheet(options: DatasheetOptions) -> None:
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(*margin.bases, *(() if windows is None else windows.bases))
-    parts, window = sheet_parts(
-        sheet,
-        margin,
-        windows,
-        out,
-        lambda study, folder: _made(study, options, folder, console, stop),
-    )
+    with SharedWorkers() as workers:
+        parts, window = sheet_parts(
+            sheet,
+            margin,
+            windows,
+            out,
+            lambda study, folder: _made(study, options, folder, console, stop, workers),
+        )
     _leave_if_stopped(stop, console)
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
@@ -129,11 +130,11 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
 
 def _made(
     study: StudyOfRuns, options: DatasheetOptions, out: Path, console: Console,
-    stop: threading.Event,
+    stop: threading.Event, workers: SharedWorkers | None = None,
 ) -> tuple[dict[str, Any], list[Row]]:  # fmt: skip
     """Do a part of the data sheet; return its summary, and its rows."""
     own = replace(options, out=out, overwrite=False)
-    with carried_out(study, own, console, stop) as done:
+    with carried_out(study, own, console, stop, workers) as done:
         summary, rows = write_study(study, done.folder).summary, done.folder.rows
     _leave_if_stopped(stop, console)
     if summary["runs_failed"] == summary["runs"]:
