@@ -234,6 +234,16 @@ def test_wide_table_becomes_tables_of_six_columns_with_short_captions():
     assert r"\begin{longtable}" in as_latex(Table("Long", columns[:2], 60 * [["a", 1]]))
 
 
+def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
+    columns = [Column(f"c{number}", is_text=number < 3) for number in range(9)]
+    rows = [["smc", "none", "given", *range(6)], ["smc", "smith", "given", *range(6)]]
+    parts = list(narrow_parts(Table("Laws", columns, rows)))
+    assert [[column.heading for column in part.columns] for part in parts] == [
+        ["c0", "c1", "c2", "c3", "c4", "c5"], ["c0", "c1", "c6", "c7", "c8"],
+    ]  # fmt: skip
+    assert parts[1].rows[1] == ["smc", "smith", 3, 4, 5]
+
+
 def test_edges_of_bands_are_no_lines(tmp_path, monkeypatch):
     figure = new_figure(300)
     edge = {"mode": "lines", "line": {"width": 0}}
