@@ -14,8 +14,14 @@ _PROGRAMS = (
     ("netem", rb"distribution table|\A(\s*#.*\n)*\s*(-?\d{1,5}[ \t]+){7,}",
      "a table of netem, without unit: use distribution normal, pareto or uniform with jitter_ms"),
     ("iperf3", rb"^\[ *ID\] Interval|\"version\":\s*\"iperf|^Connecting to host \S+, port",
-     "output of iperf3, which measures no delays: funnel-hil link and ping do. Its bitrate, jitter"
-     " and loss go to rate_kbit_s, jitter_ms and loss"),
+     "output of iperf3, which measures no delays: funnel-hil link and ping do, and a trace may be"
+     " its output with --json over TCP. Its bitrate, jitter and loss go to rate_kbit_s, jitter_ms"
+     " and loss"),
+    ("MCAP", rb"\A\x89MCAP0",
+     "an MCAP file: funnel-hil trace import mcap makes a trace of it"),
+    ("pcap", rb"\A(\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\x4d\x3c\xb2\xa1|\x0a\x0d\x0d\x0a)",
+     "a pcap file: give its table, tshark -r FILE -T fields -E header=y -E separator=, -e"
+     " frame.time_epoch -e tcp.analysis.ack_rtt"),
     ("mtr", rb"Loss% +Snt|^Mtr_Version,|\"mtr\": *\{|^<MTR |\A[xhdp] \d+ ",
      "output of mtr, which gives averages: use ping -D, and funnel-hil trace import ping"),
 )  # fmt: skip

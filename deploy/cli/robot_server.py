@@ -13,6 +13,7 @@ import typer
 from bus_schema.configuration import ConfigurationError
 from deploy.cli.parts.common import say_warnings, show_results
 from deploy.cli.parts.options import (
+    NetworkOption,
     NoReport,
     Out,
     Overrides,
@@ -59,9 +60,6 @@ Vendor = Annotated[
         show_default=False,
     ),
 ]
-Network = Annotated[
-    str | None, typer.Option(metavar="LOG", help="A file of delays, or a shipped trace.")
-]
 Host = Annotated[str, typer.Option(help="Address to listen at.")]
 Client = Annotated[
     str | None,
@@ -91,7 +89,7 @@ def robot_server(
     scenario: ScenarioArgument = "ur5e_motors",
     interface: Interface = "servoj",
     vendor: Vendor = None,
-    network: Network = None,
+    network: NetworkOption = None,
     overrides: Overrides = None,
     host: Host = _LOCAL,
     client: Client = None,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from bus_schema.messages.run_event import EventKind
@@ -10,6 +11,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.judge.run_data import RunData
 from deploy.scenario.setup import Setup
+from plant_emulator.channel.trace_file import read_trace
 from plant_emulator.physics.engines import DEFAULT_ENGINE, ENGINES, default_note, physics_in_force
 
 Conditions = dict[str, str]
@@ -37,6 +39,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         "law": ", ".join(laws),
         "physics": _physics_of(setups),
         **drives_of(setups),
+        **networks_of(_traces_of(setups)),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"initial offset {start} rad",
         "seeds": str(scenario.seed),
@@ -74,6 +77,18 @@ def drives_of(setups: Sequence[Setup]) -> Conditions:
     """Return the sources of the motors' and friction's numbers, if scenarios name them."""
     sources = dict.fromkeys(setup.drive_data for setup in setups)
     return {"drives": "; ".join(filter(None, sources))} if any(sources) else {}
+
+
+def _traces_of(setups: Sequence[Setup]) -> list[Path]:
+    ways = [way for setup in setups for way in (setup.link.uplink, setup.link.downlink)]
+    return [Path(way.trace.file) for way in ways if way.trace is not None]
+
+
+def networks_of(files: Iterable[Path]) -> Conditions:
+    """Return what is assumed of files of other programs that are replayed; shipped traces: none."""
+    found = {file: read_trace(file).assumed for file in dict.fromkeys(files) if file.is_file()}
+    text = "; ".join(f"{file.name}: {assumed}" for file, assumed in found.items() if assumed)
+    return {"network": text} if text else {}
 
 
 def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:

@@ -13,10 +13,10 @@ from bus_schema.errors import did_you_mean
 from bus_schema.foreign_files import refuse_foreign
 from bus_schema.messages.types import stamp_of
 from bus_schema.tables import MOST_BYTES, read_columns
+from bus_schema.time_units import UNITS_MS
 from bus_schema.user_files import read_text
 from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure.recordings import opened
-from deploy.measure.time_units import UNITS_MS
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel import round_trips
 from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
@@ -29,15 +29,13 @@ def from_ping(file: Path, interval_s: float | None = None) -> MeasuredDelays:
 
     Args:
         file: its output; with ``-D`` it has the times of answers.
-        interval_s: between two requests, for output without times; 1 s by default.
+        interval_s: between two requests, for output without times; None: by its statistics.
 
     Raises:
         ScenarioError: it cannot be read, or has times beside `interval_s`.
     """
-    lines = _lines(file, "ping")
-    has_times = any(line.startswith("[") for line in lines)
     try:
-        found = round_trips.from_ping(file, lines, interval_s if has_times else interval_s or 1.0)
+        found = round_trips.from_ping(file, _lines(file, "ping"), interval_s)
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     return MeasuredDelays(found.sent_s, found.round_trips_ms / 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -31,11 +31,13 @@ class Trace:
         times_ns: when each message was sent, from 0 on, not decreasing; shape (messages,).
         delays_ns: how long it took, or `LOST_NS`; shape (messages,).
         is_round_trip: the delays are halves of round trips, and each direction has one half.
+        assumed: how another program's file is read; empty for a trace.
     """
 
     times_ns: NDArray[np.int64]
     delays_ns: NDArray[np.int64]
     is_round_trip: bool = False
+    assumed: str = ""
 
     @cached_property
     def gap_ns(self) -> int:
@@ -80,8 +82,8 @@ def read_trace(path: Path) -> Trace:
 
     Args:
         path: CSV or Parquet with columns ``time_s`` and either ``delay_ms`` or ``round_trip_ms``
-            (empty: lost), and perhaps ``lost`` (0 or 1) and ``size``, which is ignored. Or output
-            of ``ping -D``, or a table of tshark with ``tcp.analysis.ack_rtt``.
+            (empty: lost), and perhaps ``lost`` (0 or 1) and ``size``, which is ignored. Or what
+            `measured_round_trips` reads.
 
     Raises:
         ValueError: it cannot be read, or holds something else; the message names line and column.
@@ -97,7 +99,11 @@ def read_trace(path: Path) -> Trace:
 def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
     found = measured_round_trips(path)
     if found is not None:
-        return _trace(path, found.sent_s, found.round_trips_ms, is_round_trip=True)
+        is_wrong = found.round_trips_ms < 0.0, found.round_trips_ms > LONGEST_MS
+        if np.logical_or(*is_wrong).any():
+            raise ValueError(f"{path}: delays must be 0 to {LONGEST_MS:g} ms")
+        trace = _trace(path, found.sent_s, found.round_trips_ms, is_round_trip=not found.is_one_way)
+        return replace(trace, assumed=found.assumed)
     columns = read_columns(path, ["time_s"], [*DELAYS, "lost", "size"])
     given = [name for name in DELAYS if name in columns.values]
     if len(given) != 1:

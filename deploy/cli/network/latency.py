@@ -15,11 +15,11 @@ import typer
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.tables import column_names, read_columns
+from bus_schema.time_units import UNITS_MS, Unit, check_interval, units_of
 from bus_schema.user_files import read_text
 from deploy.measure.latency import Latency, find_latency
 from deploy.measure.latency_export import ENDINGS, Export, exported
 from deploy.measure.mcap_series import element_place, read_fields, rows_of
-from deploy.measure.time_units import UNITS_MS, Unit, check_interval, units_of
 
 _Rows = tuple[Vector, Vector, Vector]
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")

@@ -12,10 +12,10 @@ import numpy as np
 import typer
 
 from bus_schema.errors import InputError
+from bus_schema.time_units import Unit, check_interval, units_of
 from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure import trace_import
 from deploy.measure.clocks import at_least, drift_ppm, without_drift
-from deploy.measure.time_units import Unit, check_interval, units_of
 from deploy.measure.trace_output import scenario_lines, write_trace
 from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
 
@@ -78,7 +78,8 @@ def import_trace(
         typer.Option(
             "--interval",
             metavar="S",
-            help=r"Time between requests, for ping without -D.  \[default: 1]",
+            help="Time between requests, for ping without -D."
+            r"  \[default: as its last lines say, or 1]",
         ),
     ] = None,
     least_ms: Annotated[

@@ -71,6 +71,13 @@ MassOption = Annotated[
     float | None,
     typer.Option(metavar="KG", help="Mass of the whole arm, if its file gives no inertias."),
 ]
+NetworkOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LOG",
+        help="A trace or its name, output of ping or iperf3 --json, or a table of delays.",
+    ),
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(

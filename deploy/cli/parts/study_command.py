@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from functools import partial
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -22,11 +22,12 @@ from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.processes.program import require_program
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.execution.runner import Progress, Workers
+from deploy.study.execution.runner import Progress
 from deploy.study.execution.session import Session, open_session
 from deploy.study.study import StudyOfRuns
 
-StartWorkers = Callable[[], AbstractContextManager[Workers]]
+if TYPE_CHECKING:
+    from deploy.study.execution.dask_workers import DaskWorkers  # heavy
 
 _GOES_ON = "{}: repeat the same command to continue."
 _AUTHENTICATED = ("tls://", "wss://")
@@ -86,13 +87,38 @@ def run_study(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: boo
     leave(interrupted=False, whole=whole, kept=kept and is_passed)
 
 
+class SharedWorkers(contextlib.ExitStack):
+    """Worker processes that several studies of one command use in turn; the first starts them."""
+
+    _workers: DaskWorkers | None = None
+
+    @contextlib.contextmanager
+    def borrowed(self, start: Callable[[], DaskWorkers]) -> Iterator[DaskWorkers]:
+        """Return the workers for one study; `start` starts them if there are none."""
+        if self._workers is None:
+            self._workers = self.enter_context(start())
+        yield self._workers
+        self._workers.forget()
+
+
 @contextlib.contextmanager
 def carried_out(
-    study: StudyOfRuns, options: WorkerOptions, console: Console, stop: threading.Event
-) -> Iterator[Session]:
-    """Do the runs that the folder of a study lacks, with progress; it is locked meanwhile."""
+    study: StudyOfRuns, options: WorkerOptions, console: Console, stop: threading.Event,
+    shared: SharedWorkers | None = None,
+) -> Iterator[Session]:  # fmt: skip
+    """Do the runs that the folder of a study lacks, with progress; it is locked meanwhile.
+
+    Args:
+        study: the study.
+        options: workers and folder.
+        console: where to show the progress.
+        stop: set to end early.
+        shared: workers, if other studies with the same laws use them too.
+    """
+    start = _workers(study, options)
     with open_session(
-        study, _workers(study, options), options.out, _progress(console, study, options, stop),
+        study, start if shared is None else partial(shared.borrowed, start), options.out,
+        _progress(console, study, options, stop),
         overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
     ) as done:  # fmt: skip
         if done.folder.unseen:
@@ -100,7 +126,7 @@ def carried_out(
         yield done
 
 
-def _workers(study: StudyOfRuns, options: WorkerOptions) -> StartWorkers:
+def _workers(study: StudyOfRuns, options: WorkerOptions) -> Callable[[], DaskWorkers]:
     """Return what starts the workers of a study, after checking that its scenarios can run."""
     if options.workers is not None and options.scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")

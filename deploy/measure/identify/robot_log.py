@@ -13,8 +13,8 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InputError, did_you_mean
 from bus_schema.tables import column_names, read_columns
+from bus_schema.time_units import UNITS_MS, units_of
 from deploy.measure.recordings import opened
-from deploy.measure.time_units import UNITS_MS, units_of
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SHORTEST_S, FEWEST_ROWS = 5.0, 200

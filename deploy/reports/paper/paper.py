@@ -64,13 +64,24 @@ def write_latex(page: Page[Any], file: Path) -> Path:
 
 
 def narrow_parts(table: Table) -> Iterator[Table]:
-    """Yield a table as parts with few columns; each repeats the first column, which names rows."""
-    others = range(1, max(2, len(table.columns)))
-    for first in others[:: _MOST_COLUMNS - 1]:
-        chosen = [0, *others[first - 1 : first + _MOST_COLUMNS - 2]]
+    """Yield a table as parts with few columns; each repeats the first ones, which name rows."""
+    heads = _naming_columns(table)
+    step = _MOST_COLUMNS - heads
+    for first in range(heads, max(heads + 1, len(table.columns)), step):
+        chosen = [*range(heads), *range(first, first + step)]
         columns = [table.columns[index] for index in chosen if index < len(table.columns)]
         rows = [[row[index] for index in chosen if index < len(row)] for row in table.rows]
         yield replace(table, columns=columns, rows=rows)
+
+
+def _naming_columns(table: Table) -> int:
+    """Return how many columns of text, from the first on, it takes to tell rows apart."""
+    texts = [[cell.text for cell in row] for row in table.cells]
+    for count, column in enumerate(table.columns[: _MOST_COLUMNS - 1]):
+        is_distinct = len({tuple(row[:count]) for row in texts}) == len(texts)
+        if count and (is_distinct or not column.is_text):
+            return count
+    return 1
 
 
 def as_latex(table: Table) -> str:

@@ -43,6 +43,9 @@ _NO_DATE: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"D
 _DASHES = {"dot": ":", "dash": "--", "dashdot": "-.", "solid": "-"}
 _MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "x": "X"}
 _OWN_MARKERS = ("", "s", "^", "D", "v", "P", "X", "<", ">")
+_SCATTER_MARKERS = ("o", *_OWN_MARKERS[1:])
+_FILLS = ("full", "none", "left", "right", "top", "bottom")
+"""Of points whose shapes say something else than their colours."""
 _HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "++++", "oo", "**")
 """Of colours in their order, so that they differ in grey too."""
 _MARKED_POINTS = 8
@@ -148,9 +151,14 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
     traces = [trace for trace in figure.data if (trace.yaxis or "y") == row]
     _draw_bars([trace for trace in traces if trace.type == "bar"], figure.layout.bargap, at)
     lines = [trace for trace in traces if trace.type != "bar"]
-    places = _marker_places(figure.data) if len(_marker_places(lines)) > 1 else {}
+    places = {
+        is_scatter: _marker_places(figure.data, is_scatter=is_scatter)
+        if len(_marker_places(lines, is_scatter=is_scatter)) > 1 else {}
+        for is_scatter in (False, True)
+    }  # fmt: skip
     for before, trace in zip([None, *lines], lines, strict=False):
-        _draw_line(trace, before, at, places.get(_line_colour(trace), 0))
+        of_kind = places[trace.mode == "markers"]
+        _draw_line(trace, before, at, of_kind.get(_line_colour(trace), 0))
     across, along = _axis(figure, row), _axis(figure, traces[0].xaxis or "x")
     for axis, scale, limit, label in (
         (along, at.set_xscale, at.set_xlim, at.set_xlabel),
@@ -175,13 +183,13 @@ def _line_colour(trace: Any) -> Any:
     return _colour(trace.line.color or own)
 
 
-def _marker_places(traces: Iterable[Any]) -> dict[Any, int]:
-    """Return the place of the marker of each colour that named lines have.
+def _marker_places(traces: Iterable[Any], *, is_scatter: bool) -> dict[Any, int]:
+    """Return the place of the marker of each colour that named lines, or named points, have.
 
     A law's colour has the same marker in every figure; other colours follow in their order.
     """
     named = [each for each in traces if each.type != "bar" and each.name
-             and (each.mode or "lines") != "markers"]  # fmt: skip
+             and (each.mode == "markers") is is_scatter]  # fmt: skip
     colours = dict.fromkeys(map(_line_colour, named))
     laws = [palette(number) for number in range(len(_OWN_MARKERS))]
     others = [colour for colour in colours if colour not in laws]
@@ -246,13 +254,22 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     if mode == "lines" and trace.line.width == 0:  # the edge of a band
         return
     if by_point and "lines" not in mode:
+        style["fillstyle"] = _FILLS[place % len(_FILLS)]
         for number, (x, y, symbol) in enumerate(zip(trace.x, trace.y, symbols, strict=True)):
-            shown = style if number == 0 else {"color": colour}
+            shown = style if number == 0 else {**style, "label": "_nolegend_"}
             at.plot([x], [y], linestyle="", marker=_MARKERS.get(symbol, "o"), **shown)
         return
-    marker = _MARKERS.get(symbols or "circle", "o") if "markers" in mode else ""
+    if mode == "markers" and symbols is None and place:
+        symbols = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
+    marker = _MARKERS.get(symbols or "circle", symbols) if "markers" in mode else ""
     if "lines" in mode and symbols is None and place:
         marker = _OWN_MARKERS[place]
+    if trace.error_x.array is not None:
+        lower = (
+            trace.error_x.array if trace.error_x.arrayminus is None else trace.error_x.arrayminus
+        )
+        at.errorbar(trace.x, trace.y, xerr=[lower, trace.error_x.array], fmt="none",
+                    ecolor=colour, elinewidth=0.6, capsize=1.5)  # fmt: skip
     count = 0 if trace.x is None else len(trace.x)
     every = 1 if "markers" in mode else max(1, count // _MARKED_POINTS)
     at.plot(

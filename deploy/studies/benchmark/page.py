@@ -241,6 +241,9 @@ def _margin_and_error(study: DrawnStudy) -> go.Figure:
             },
             text=[f"{c['scenario']}, {c['predictor']}, {c['gains']} gains" for c in cells],
         )  # fmt: skip
+    for symbol, predictor in zip(_SYMBOLS, predictors if len(predictors) > 1 else (), strict=False):
+        marker = {"color": style.MUTED, "symbol": symbol}
+        figure.add_scatter(x=[None], y=[None], name=predictor, mode="markers", marker=marker)
     style.put_legend_on_top(figure, 1 + len(figure.data) // 4)
     return figure
 
@@ -248,5 +251,5 @@ def _margin_and_error(study: DrawnStudy) -> go.Figure:
 _SCATTER: Panel[DrawnStudy] = Panel(
     "Delay", "benchmark-scatter", "Delay against precision", _margin_and_error,
     "A point for each arm, predictor and gains that keep the smallest delay: further to the left is"
-    " more precise there, higher is more robust. Symbols: predictors, circles for the first.",
+    " more precise there, higher is more robust. Colours: laws; symbols: predictors.",
 )  # fmt: skip

@@ -11,9 +11,15 @@ import typer
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.cli.parts.common import ResultGate, leave, parse_laws, say_warnings, show_results
-from deploy.cli.parts.options import GateOptions, InterfaceOption, ScenarioArgument, taking
+from deploy.cli.parts.options import (
+    GateOptions,
+    InterfaceOption,
+    NetworkOption,
+    ScenarioArgument,
+    taking,
+)
 from deploy.cli.parts.progress import CommandProgress
-from deploy.cli.parts.study_command import carried_out
+from deploy.cli.parts.study_command import SharedWorkers, carried_out
 from deploy.cli.parts.study_options import WorkerOptions
 from deploy.judge.run_rows import Row
 from deploy.reports.studies.results import write_study
@@ -42,12 +48,7 @@ class DatasheetOptions(GateOptions, WorkerOptions):
         typer.Option(help=f"The control law; by default {_LAW}, or those of the interface."),
     ] = None
     interface: InterfaceOption = None
-    network: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LOG", help="A trace or its name, output of ping -D, or tshark's table."
-        ),
-    ] = None
+    network: NetworkOption = None
     plants: Annotated[int, typer.Option(min=0, help="Number of uncertain plants.")] = 0
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter runs.")] = False
 
@@ -72,13 +73,14 @@ def datasheet(options: DatasheetOptions) -> None:
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(*margin.bases, *(() if windows is None else windows.bases))
-    parts, window = sheet_parts(
-        sheet,
-        margin,
-        windows,
-        out,
-        lambda study, folder: _made(study, options, folder, console, stop),
-    )
+    with SharedWorkers() as workers:
+        parts, window = sheet_parts(
+            sheet,
+            margin,
+            windows,
+            out,
+            lambda study, folder: _made(study, options, folder, console, stop, workers),
+        )
     _leave_if_stopped(stop, console)
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
@@ -128,11 +130,11 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
 
 def _made(
     study: StudyOfRuns, options: DatasheetOptions, out: Path, console: Console,
-    stop: threading.Event,
+    stop: threading.Event, workers: SharedWorkers | None = None,
 ) -> tuple[dict[str, Any], list[Row]]:  # fmt: skip
     """Do a part of the data sheet; return its summary, and its rows."""
     own = replace(options, out=out, overwrite=False)
-    with carried_out(study, own, console, stop) as done:
+    with carried_out(study, own, console, stop, workers) as done:
         summary, rows = write_study(study, done.folder).summary, done.folder.rows
     _leave_if_stopped(stop, console)
     if summary["runs_failed"] == summary["runs"]:

@@ -122,6 +122,11 @@ def worst_window(rows: list[Row]) -> Row:
     return max(own, key=badness)
 
 
+def network_files(network: str | None) -> list[Path]:
+    """Return the file of a network; none for a shipped one."""
+    return [] if network is None or not Path(network).is_file() else [Path(network)]
+
+
 def window_starts_s(network: str, count: int) -> list[float]:
     """Return where windows of a trace begin: spread over it, and just before its worst stretch.
 

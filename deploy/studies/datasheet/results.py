@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_whole
+from deploy.judge.conditions import networks_of
 from deploy.judge.run_rows import Row
 from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.results import Again, Results, write_results, write_run
@@ -18,7 +19,7 @@ from deploy.run.run_folder import ResultFolder, RunFolder, load_run, read_summar
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
-from deploy.studies.datasheet.data_sheet import DataSheet, worst_window
+from deploy.studies.datasheet.data_sheet import DataSheet, network_files, worst_window
 from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
 from deploy.studies.datasheet.robot_sheet import RobotSheet
 from deploy.studies.margin.result import MarginResult
@@ -119,7 +120,7 @@ def write_data_sheet(
         window: the run on the worst window of the network.
     """
     margin = parts["margin"]
-    conditions = margin["conditions"]
+    conditions = {**margin["conditions"], **networks_of(network_files(sheet.network))}
     summary: dict[str, Any] = {
         "kind": "datasheet",
         "name": margin["cases"][0]["arm"],

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from deploy.judge.conditions import networks_of
 from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.results import Again, Results, write_results
 from deploy.run.run_folder import ResultFolder, read_summary
+from deploy.studies.datasheet.data_sheet import network_files
 from deploy.studies.datasheet.robot_page import headline, robot_sheet_page, summaries_of
 from deploy.studies.datasheet.robot_sheet import RobotSheet
 
@@ -43,7 +45,7 @@ def write_robot_sheet(
         "completed": True,
         "runs": len(runs) + margin["runs"],
         "runs_failed": margin["runs_failed"],
-        "conditions": margin["conditions"],
+        "conditions": {**margin["conditions"], **networks_of(network_files(sheet.network))},
         TESTED_WITH: margin.get(TESTED_WITH),
         "runs_of_robot": runs,
         "margin": margin,

@@ -13,13 +13,13 @@ import typer
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 from bus_schema.robot_description import RobotDescription
+from bus_schema.time_units import Unit
 from deploy.cli.parts.options import IncludeOption, JointsOption, MassOption, taking
 from deploy.measure.identify.design import design, write_design
 from deploy.measure.identify.identification import Wishes
 from deploy.measure.identify.identification import identify as identify_arm
 from deploy.measure.identify.identified import Identified
 from deploy.measure.identify.results import RANGES, SCENARIO, check_is_free, write_results
-from deploy.measure.time_units import Unit
 from deploy.reports.terminal import print_table
 from deploy.run.console import Console
 from deploy.run.new_folder import new_folder

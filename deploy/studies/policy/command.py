@@ -10,7 +10,7 @@ import typer
 
 from controller.policies.configuration import is_address
 from deploy.cli.parts.common import parse_laws
-from deploy.cli.parts.options import GateOptions, taking
+from deploy.cli.parts.options import GateOptions, NetworkOption, taking
 from deploy.cli.parts.study_command import run_study
 from deploy.cli.parts.study_options import WorkerOptions
 from deploy.scenario.yaml_files import ScenarioError
@@ -35,9 +35,7 @@ class PolicyOptions(GateOptions, WorkerOptions):
     merges: Annotated[
         str | None, typer.Option(metavar="A,B,…", help="Merges to try; by default all but waiting.")
     ] = None
-    network: Annotated[
-        str | None, typer.Option(metavar="LOG", help="A file of delays, or a shipped trace.")
-    ] = None
+    network: NetworkOption = None
     at: Annotated[
         float, typer.Option(min=0, metavar="MS", help="Inference time to compare merges at.")
     ] = 100.0

@@ -66,12 +66,10 @@ class DaskWorkers:
         self, workers: int | None = None, scheduler: str | None = None, laws: Iterable[str] = ()
     ) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        self._finished: queue.SimpleQueue[tuple[PlannedRun, Future]] = queue.SimpleQueue()
         self._laws = packed(laws)
-        self._in_flight = 0
-        self._suspects: deque[PlannedRun] = deque()
-        self._alone: PlannedRun | None = None
+        self._futures: list[Future] = []
         self._open = ExitStack()
+        self.forget()
         if scheduler is not None:
             self.client = self._open.enter_context(_connect(scheduler))
             return
@@ -102,11 +100,24 @@ class DaskWorkers:
         found: Mapping[str, Provenance] = self.client.run(current, list(parts))
         return list(found.values())
 
+    def forget(self) -> None:
+        """Drop all runs, so that another study of the same laws can begin."""
+        for future in self._futures:
+            if self.client.status == "running":
+                future.cancel()
+        self._futures.clear()
+        self._finished: queue.SimpleQueue[tuple[PlannedRun, Future]] = queue.SimpleQueue()
+        self._in_flight = 0
+        self._suspects: deque[PlannedRun] = deque()
+        self._alone: PlannedRun | None = None
+
     def submit(self, run: PlannedRun) -> None:
         """Submit a run."""
         self._in_flight += 1
         future = self.client.submit(row_with, run, self._laws, pure=False)
-        future.add_done_callback(lambda done: self._finished.put((run, done)))
+        finished = self._finished  # of this study
+        future.add_done_callback(lambda done: finished.put((run, done)))
+        self._futures = [each for each in self._futures if not each.done()] + [future]
 
     def finished(self, timeout_s: float) -> tuple[PlannedRun, Row] | None:
         """Return a finished run, in any order; None if none was finished in time.

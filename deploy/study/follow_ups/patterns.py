@@ -134,7 +134,8 @@ class PatternSearch(MarginSearch):
     Attributes:
         case: the case with this margin.
         at_margin: its scenario with the constant delay of this margin.
-        is_thorough: whether to try a catalogue of patterns where the play-out does not level them.
+        is_thorough: whether to try a catalogue of patterns where the play-out does not level them,
+            and all of a handful where it does.
         is_levelled: whether the play-out levels all delays up to it.
         worst_overrides: overrides of the run with the worst pattern, once that is known.
     """
@@ -152,7 +153,8 @@ class PatternSearch(MarginSearch):
         if self.is_thorough and not self.is_levelled:
             self._add(self._shaped(catalogue(self._tick_ms)))
             return
-        self._add(self._shaped([*HANDFUL, *bursts(self._tick_ms)]))
+        handful = HANDFUL if self.is_thorough or not self.is_levelled else HANDFUL[-1:]
+        self._add(self._shaped([*handful, *bursts(self._tick_ms)]))
         if self.is_levelled:
             setting, starts = self.case.setting, self.case.variants
             found = splits(setting, self.steps.value(self.steps.limit))

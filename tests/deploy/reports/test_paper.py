@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 import pytest
 from plotly.subplots import make_subplots
 
-from deploy.reports.figures.style import new_figure
+from deploy.reports.figures.style import new_figure, palette
 from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text, narrow_parts
 from deploy.reports.results import Results
 from deploy.reports.tables import Cell, Column, Table
@@ -172,6 +172,30 @@ def test_lines_and_bars_of_equal_colour_in_grey_differ(tmp_path, monkeypatch):
     assert len({bar.patches[0].get_hatch() for bar in bars}) == 3
 
 
+@pytest.mark.parametrize("symbols", [None, ["circle", "diamond"]])
+def test_points_of_laws_differ_in_grey(tmp_path, monkeypatch, symbols):
+    """By their shape, or where that says something else, by how they are filled."""
+    figure = new_figure(300)
+    for place, name in enumerate(("pid", "smc", "sliding")):
+        marker = {"color": palette(place), "symbol": symbols}
+        figure.add_scatter(x=[1, 2], y=[1, 2], name=name, mode="markers", marker=marker)
+    lines = drawn(figure, tmp_path, monkeypatch).lines
+    named = [line for line in lines if not line.get_label().startswith("_")]
+    assert [line.get_label() for line in named] == ["pid", "smc", "sliding"]
+    assert len({(line.get_marker(), line.get_fillstyle()) for line in named}) == 3
+    shapes = {line.get_marker() for line in named}
+    assert len(shapes) == (3 if symbols is None else 1)
+
+
+def test_intervals_of_points_are_drawn(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    half = {"array": [0.5, 0.25], "arrayminus": [0.1, 0.2], "symmetric": False}
+    figure.add_scatter(x=[1.0, 2.0], y=["a", "b"], name="friction", mode="markers", error_x=half)
+    [bars] = drawn(figure, tmp_path, monkeypatch).collections
+    ends = [[float(x) for x, _ in segment] for segment in bars.get_segments()]
+    assert ends == [[0.9, 1.5], [1.8, 2.25]]
+
+
 def test_legend_does_not_repeat_the_titles_of_subplots(tmp_path, monkeypatch):
     figure = make_subplots(rows=2, cols=1, subplot_titles=["elbow", "wrist"])
     for row, name in enumerate(["elbow", "wrist"], 1):
@@ -208,6 +232,16 @@ def test_wide_table_becomes_tables_of_six_columns_with_short_captions():
     assert r"\caption{Laws}" in text
     assert r"\begin{tabular}{lrrrrr}" in text
     assert r"\begin{longtable}" in as_latex(Table("Long", columns[:2], 60 * [["a", 1]]))
+
+
+def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
+    columns = [Column(f"c{number}", is_text=number < 3) for number in range(9)]
+    rows = [["smc", "none", "given", *range(6)], ["smc", "smith", "given", *range(6)]]
+    parts = list(narrow_parts(Table("Laws", columns, rows)))
+    assert [[column.heading for column in part.columns] for part in parts] == [
+        ["c0", "c1", "c2", "c3", "c4", "c5"], ["c0", "c1", "c6", "c7", "c8"],
+    ]  # fmt: skip
+    assert parts[1].rows[1] == ["smc", "smith", 3, 4, 5]
 
 
 def test_edges_of_bands_are_no_lines(tmp_path, monkeypatch):

@@ -52,6 +52,9 @@ class OneWorkerHere(Here):
     def __exit__(self, *_):
         pass
 
+    def forget(self):
+        self._waiting.clear()
+
 
 def made_up(run, **values):
     """A row without a simulation."""

@@ -23,6 +23,7 @@ from deploy.study.execution import dask_workers, law_code
 from deploy.study.execution.dask_workers import DaskWorkers
 from deploy.study.execution.folder import StudyFolder
 from deploy.study.execution.runner import carry_out
+from deploy.study.planned_run import PlannedRun
 from tests.deploy.own_laws import own_law
 from tests.deploy.study.dask_parts import TRUSTED
 from tests.deploy.study.studies import Here
@@ -226,6 +227,24 @@ def test_workers_of_our_own_leave_interrupts_to_the_command(tmp_path, monkeypatc
     with DaskWorkers(1) as team:
         ignoring = team.client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN)
     assert list(ignoring.values()) == [True]
+
+
+def test_next_study_gets_no_run_of_the_one_before():
+    """Both have a run of the same point and seed."""
+    before, after = (
+        PlannedRun("0", "paper_arm", (f"duration_s={duration_s}",), 1, {})
+        for duration_s in (1.0, 0.05)
+    )
+    with DaskWorkers(1) as team:
+        team.submit(before)
+        team.forget()
+        team.submit(after)
+        found = []
+        await_true(lambda: found.append(team.finished(0.2)) or found[-1])
+        run, row = found[-1]
+        assert run is after
+        assert row["duration_s"] == 0.05
+        assert team.finished(1.0) is None
 
 
 def test_workers_of_our_own_leave_no_files(tmp_path, monkeypatch):

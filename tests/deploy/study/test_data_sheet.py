@@ -19,14 +19,16 @@ from tests.warm_process import output_of
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A data sheet on a network that is a constant delay of 2 ms each way."""
+    """A data sheet on a network that ping measured: a constant delay of 2 ms each way."""
     folder = tmp_path_factory.mktemp("sheet")
-    lines = ["time_s,delay_ms", *(f"{0.01 * row:.2f},2.0" for row in range(700))]
-    (folder / "calm.csv").write_text("\n".join([*lines, ""]))
+    replies = (f"64 bytes from arm: icmp_seq={row} ttl=64 time=4.0 ms" for row in range(1, 701))
+    end = "700 packets transmitted, 700 received, 0% packet loss, time 6990ms"
+    lines = ["PING arm (10.0.0.2) 56(84) bytes of data.", *replies, "", end, ""]
+    (folder / "calm.txt").write_text("\n".join(lines))
     words = (
         "datasheet", "paper_arm", "--law", "smc", "--quick", "--workers", "1", "--plants", "1",
         "--set", "duration_s=0.4", "--set", "metrics.from_s=0.2",
-        "--network", folder / "calm.csv", "--out", folder / "out",
+        "--network", folder / "calm.txt", "--out", folder / "out",
     )  # fmt: skip
     output = output_of(*words)
     return folder / "out", words, output
@@ -47,7 +49,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     # begins at 51 %. The worst stretch of a constant delay is its beginning, as of another window.
     network, windows, quote, quoted, best, *_ = summary["headline"]
     assert network == (
-        "calm.csv: kept in 4 of 4 windows with compensation, without drive feedback."
+        "calm.txt: kept in 4 of 4 windows with compensation, without drive feedback."
     )
     assert windows == "Windows of 0.4 s; 95 % interval of the kept share: 51–100 %."
     # Then the worst of what is not known of the arm, and only then the best case.
@@ -68,6 +70,14 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     assert all(sentence in " ".join(output.split()) for sentence in summary["headline"])
     assert (out / "worst_window" / "report.html").exists()
     assert "The arm in the worst window" in (out / "report.html").read_text()
+
+
+def test_the_page_says_how_output_of_ping_is_read(made):
+    out, *_ = made
+    assumed = "calm.txt: output of ping, 0.01 s between requests (by its statistics), missing"
+    assert assumed in summary_of(out)["conditions"]["network"]
+    for folder in (out, out / "worst_window"):
+        assert assumed in (folder / "report.html").read_text()
 
 
 def test_windows_run_with_each_equipment_and_the_worst_is_of_compensation_alone(made):
@@ -125,7 +135,7 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     for point in summary["parts"]["network"]["points"]:
         point["runs_kept"] = int(point["values"][3])  # with feedback at the drives alone
     assert headline(summary)[:3] == [
-        "calm.csv: lost in 4 of 4 windows with compensation, without drive feedback.",
+        "calm.txt: lost in 4 of 4 windows with compensation, without drive feedback.",
         "Windows of 0.4 s; 95 % interval of the kept share: 0–49 %.",
         "Kept in 4 of 4 with compensation, with drive feedback: add"
         " --set controller.drive_feedback.enabled=true.",

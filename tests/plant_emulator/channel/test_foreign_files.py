@@ -1,5 +1,6 @@
 """Files of other programs are refused with the program's name and the nearest way."""
 
+import json
 import re
 from pathlib import Path
 
@@ -88,8 +89,79 @@ def test_round_trips_of_others_are_traces_as_they_are(tmp_path: Path, name: str)
         assert times_ms == pytest.approx([0.0, 20.0], abs=1e-3)
 
 
-def test_ping_without_times_is_refused_with_the_way(tmp_path: Path) -> None:
-    file = tmp_path / "ping.txt"
-    file.write_text(re.sub(r"\[.*\] ", "", PING))
-    with pytest.raises(ValueError, match=r"ping\.txt: its replies have no times: use ping -D"):
-        read_trace(file)
+@pytest.mark.parametrize(
+    ("end", "interval_ms", "source"),
+    [("3 packets transmitted, 2 received, 33% packet loss, time 40ms\n", 20, "by its statistics"),
+     ("", 1000, "ping's default, assumed")],
+)  # fmt: skip
+def test_ping_without_times_has_the_interval_of_its_statistics(
+    tmp_path: Path, end: str, interval_ms: int, source: str
+) -> None:
+    (tmp_path / "ping.txt").write_text(re.sub(r"\[.*\] ", "", PING) + end)
+    trace = read_trace(tmp_path / "ping.txt")
+    assert trace.times_ns.tolist() == [0, interval_ms * 1_000_000, 2 * interval_ms * 1_000_000]
+    assert trace.delays_ns.tolist() == [2_000_000, LOST_NS, 4_000_000]
+    assert source in trace.assumed
+    assert "each direction replays half of each round trip" in trace.assumed
+
+
+def iperf(intervals: list[dict[str, object]], end: dict[str, object]) -> str:
+    start = {"connected": [], "version": "iperf 3.16"}
+    streams = [{"streams": [each]} for each in intervals]
+    return json.dumps({"start": start, "intervals": streams, "end": end})
+
+
+def test_tcp_report_of_iperf_is_halves_of_its_round_trips(tmp_path: Path) -> None:
+    """rtt is in µs (iperf3's field of struct tcp_info); what is omitted is the slow start."""
+    intervals = [{"end": 0.1 * n, "rtt": rtt, "omitted": n == 1}
+                 for n, rtt in enumerate((90_000, 4_000, 8_000), 1)]  # fmt: skip
+    (tmp_path / "iperf.json").write_text(iperf(intervals, {"sum_sent": {}}))
+    trace = read_trace(tmp_path / "iperf.json")
+    assert trace.is_round_trip
+    assert trace.delays_ns.tolist() == [2_000_000, 4_000_000]
+    assert trace.times_ns.tolist() == [0, 100_000_000]
+    assert "smooths" in trace.assumed
+
+
+def test_udp_report_of_iperf_is_refused_with_keys_of_the_link(tmp_path: Path) -> None:
+    total = {"bits_per_second": 1.05e6, "jitter_ms": 0.25, "lost_percent": 2.0}
+    (tmp_path / "f").write_text(iperf([{"end": 1.0}, {"end": 2.0}], {"sum": total}))
+    expected = "use rate_kbit_s: 1050, jitter_ms: 0.25 and loss: 0.02; measure delays with ping"
+    with pytest.raises(ValueError, match=expected):
+        read_trace(tmp_path / "f")
+
+
+@pytest.mark.parametrize(
+    ("text", "delays_us", "is_round_trip"),
+    [
+        ("seq,Timestamp,RTT [ms]\n1,0,3\n2,0.01,\n3,0.02,5\n", [1500, None, 2500], True),
+        ("t_us,latency_us\n20000,5000\n0,3000\n10000,\n", [3000, None, 5000], False),
+    ],
+)
+def test_tables_are_read_by_the_names_of_their_columns(
+    tmp_path: Path, text: str, delays_us: list[int | None], is_round_trip: bool
+) -> None:
+    (tmp_path / "log.csv").write_text(text)
+    trace = read_trace(tmp_path / "log.csv")
+    expected = [LOST_NS if each is None else 1000 * each for each in delays_us]
+    assert trace.delays_ns.tolist() == expected
+    assert trace.times_ns.tolist() == [0, 10_000_000, 20_000_000]
+    assert trace.is_round_trip is is_round_trip
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"time,latency\n0,1\n1,2\n", "column latency has no unit, such as latency_ms: rename"),
+        (b"time,latency_ms\n0,1\n100,2\n", "column time: the times are usually 100 s apart"),
+        (b"time,latency_ms\n0,-1\n1,2\n", "delays must be 0 to 60000 ms"),
+        (b"\x89MCAP0\r\n", "is an MCAP file: funnel-hil trace import mcap"),
+        (b"\x0a\x0d\x0d\x0a\x1c\0\0\0", "is a pcap file: give its table, tshark -r FILE"),
+    ],
+)
+def test_files_that_need_a_choice_are_refused_with_the_way(
+    tmp_path: Path, content: bytes, complaint: str
+) -> None:
+    (tmp_path / "log").write_bytes(content)
+    with pytest.raises(ValueError, match=complaint):
+        read_trace(tmp_path / "log")

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.link.channel_configuration import ChannelConfiguration, TraceConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, TracedChannel
 from plant_emulator.channel.impairment import ImpairedChannel
 from plant_emulator.channel.opening import open_downlink, open_uplink
-from plant_emulator.channel.trace import curves
+from plant_emulator.channel.trace import TraceReplay, curves
+from plant_emulator.channel.trace_file import LOST_NS
 from plant_emulator.command_gate import Command
 
 MS = 1_000_000
@@ -118,6 +119,23 @@ def test_curves_say_what_the_channel_did_beside_the_trace(tmp_path: Path) -> Non
     assert max(both["did"]["lags_s"]) == 1.0
     at_one_s = both["trace"]["autocorrelation"][-1]
     assert at_one_s == pytest.approx(np.cos(2 * np.pi * 100 / 400), abs=0.05)
+
+
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_sampled_trace_is_the_replay_from_its_begin(tmp_path: Path, interpolation: str) -> None:
+    random = np.random.default_rng(3)
+    times_s = np.sort(random.integers(0, 400, 200)) / 100  # some at one time
+    cells = [f"{each:.3f}" if each < 7.0 else "" for each in random.uniform(0.0, 8.0, 200)]
+    file = tmp_path / "trace.csv"
+    rows = [f"{time_s},{cell}" for time_s, cell in zip(times_s, cells, strict=True)]
+    file.write_text("\n".join(["time_s,delay_ms", *rows, ""]))
+    given = {"file": str(file), "scale": 1.3, "offset_ms": -2.0, "interpolation": interpolation}
+    begin = TraceConfiguration(**given, start_s=0.0, loop=False)
+    replay = TraceReplay(begin, np.random.default_rng(0))
+    found = TraceReplay(TraceConfiguration(**given), np.random.default_rng(0)).sampled(3 * MS)
+    one_by_one = [replay.delay_ns(number * 3 * MS) for number in range(len(found))]
+    assert len(found) > 1000
+    assert found.tolist() == [LOST_NS if each is None else max(0, each) for each in one_by_one]
 
 
 def test_curves_of_equal_delays_or_of_none_are_empty() -> None:

@@ -34,7 +34,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
             "0,1\n1,2\n",
             "line 1, column 1 '0' is unknown: the columns are time_s, and perhaps delay_ms",
         ),
-        ("time,delay_ms\n0,1\n1,2\n", "line 1, column 1 'time' is unknown"),
+        ("when,delay_ms\n0,1\n1,2\n", "line 1, column 1 'when' is unknown"),
         ("time_s,delay_ms,rtt\n0,1,2\n", "line 1, column 3 'rtt' is unknown"),
         ("time_s,delay_ms,time_s\n0,1,2\n", "line 1, column 1 'time_s' occurs twice"),
         ("time_s\n0\n1\n", "one of the columns delay_ms and round_trip_ms must be there"),

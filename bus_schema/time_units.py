@@ -24,8 +24,15 @@ def unit_of(column: str, otherwise: str) -> str:
         column: its name.
         otherwise: the unit where the name has none.
     """
+    return split_unit(column)[1] or otherwise
+
+
+def split_unit(column: str) -> tuple[str, str]:
+    """Return the words of a column's name in lower case, and its unit; an empty one for none."""
     found = _SUFFIX.search(column)
-    return otherwise if found is None else f"{_PREFIXES.get(found[1], found[1])}s"
+    words = column if found is None else column[: found.start()]
+    unit = "" if found is None else f"{_PREFIXES.get(found[1], found[1])}s"
+    return re.sub(r"[\s-]+", "_", words.strip().lower()), unit
 
 
 def units_of(columns: Sequence[str], given: str | None, option: str) -> dict[str, str]:
