@@ -11,6 +11,7 @@ from typing import Any
 from bus_schema.configuration import ConfigurationError, shown
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, held, tolerated
+from deploy.reports.studies.study_result import Share
 from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -27,14 +28,14 @@ from deploy.studies.benchmark.cells import (
     cells_of,
     places_of,
 )
+from deploy.studies.benchmark.result import BenchmarkResult, CellResult, PlantsKept
 from deploy.studies.tune.runs import DELAYS
 from deploy.study.definition import scenario_name
 from deploy.study.losses import share_kept
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
 from deploy.study.settings import COMPENSATION
-from deploy.study.statistics import worst
-from deploy.study.study import StudyOfRuns
+from deploy.study.study import StudyOfRuns, rows_by
 
 _CELLS_FILE = "cells.csv"
 
@@ -175,49 +176,44 @@ class Benchmark(StudyOfRuns):
             )  # fmt: skip
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        by_cell: dict[int, list[Row]] = {}
-        for row in rows:
-            by_cell.setdefault(int(row["point"].partition("-")[0]), []).append(row)
-        return {
-            "completed": len(rows) >= self.expected,
-            "runs_expected": self.expected,
-            "delays_ms": self.definition.delays_ms,
-            "networks": self.definition.networks,
-            "windows": self.definition.windows,
-            "plants": self.definition.plants,
-            "plant_seed": self.definition.plant_seed,
-            "cells": [self._found(self.cells[i], by_cell[i]) for i in sorted(by_cell)],
-        }
+        by_cell, wanted = rows_by(rows, lambda row: row["point"].partition("-")[0]), self.definition
+        return BenchmarkResult(
+            completed=len(rows) >= self.expected, runs_expected=self.expected,
+            delays_ms=wanted.delays_ms, networks=wanted.networks, windows=wanted.windows,
+            plants=wanted.plants, plant_seed=wanted.plant_seed,
+            cells=[self._found(self.cells[int(i)], own) for i, own in sorted(by_cell.items())],
+        ).to_json()  # fmt: skip
 
-    def _found(self, cell: Cell, rows: list[Row]) -> dict[str, Any]:
+    def _found(self, cell: Cell, rows: list[Row]) -> CellResult:
         of = {
             condition: [row for row in rows if row["condition"] == condition]
             for condition in (CONSTANT, PATTERN, NETWORK, PLANTS)
         }
         first = [row for row in of[CONSTANT] if row["point"].endswith("-00")]
-        constant_ms = self._kept_up_to(of[CONSTANT])
-        any_ms = min([constant_ms, *map(self._kept_up_to, _split(of[PATTERN], "pattern"))])
-        plants = [self._kept_up_to(each) for each in _split(of[PLANTS], "plant")]
-        return {
-            **cell._asdict(),
-            "margin_ms": constant_ms,
-            "any_pattern_ms": any_ms,
-            "rms_rad": _mean_of(first, "rms_rad"),
-            "travel_nm_per_s": _mean_of(first, "total_variation_nm_per_s"),
-            "networks": {
-                name: share_kept(sum(map(held, each)), len(each))
-                for name in self.definition.networks
-                if (each := [row for row in of[NETWORK] if row["network"] == name])
+        patterns, networks, plants = (
+            rows_by(of[condition], lambda row, column=column: row[column])
+            for condition, column in ((PATTERN, "pattern"), (NETWORK, "network"), (PLANTS, "plant"))
+        )
+        margin_ms, kept_ms = (
+            self._kept_up_to(of[CONSTANT]), list(map(self._kept_up_to, plants.values()))
+        )  # fmt: skip
+        return CellResult(
+            **cell._asdict(), margin_ms=margin_ms,
+            any_pattern_ms=min([margin_ms, *map(self._kept_up_to, patterns.values())]),
+            rms_rad=_mean_of(first, "rms_rad"),
+            travel_nm_per_s=_mean_of(first, "total_variation_nm_per_s"),
+            networks={
+                name: Share(**share_kept(sum(map(held, networks[name])), len(networks[name])))
+                for name in self.definition.networks if name in networks
             },
-            "plants_kept": [
-                {
-                    "round_trip_ms": delay_ms,
-                    **share_kept(sum(kept >= delay_ms for kept in plants), len(plants)),
-                }
-                for delay_ms in self.definition.delays_ms
-                if plants
+            plants_kept=[
+                PlantsKept(
+                    round_trip_ms=each_ms,
+                    **share_kept(sum(kept >= each_ms for kept in kept_ms), len(kept_ms)),
+                )
+                for each_ms in self.definition.delays_ms if kept_ms
             ],
-        }
+        )  # fmt: skip
 
     def _kept_up_to(self, rows: list[Row]) -> float:
         """Return the largest delay up to which all runs were kept; 0 for none."""
@@ -231,15 +227,15 @@ class Benchmark(StudyOfRuns):
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         """Write a table with a line for each cell."""
+        result = BenchmarkResult.model_validate(summary)
         with (folder / _CELLS_FILE).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             measures = ["margin_ms", "any_pattern_ms", "worst_rms_rad", "worst_travel_nm_per_s"]
-            writer.writerow([*Cell._fields, *measures, *(f"kept_{n}" for n in summary["networks"])])
-            for cell in summary["cells"]:
-                shares = [cell["networks"].get(n, {}).get("fraction") for n in summary["networks"]]
-                values = [cell["margin_ms"], cell["any_pattern_ms"]]
-                values += [worst(cell["rms_rad"]), worst(cell["travel_nm_per_s"])]
-                writer.writerow([*(cell[name] for name in Cell._fields), *values, *shares])
+            names = [*Cell._fields, *measures]
+            writer.writerow([*names, *(f"kept_{network}" for network in result.networks)])
+            for cell in result.cells:
+                values = (getattr(cell, name) for name in names)
+                writer.writerow([*values, *map(cell.fraction, result.networks)])
         summary["files"] = [_CELLS_FILE]
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
@@ -254,13 +250,6 @@ class Benchmark(StudyOfRuns):
             "windows": f"{wanted.windows} of each network",
             "tuned": ", ".join(sorted(tuned)) or "nothing: gains of the scenario, or derived",
         }
-
-
-def _split(rows: Iterable[Row], column: str) -> list[list[Row]]:
-    found: dict[Any, list[Row]] = {}
-    for row in rows:
-        found.setdefault(row[column], []).append(row)
-    return list(found.values())
 
 
 def _mean_of(rows: list[Row], column: str) -> list[float] | None:
