@@ -10,7 +10,6 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.run_rows import Row
-from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.results import Again, Results, write_results, write_run
 from deploy.run.execute import JudgedRun, execute
 from deploy.run.new_folder import new_folder, resolved_out
@@ -20,6 +19,7 @@ from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.studies.datasheet.data_sheet import DataSheet, worst_window
 from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
+from deploy.studies.datasheet.result import DataSheetResult, Parts
 from deploy.studies.datasheet.robot_sheet import RobotSheet
 from deploy.studies.margin.result import MarginResult
 from deploy.study.study import StudyOfRuns, digest_of
@@ -86,9 +86,8 @@ def sheet_parts(
     parts = {"margin": do(margin, out / "margin")[0]}
     if windows is not None:
         parts["network"], rows = do(windows, out / "network")
-    plants = sheet.of_plants(
-        MarginResult.model_validate(parts["margin"]).cases[-1].any_pattern or 0.0
-    )
+    found = MarginResult.model_validate(parts["margin"])
+    plants = sheet.of_plants(found.cases[-1].any_pattern or 0.0)
     if plants is not None:
         parts["plants"] = do(plants, out / "plants")[0]
     return parts, _written_window(windows, rows, out)
@@ -118,23 +117,18 @@ def write_data_sheet(
         parts: summaries of its studies by name, each in a folder of that name.
         window: the run on the worst window of the network.
     """
-    margin = parts["margin"]
-    conditions = margin["conditions"]
-    summary: dict[str, Any] = {
-        "kind": "datasheet",
-        "name": margin["cases"][0]["arm"],
-        "arm": margin["cases"][0]["arm"],
-        "law": sheet.law,
-        "network": sheet.network,
-        "duration_s": sheet.duration_s,
-        "completed": True,
-        "runs": sum(part["runs"] for part in parts.values()),
-        "runs_failed": sum(part["runs_failed"] for part in parts.values()),
-        "folders": {name: f"{name}/report.html" for name in parts},
-        "worst_window": None if window is None else window.summary["bounds"],
-        "conditions": conditions,
-        TESTED_WITH: sheet.tested_with(margin.get(TESTED_WITH)),
-        "parts": dict(parts),
-    }
-    summary["headline"] = headline(summary)
-    return write_results(folder, Results(summary, data_sheet_page(DrawnSheet(summary, window))))
+    found = Parts.model_validate(parts)
+    margin, studies = found.margin, found.all.values()
+    result = DataSheetResult(
+        kind="datasheet", name=margin.cases[0].arm, arm=margin.cases[0].arm, law=sheet.law,
+        network=sheet.network, duration_s=sheet.duration_s, completed=True,
+        runs=sum(part.runs for part in studies),
+        runs_failed=sum(part.runs_failed for part in studies),
+        folders={name: f"{name}/report.html" for name in parts},
+        worst_window=None if window is None else window.summary["bounds"],
+        conditions=margin.conditions, tested_with=sheet.tested_with(margin.tested_with),
+        parts=found,
+    )  # fmt: skip
+    result.headline = headline(result)
+    summary = {**result.to_json(), "parts": dict(parts)}  # which have their nulls
+    return write_results(folder, Results(summary, data_sheet_page(DrawnSheet(result, window))))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from controller.laws import LAWS
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import judge
 from deploy.judge.verdict import Verdict
 from deploy.run.simulate import simulate
 from deploy.scenario.interface_choice import COMPENSATION, KIND, LOOPS, interface_values, takes_of
@@ -22,7 +22,8 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError, override
-from deploy.studies.datasheet.data_sheet import START_KEYS, TRACE_KEYS, window_starts_s
+from deploy.studies.datasheet.data_sheet import START_KEYS, TRACE_KEYS, Sheet
+from deploy.studies.datasheet.result import NO_NETWORK, RobotRun
 from deploy.studies.margin.margin_study import margin_study
 from deploy.study.study import StudyOfRuns
 from plant_emulator.interfaces.configuration import INTERFACES, InterfaceConfiguration
@@ -67,7 +68,7 @@ class Way:
 
 
 @dataclass(frozen=True)
-class RobotSheet:
+class RobotSheet(Sheet):
     """Settings of the data sheet of a robot.
 
     Attributes:
@@ -85,12 +86,6 @@ class RobotSheet:
     network: str | None = None
     fixed: Mapping[str, Any] | None = None
     is_quick: bool = False
-
-    @property
-    def duration_s(self) -> float:
-        """Length of each run."""
-        given: float | None = (self.fixed or {}).get("duration_s")
-        return (3.0 if self.is_quick else 6.0) if given is None else given
 
     @property
     def loop(self) -> str:
@@ -127,9 +122,7 @@ class RobotSheet:
             if is_given or any(not way.is_constant or way.delay_ms for way in ways):
                 return {"the given link": {}}
             return {f"{ms:g} ms": dict.fromkeys(_DELAYS, 0.5 * ms) for ms in _ROUND_TRIPS_MS}
-        file = Path(self.network)
-        name = str(file.resolve()) if file.is_file() else self.network
-        starts_s = window_starts_s(name, 5 if self.is_quick else 12)
+        name, starts_s = self.windows_of(self.network)
         traces = dict.fromkeys(TRACE_KEYS.split(", "), name)
         windows = {
             f"window at {start_s:g} s": {**traces, **dict.fromkeys(START_KEYS.split(", "), start_s)}
@@ -159,9 +152,6 @@ class RobotSheet:
             values["compensation"] = [False, True]
         return margin_study({**values, "set": own}, _SOURCE)
 
-    def _set(self) -> dict[str, Any]:
-        return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
-
     def _setup(self, values: Mapping[str, Any]) -> Setup:
         own = interface_values(self.interface, self.law)
         for key, varied in itertools.product(self._set(), (KIND, *values)):
@@ -169,10 +159,6 @@ class RobotSheet:
                 raise ScenarioError(f"--set {key}: must be left out: the data sheet sets {varied}")
         given = {**own, "duration_s": self.duration_s, **values, **self._set()}
         return load_setup(self.arm, [override(key, each) for key, each in given.items()])
-
-
-NO_NETWORK = "no network"
-"""Name of the link without delays, beside the windows of a network."""
 
 
 def limiter_key(kind: str) -> str:
@@ -184,30 +170,20 @@ def _has_limiter(kind: str) -> bool:
     return "limiter" in type(InterfaceConfiguration(kind=kind).settings).model_fields
 
 
-def run_row(way: Way, link: str, setup: Setup) -> dict[str, Any]:
-    """Run a robot, and return what its data sheet says of it.
-
-    The lag is that of the joint that is furthest behind or ahead.
-    """
-    found = summarise(simulate(setup).data())
+def run_row(way: Way, link: str, setup: Setup) -> RobotRun:
+    """Run a robot, and return what its data sheet says of it."""
+    found = judge(simulate(setup).data())
     lags = {
         name: lag
-        for name, lag in zip(setup.robot.joint_names, found["lag_ms"], strict=True)
+        for name, lag in zip(setup.robot.joint_names, found.lag_ms, strict=True)
         if lag is not None
     }
     joint = max(lags, key=lambda name: abs(lags[name]), default=None)
     words = (word for each in setup.overrides for word in ("--set", each))
-    return {
-        **asdict(way),
-        "link": link,
-        "kept": found["verdict"] == Verdict.KEPT,
-        "verdict": found["verdict"],
-        "tip_rms_mm": found["tip_error_mm"]["rms"],
-        "tip_largest_mm": found["tip_error_mm"]["largest"],
-        "lag_ms": None if joint is None else lags[joint],
-        "lag_joint": joint,
-        "reflexes": found["reflexes"],
-        "first_violation_s": found["bounds"]["first_violation_s"],
-        "faults": found["faults"],
-        "command": f"funnel-hil simulate {setup.source} {shlex.join(words)}",
-    }
+    return RobotRun(
+        **asdict(way), link=link, kept=found.verdict is Verdict.KEPT, verdict=found.verdict.value,
+        tip_rms_mm=found.tip_error_mm.rms, tip_largest_mm=found.tip_error_mm.largest,
+        lag_ms=None if joint is None else lags[joint], lag_joint=joint,
+        reflexes=found.reflexes, first_violation_s=found.bounds.first_violation_s,
+        faults=found.faults, command=f"funnel-hil simulate {setup.source} {shlex.join(words)}",
+    )  # fmt: skip

@@ -113,15 +113,15 @@ def test_twenty_lost_packets_are_a_reflex_with_its_time_and_the_limiter_does_not
     fixed = {"metrics.from_s": 0.5, "controller.delay_compensation.enabled": False}
     sheet = RobotSheet(str(file), "franka_torque", "pid", network, fixed, is_quick=True)
     found = {
-        (way.limiter, link): run_row(way, link, setup)["reflexes"]
+        (way.limiter, link): run_row(way, link, setup).reflexes
         for way, link, setup in sheet.runs()
         if link in ("window at 0 s", "no network")
     }
     for limiter in (False, True):
         assert found[limiter, "no network"] == []
         [reflex] = found[limiter, "window at 0 s"]
-        assert reflex["kind"] == "communication_constraints_violation"
-        assert reflex["time_s"] == pytest.approx(1.12, abs=2e-3)
+        assert reflex.kind == "communication_constraints_violation"
+        assert reflex.time_s == pytest.approx(1.12, abs=2e-3)
 
 
 def test_a_limiter_prevents_a_reflex_about_the_rate_of_torques(still):
@@ -133,10 +133,8 @@ def test_a_limiter_prevents_a_reflex_about_the_rate_of_torques(still):
         "link.downlink.schedule": [{"kind": "outage", "at_s": 0.0105, "for_s": 0.015}],
     }  # fmt: skip
     sheet = RobotSheet(str(file), "franka_torque", "pid", None, fixed, is_quick=True)
-    kinds = {
-        way.limiter: run_row(way, link, setup)["reflexes"] for way, link, setup in sheet.runs()
-    }
-    assert [each["kind"] for each in kinds[False]] == ["controller_torque_discontinuity"]
+    kinds = {way.limiter: run_row(way, link, setup).reflexes for way, link, setup in sheet.runs()}
+    assert [each.kind for each in kinds[False]] == ["controller_torque_discontinuity"]
     assert kinds[True] == []
 
 
