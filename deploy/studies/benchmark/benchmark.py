@@ -35,6 +35,7 @@ from deploy.study.losses import share_kept
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
 from deploy.study.settings import COMPENSATION
+from deploy.study.statistics import kept_up_to
 from deploy.study.study import StudyOfRuns, rows_by
 
 _CELLS_FILE = "cells.csv"
@@ -217,13 +218,7 @@ class Benchmark(StudyOfRuns):
 
     def _kept_up_to(self, rows: list[Row]) -> float:
         """Return the largest delay up to which all runs were kept; 0 for none."""
-        found = 0.0
-        for delay_ms in self.definition.delays_ms:
-            at = [row for row in rows if row["round_trip_ms"] == delay_ms]
-            if not at or not all(map(tolerated, at)):
-                break
-            found = delay_ms
-        return found
+        return kept_up_to(rows, "round_trip_ms", self.definition.delays_ms, tolerated) or 0.0
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         """Write a table with a line for each cell."""

@@ -24,8 +24,13 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.interface_choice import has_controller, interface_values
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.datasheet.data_sheet import DataSheet
-from deploy.studies.datasheet.results import sheet_folder, sheet_parts, write_data_sheet
-from deploy.studies.datasheet.robot_results import KIND, write_robot_sheet
+from deploy.studies.datasheet.results import (
+    OF_ROBOT,
+    sheet_folder,
+    sheet_parts,
+    write_data_sheet,
+    write_robot_sheet,
+)
 from deploy.studies.datasheet.robot_sheet import RobotSheet, run_row
 from deploy.study.study import StudyOfRuns
 
@@ -106,7 +111,7 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
         options.scenario, interface, options.law, options.network, options.fixed(), options.quick
     )
     margin, planned = sheet.margin(), list(sheet.runs())
-    gate = ResultGate(options, "datasheet", "ms", margin.tested_with, KIND)
+    gate = ResultGate(options, "datasheet", "ms", margin.tested_with, OF_ROBOT)
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(planned[0][2])

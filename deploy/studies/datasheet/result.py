@@ -11,13 +11,13 @@ from pydantic import Field
 from deploy.judge.gate import Finite, Gauged
 from deploy.judge.reported_values import Reflex
 from deploy.reports.gauges import MM, Part
+from deploy.reports.studies.case_result import COMPENSATION
 from deploy.reports.studies.study_result import StudyResult
 from deploy.reports.tables import Shown
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.sweep.result import SweepResult
 
-WITH = {False: "without", True: "with"}
 NO_NETWORK = "no network"
 """Name of the link without delays, beside the windows of a network."""
 
@@ -87,7 +87,7 @@ class Driven(Part):
     def text(self) -> str:
         """Law and options in words."""
         known = ((name, on) for name, on in self.options.items() if on is not None)
-        return ", ".join([self.law, *(f"{WITH[on]} {name}" for name, on in known)])
+        return ", ".join([self.law, *(f"{COMPENSATION[on]} {name}" for name, on in known)])
 
 
 class RobotRun(Driven):

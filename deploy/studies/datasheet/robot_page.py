@@ -11,11 +11,11 @@ import plotly.graph_objects as go
 from deploy.judge.verdict import Verdict
 from deploy.reports.figures import style
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
+from deploy.reports.studies.case_result import COMPENSATION
 from deploy.reports.studies.study_tables import TableColumn, shown_columns
 from deploy.reports.tables import ABSENT, Cell, Column, Table, number, table_of
 from deploy.studies.datasheet.result import (
     NO_NETWORK,
-    WITH,
     RobotRun,
     RobotSheetResult,
     WayResult,
@@ -142,7 +142,7 @@ def _reflex_sentences(result: RobotSheetResult) -> list[str]:
     """Name the reflexes that stopped the robot, by limiter; and those without any network."""
     by_limiter = rows_by(result.asked, lambda run: run.limiter)
     parts = [
-        f"{'' if on is None else f'{WITH[on]} limiter: '}{_reflexes_text(by_limiter[on])}"
+        f"{'' if on is None else f'{COMPENSATION[on]} limiter: '}{_reflexes_text(by_limiter[on])}"
         for on in sorted(by_limiter, key=bool)
     ]
     bare = [run for run in result.runs_of_robot if run.link == NO_NETWORK and run.reflexes]

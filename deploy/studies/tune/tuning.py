@@ -31,6 +31,7 @@ from deploy.study.definition import scenario_name
 from deploy.study.execution.growth import may_rise
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
+from deploy.study.statistics import kept_up_to
 from deploy.study.study import StudyOfRuns, rows_by
 
 _QUARTER = 4
@@ -220,7 +221,8 @@ class Tuning(StudyOfRuns):
             if self.definition.goal == "rms":
                 one.rms_rad = np.max(rms, axis=0).tolist() if rms else None
             else:
-                one.kept_up_to_ms = _kept_up_to(own, self.definition.delays_ms)
+                delays_ms = sorted(self.definition.delays_ms)
+                one.kept_up_to_ms = kept_up_to(own, "round_trip_ms", delays_ms, _is_kept)
             found.append(one)
         return found
 
@@ -276,17 +278,6 @@ def _file(law: str) -> str:
 
 def _is_kept(row: Row) -> bool:
     return row["bounds_kept"] and row["error"] is None
-
-
-def _kept_up_to(rows: Sequence[Row], delays_ms: Sequence[float]) -> float | None:
-    """Return the largest delay up to which all runs kept their bounds; None for none."""
-    found = None
-    for delay_ms in sorted(delays_ms):
-        at = [row for row in rows if row["round_trip_ms"] == delay_ms]
-        if not at or not all(map(_is_kept, at)):
-            return found
-        found = delay_ms
-    return found
 
 
 def _require_rising(ranges: Mapping[str, tuple[float, float]]) -> None:
