@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -29,7 +30,6 @@ from deploy.studies.benchmark.cells import (
     places_of,
 )
 from deploy.studies.benchmark.result import BenchmarkResult, CellResult, PlantsKept
-from deploy.studies.tune.runs import DELAYS
 from deploy.study.definition import scenario_name
 from deploy.study.losses import share_kept
 from deploy.study.planned_run import PlannedRun
@@ -72,7 +72,7 @@ class Benchmark(StudyOfRuns):
                 study_keys.SEED: "as seeds",
                 PREDICTOR: "as predictors",
             }
-            own |= {COMPENSATION: "as predictors"} | dict.fromkeys(DELAYS, "as delays")
+            own |= {COMPENSATION: "as predictors"} | dict.fromkeys(study_keys.DELAYS, "as delays")
             study_keys.require_effect(given.fixed, own)
             names = [scenario_name(each, source.parent) for each in given.scenarios]
         self.definition = given.model_copy(update={"scenarios": names})
@@ -83,18 +83,18 @@ class Benchmark(StudyOfRuns):
             "network": "string", "window": "double",
         }  # fmt: skip
         with naming(source):
-            setups = {cell: load_setup(cell.scenario, self._common(cell)) for cell in self.cells}
-            self.bases = list({cell.scenario: setup for cell, setup in setups.items()}.values())
+            self._variants = [load_setup(each.scenario, self._common(each)) for each in self.cells]
+            cells = list(zip(self.cells, self._variants, strict=True))
+            self.bases = list({cell.scenario: setup for cell, setup in cells}.values())
             self.columns |= draw_columns(self.definition, self.bases)
             # Laws and gains of an arm share its places, whose plants take long to draw.
             kinds = [(cell.scenario, cell.predictor == NO_PREDICTOR) for cell in self.cells]
             of_kind = {
-                kind: places_of(self.definition, setups[cell], cell)
-                for kind, cell in dict(zip(kinds, self.cells, strict=True)).items()
+                kind: places_of(self.definition, setup, cell)
+                for kind, (cell, setup) in dict(zip(kinds, cells, strict=True)).items()
             }
             self._places = [of_kind[kind] for kind in kinds]
         self._require_usable_places()
-        self._variants = list(setups.values())
         self._left_out = 0
 
     def _require_usable_places(self) -> None:
@@ -103,7 +103,7 @@ class Benchmark(StudyOfRuns):
         Raises:
             ScenarioError: a place cannot be used on an arm.
         """
-        delays = [override(key, 0.5 * self.definition.delays_ms[-1]) for key in DELAYS]
+        delays = [override(key, 0.5 * self.definition.delays_ms[-1]) for key in study_keys.DELAYS]
         of_arms = {cell.scenario: index for index, cell in reversed(list(enumerate(self.cells)))}
         for arm, index in of_arms.items():
             common = self._common(self.cells[index])
@@ -162,7 +162,8 @@ class Benchmark(StudyOfRuns):
         """Yield a run of a place at a delay, with one seed, or with all."""
         cell, place = self.cells[index], self._places[index][number]
         delay_ms = self.definition.delays_ms[at] if place.has_delays else None
-        delays = [] if delay_ms is None else [override(key, 0.5 * delay_ms) for key in DELAYS]
+        half_ms = 0.5 * (delay_ms or 0.0)
+        delays = [override(key, half_ms) for key in study_keys.DELAYS if place.has_delays]
         columns = {
             **dict.fromkeys(self.columns), **place.columns,
             "arm": cell.scenario, "law": cell.law, "predictor": cell.predictor, "gains": cell.gains,
@@ -192,14 +193,14 @@ class Benchmark(StudyOfRuns):
         }
         first = [row for row in of[CONSTANT] if row["point"].endswith("-00")]
         patterns, networks, plants = (
-            rows_by(of[condition], lambda row, column=column: row[column])
+            rows_by(of[condition], itemgetter(column))
             for condition, column in ((PATTERN, "pattern"), (NETWORK, "network"), (PLANTS, "plant"))
         )
         margin_ms, kept_ms = (
             self._kept_up_to(of[CONSTANT]), list(map(self._kept_up_to, plants.values()))
         )  # fmt: skip
         return CellResult(
-            **cell._asdict(), margin_ms=margin_ms,
+            **dict(cell), margin_ms=margin_ms,
             any_pattern_ms=min([margin_ms, *map(self._kept_up_to, patterns.values())]),
             rms_rad=_mean_of(first, "rms_rad"),
             travel_nm_per_s=_mean_of(first, "total_variation_nm_per_s"),
@@ -226,7 +227,7 @@ class Benchmark(StudyOfRuns):
         with (folder / _CELLS_FILE).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             measures = ["margin_ms", "any_pattern_ms", "worst_rms_rad", "worst_travel_nm_per_s"]
-            names = [*Cell._fields, *measures]
+            names = [*Cell.model_fields, *measures]
             writer.writerow([*names, *(f"kept_{network}" for network in result.networks)])
             for cell in result.cells:
                 values = (getattr(cell, name) for name in names)

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from deploy.judge.gate import Finite, Gauged
 from deploy.judge.result.section import PerJoint
-from deploy.reports.gauges import Part
 from deploy.reports.studies.study_result import Share, StudyResult
 from deploy.reports.tables import Shown
+from deploy.studies.benchmark.cells import Cell
 from deploy.study.statistics import worst
 
 
@@ -21,8 +21,8 @@ class PlantsKept(Share):
     round_trip_ms: float
 
 
-class CellResult(Part):
-    """A cell, see `deploy.studies.benchmark.cells.Cell`.
+class CellResult(Cell):
+    """A cell with its margins.
 
     Attributes:
         margin_ms: the largest constant delay that is kept; 0 for none.
@@ -32,10 +32,6 @@ class CellResult(Part):
         networks: kept windows of each network.
     """
 
-    scenario: str
-    law: str
-    predictor: str
-    gains: str
     margin_ms: Annotated[float, Shown("Constant", "ms")] = 0.0
     any_pattern_ms: Annotated[Finite, Shown("Any pattern", "ms")]
     rms_rad: PerJoint | None = None

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from deploy.judge.run_rows import Row
-from deploy.judge.tested_with import STUDY, Tested
+from deploy.judge.tested_with import STUDY
+from deploy.scenario import study_keys
 from deploy.scenario.referenced_files import TRACES
-from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.sweep.sweep import Sweep
@@ -22,8 +22,8 @@ from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
 from plant_emulator.channel.trace_file import read_trace
 
+Test = dict[str, dict[str, Any]]
 _SOURCE = Path("datasheet")
-TRACE_KEYS = "link.uplink.trace.file, link.downlink.trace.file"
 START_KEYS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
 _STRETCH_NS, _LEAD_NS = 500_000_000, 250_000_000
 """Length of the worst stretch of a network, and how long before it a window begins."""
@@ -75,7 +75,7 @@ class DataSheet(Sheet):
     fixed: Mapping[str, Any] | None = None
     is_quick: bool = False
 
-    def tested_with(self, margin: Tested | None) -> Tested | None:
+    def tested_with(self, margin: Test | None) -> Test | None:
         """Return its test from that of its search for margins, which older versions lack."""
         return margin and {**margin, STUDY: {**margin[STUDY], "plants": self.plants}}
 
@@ -102,10 +102,10 @@ class DataSheet(Sheet):
             return None
         name, starts_s = self.windows_of(self.network)
         grid: dict[str, list[Any]] = {
-            TRACE_KEYS: [name], START_KEYS: starts_s,
+            ", ".join(study_keys.TRACES): [name], START_KEYS: starts_s,
             COMPENSATION: [True, False], DRIVE_FEEDBACK: [False, True],
         }  # fmt: skip
-        given = {LAW: self.law, "duration_s": self.duration_s, **self._set()}
+        given = {study_keys.LAW: self.law, "duration_s": self.duration_s, **self._set()}
         values = {
             "name": "network", "scenario": self.arm, "grid": grid, "seeds": 1, "set": given,
         }  # fmt: skip

@@ -62,21 +62,20 @@ class DataSheetResult(SheetResult):
                 yield replace(each, name=f"{each.name}, uncertain plants")
 
 
-class Driven(Part):
-    """Runs of a robot that is driven in some way; None for options that do not apply to it.
+class Way(Part):
+    """A way to drive a robot; None for what does not apply to it.
 
     Attributes:
-        lag_ms: of the joint that is furthest behind or ahead.
+        law: the law.
+        preview: whether it reads its reference ahead.
+        limiter: whether the robot changes commands to stay within its limits.
+        compensation: whether delays are compensated.
     """
 
     law: str = ""
     preview: bool | None = None
     limiter: bool | None = None
     compensation: bool | None = None
-    tip_rms_mm: Annotated[Finite | None, Shown("Tip, RMS", "mm")] = None
-    tip_largest_mm: Annotated[Finite | None, Shown("Tip, largest", "mm")]
-    lag_ms: Annotated[Finite | None, Shown("Behind", "ms")] = None
-    lag_joint: str | None = None
 
     @property
     def options(self) -> dict[str, bool | None]:
@@ -88,6 +87,19 @@ class Driven(Part):
         """Law and options in words."""
         known = ((name, on) for name, on in self.options.items() if on is not None)
         return ", ".join([self.law, *(f"{COMPENSATION[on]} {name}" for name, on in known)])
+
+
+class Driven(Way):
+    """Runs of a robot that is driven in some way.
+
+    Attributes:
+        lag_ms: of the joint that is furthest behind or ahead.
+    """
+
+    tip_rms_mm: Annotated[Finite | None, Shown("Tip, RMS", "mm")] = None
+    tip_largest_mm: Annotated[Finite | None, Shown("Tip, largest", "mm")]
+    lag_ms: Annotated[Finite | None, Shown("Behind", "ms")] = None
+    lag_joint: str | None = None
 
 
 class RobotRun(Driven):

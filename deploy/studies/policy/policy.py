@@ -28,7 +28,6 @@ from deploy.study.planned_run import PlannedRun
 from deploy.study.study import StudyOfRuns, rows_by
 
 INFERENCE, MERGE, TASK = "controller.inference_ms", "controller.chunks.merge", "reference.task"
-_TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _MOST_TIMES = 1000
 _YAML = (".yaml", ".yml")
 _OF_ARM_FILES: dict[str, Any] = {
@@ -197,7 +196,7 @@ class PolicyStudy(StudyOfRuns):
         usual: tuple[str, ...] = ()
         if Path(scenario).suffix and not scenario.endswith(_YAML):
             usual = tuple(override(key, value) for key, value in _OF_ARM_FILES.items())
-        traces = {} if wanted.network is None else dict.fromkeys(_TRACES, wanted.network)
+        traces = {} if wanted.network is None else dict.fromkeys(study_keys.TRACES, wanted.network)
         law = {} if wanted.law is None else {study_keys.LAW: wanted.law}
         tasks = {} if task is None else {TASK: task}
         values = {**traces, **law, MERGE: merge, INFERENCE: inference_ms, **tasks}

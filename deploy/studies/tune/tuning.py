@@ -26,7 +26,7 @@ from deploy.scenario.yaml_files import naming, override, plain, validated
 from deploy.studies.tune.costs import UNFINISHED, delay_cost, error_cost
 from deploy.studies.tune.gain_search import FIXED, Gains, GainSearch
 from deploy.studies.tune.result import Judged, TunedLaw, TuneResult
-from deploy.studies.tune.runs import DELAYS, REAL_ARM, TuneDefinition, judged, searched
+from deploy.studies.tune.runs import REAL_ARM, TuneDefinition, judged, searched
 from deploy.study.definition import scenario_name
 from deploy.study.execution.growth import may_rise
 from deploy.study.planned_run import PlannedRun
@@ -80,7 +80,7 @@ class Tuning(StudyOfRuns):
         given = validated(with_ranges(values, source), TuneDefinition, source)
         with naming(source):
             own = {study_keys.LAW: "as laws (--laws)", study_keys.SEED: "under seeds"}
-            own |= dict.fromkeys(DELAYS, "as delays (--delays with --for margin)")
+            own |= dict.fromkeys(study_keys.DELAYS, "as delays (--delays with --for margin)")
             study_keys.require_effect(given.fixed, own)
             scenario = scenario_name(given.scenario, source.parent)
         self.definition = given.model_copy(update={"scenario": scenario})

@@ -10,7 +10,8 @@ from deploy.reports.kinds import gauged
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.datasheet.command import DatasheetOptions, torque_sheet
-from deploy.studies.datasheet.robot_sheet import RobotSheet, Way, limiter_key, run_row
+from deploy.studies.datasheet.result import Way
+from deploy.studies.datasheet.robot_sheet import RobotSheet, limiter_key, run_row
 from tests.deploy.study.theory.linear_arms import Arm
 from tests.warm_process import output_of
 
@@ -146,7 +147,7 @@ def test_what_is_varied_is_what_applies_to_the_interface():
         ("streaming", False), ("streaming", True),
         ("position_correction", False), ("position_correction", True),
     ]  # fmt: skip
-    assert ways("speedj")[0] == Way("proportional_velocity", preview=False)
+    assert ways("speedj")[0] == Way(law="proportional_velocity", preview=False)
     assert {way.limiter for way in ways("franka_position")} == {False, True}
     assert {way.compensation for way in ways("franka_torque")} == {False, True}
     set_already = {"controller.preview_ms": 5}
