@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +17,7 @@ from deploy.cli.parts.progress import CommandProgress
 from deploy.cli.parts.study_command import carried_out
 from deploy.cli.parts.study_options import WorkerOptions
 from deploy.judge.run_rows import Row
+from deploy.reports.results import Results
 from deploy.reports.studies.results import write_study
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
@@ -78,20 +80,11 @@ def datasheet(options: DatasheetOptions) -> None:
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(*margin.bases, *(() if windows is None else windows.bases))
     parts, window = sheet_parts(
-        sheet,
-        margin,
-        windows,
-        out,
+        sheet, margin, windows, out,
         lambda study, folder: _made(study, options, folder, console, stop),
-    )
+    )  # fmt: skip
     _leave_if_stopped(stop, console)
-    with ResultFolder(out).lock() as folder:
-        write_json(folder.manifest, provenance())
-        results = show_results(
-            console, folder, lambda: write_data_sheet(folder, sheet, parts, window)
-        )
-    kept = gate.is_passed(results.summary, console)
-    leave(interrupted=False, whole=True, kept=kept)
+    _written(out, gate, console, lambda folder: write_data_sheet(folder, sheet, parts, window))
 
 
 def torque_sheet(options: DatasheetOptions) -> DataSheet:
@@ -123,11 +116,16 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
             _leave_if_stopped(stop, console)
             progress.update(done)
             rows.append(run_row(*run))
+    _written(out, gate, console, lambda folder: write_robot_sheet(folder, sheet, found, rows))
+
+
+def _written(
+    out: Path, gate: ResultGate, console: Console, write: Callable[[ResultFolder], Results]
+) -> None:
+    """Write a data sheet, show it, and end with its exit code."""
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
-        results = show_results(
-            console, folder, lambda: write_robot_sheet(folder, sheet, found, rows)
-        )
+        results = show_results(console, folder, lambda: write(folder))
     leave(interrupted=False, whole=True, kept=gate.is_passed(results.summary, console))
 
 
