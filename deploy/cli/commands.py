@@ -21,6 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from bus_schema.foreign_text import printable
 from bus_schema.runtime.extensions import installed
+from deploy.reports.shipped_kinds import COMMANDS as OF_KINDS
 from deploy.run.closed_output import outlive_readers
 from deploy.run.exit_codes import with_exit_codes
 from deploy.run.stop_signals import stop_at_once
@@ -37,13 +38,7 @@ PANELS = {
         "doctor": "cli.doctor:doctor",
     },
     "Answer": {
-        "datasheet": "studies.datasheet.command:datasheet",
-        "margin": "studies.margin.command:margin",
-        "policy": "studies.policy.command:policy",
-        "sweep": "studies.sweep.command:sweep",
-        "compare": "studies.comparison.command:compare",
-        "tune": "studies.tune.command:tune",
-        "benchmark": "studies.benchmark.command:benchmark",
+        **{name: f"studies.{kind}.command:{name}" for kind, name in OF_KINDS.items()},
         "identify": "studies.identify.command:identify",
     },
     "Results": {

@@ -36,11 +36,11 @@ from deploy.scenario.definition import LONGEST_S
 from deploy.scenario.interface_choice import interface_values, takes_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import TRACES
 from deploy.scenario.yaml_files import ScenarioError, override
 from plant_emulator.interfaces.configuration import INTERFACES
 from plant_emulator.robot_servers.robot_server import ROBOT_SERVERS, RobotServer
 
-_TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _LOCAL = "127.0.0.1"
 _PORTS = 1 << 16
 
@@ -175,7 +175,7 @@ def _checked(
 ) -> tuple[Setup, type[RobotServer]]:
     """Return the scenario and the server of its robot; raises ScenarioError."""
     server = _server(interface, vendor)
-    traces = {} if network is None else dict.fromkeys(_TRACES, network)
+    traces = {} if network is None else dict.fromkeys(TRACES, network)
     given = {**interface_values(server.arm_kind or interface), **traces}
     words = [override(key, value) for key, value in given.items()]
     setup = load_setup(arm, [*words, *(overrides or [])])

@@ -34,6 +34,10 @@ class Part(BaseModel):
             key: each for key, each in given.items() if each is not None or cls._may_be_null(key)
         }
 
+    def to_json(self) -> dict[str, Any]:
+        """Return its content for ``summary.json``: what was set."""
+        return self.model_dump(exclude_unset=True)
+
     @classmethod
     def _may_be_null(cls, key: str) -> bool:
         field = cls.model_fields.get(key)

@@ -19,6 +19,7 @@ from bus_schema.user_files import read_text
 from deploy.judge.gate import Gauged
 from deploy.judge.verdict import verdict_of
 from deploy.reports.gauges import GaugedRun, GaugedSummary
+from deploy.reports.shipped_kinds import COMMANDS, WITHOUT_COMMAND
 from deploy.scenario.yaml_files import ScenarioError
 
 if TYPE_CHECKING:
@@ -86,15 +87,9 @@ class ResultKind:
 
 
 _SHIPPED = {
-    **{
-        name: f"deploy.studies.{name}.kind:KIND"
-        for name in (
-            "comparison", "diff", "sweep", "margin", "robustness", "tune", "benchmark", "datasheet",
-            "policy",
-        )
-    },
+    **{name: f"deploy.studies.{name}.kind:KIND" for name in (*COMMANDS, *WITHOUT_COMMAND)},
     "robot_datasheet": "deploy.studies.datasheet.kind:ROBOT",
-}  # fmt: skip
+}
 """Where what ships is, in the form of an entry point: each package of `deploy.studies` has one."""
 
 RESULT_KINDS: Registry[ResultKind] = Registry(

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+from pydantic import BaseModel
 from rich.cells import cell_len, set_cell_size
 
 from bus_schema.foreign_text import markdown_table
@@ -107,6 +108,23 @@ class Column:
     def title(self) -> str:
         """Heading with unit, on one line."""
         return f"{self.heading} ({self.unit})" if self.unit else self.heading
+
+
+@dataclass(frozen=True)
+class Shown(Column):
+    """For `Annotated`: a number of a result is a column of its tables.
+
+    Attributes:
+        factor: from the unit of the result to that of the column.
+    """
+
+    factor: float = 1.0
+
+
+def shown_in(part: type[BaseModel]) -> dict[str, Shown]:
+    """Return the columns of a part of a result, by the names of its fields."""
+    fields = part.model_fields.items()
+    return {name: e for name, f in fields for e in f.metadata if isinstance(e, Shown)}
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from deploy.scenario.yaml_files import leaves
 LAW = "controller.law"
 SEED = "seed"
 UNCERTAINTY = "uncertainty"
+DELAYS = ("link.uplink.delay_ms", "link.downlink.delay_ms")
+TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _CAN = "can"
 
 _PROCESS = "controller.process"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from deploy.judge.findings.loss_reason import Reason
@@ -103,6 +104,16 @@ def without_effect(
         if len(first) < len(sound) and all(same):
             idle.append(", ".join(keys))
     return idle
+
+
+def kept_up_to(
+    rows: Iterable[Row], column: str, values: Iterable[float], is_kept: Callable[[Row], bool]
+) -> float | None:
+    """Return the largest of rising values up to which all runs are kept; None for none."""
+    kept: dict[float, bool] = {}
+    for row in rows:
+        kept[row[column]] = kept.get(row[column], True) and is_kept(row)
+    return max(itertools.takewhile(kept.get, values), default=None)
 
 
 def worst(values: Sequence[float | None] | None) -> float | None:

@@ -27,12 +27,13 @@ ONE_START = "arms_with_one_start"
 """Key of the findings about arms on which all starts are the same."""
 
 
+Key = TypeVar("Key")
 Value = TypeVar("Value")
 
 
-def rows_by(rows: Iterable[Value], key: Callable[[Value], str]) -> dict[str, list[Value]]:
+def rows_by(rows: Iterable[Value], key: Callable[[Value], Key]) -> dict[Key, list[Value]]:
     """Group rows by a common property, such as their point."""
-    found: dict[str, list[Value]] = {}
+    found: dict[Key, list[Value]] = {}
     for each in rows:
         found.setdefault(key(each), []).append(each)
     return found

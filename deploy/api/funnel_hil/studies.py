@@ -33,6 +33,9 @@ from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLik
 OnProgress = Callable[[int, int], None]
 """Is called after each run with how many are done, and how many there will be."""
 
+_How = tuple[int | None, str | None, str | Path | None, OnProgress | None]
+"""Workers, scheduler, folder and what is called after each run."""
+
 
 def sweep(
     scenario: ScenarioLike = "paper_arm",
@@ -68,11 +71,7 @@ def sweep(
     """
     given = Scenario(scenario, changes, law)
     values = {"name": "sweep", "grid": dict(grid or {}), "seeds": _seeds(seeds), **more}
-    with given.laws():
-        return _result_of(
-            [given], lambda files: Sweep({**values, "scenario": files[0]}, Path("sweep")),
-            workers, scheduler, out, progress,
-        )  # fmt: skip
+    return _result_of(given, values, Sweep, {}, (workers, scheduler, out, progress))
 
 
 def margin(
@@ -111,11 +110,7 @@ def margin(
     makers: dict[str, Maker] = {}
     if laws is not None:
         values["laws"], makers = _named_laws(laws)
-    with given.laws(), laws_given(makers):
-        return _result_of(
-            [given], lambda files: margin_study({**values, "scenarios": files}, Path("margin")),
-            workers, scheduler, out, progress,
-        )  # fmt: skip
+    return _result_of([given], values, margin_study, makers, (workers, scheduler, out, progress))
 
 
 def policy(
@@ -151,12 +146,8 @@ def policy(
     values: dict[str, Any] = {"law": name, "tasks": tasks, **more}
     if merges is not None:
         values["merges"] = list(merges)
-    with laws_given(makers):
-        return _result_of(
-            [Scenario(each) for each in scenarios],
-            lambda files: PolicyStudy({**values, "scenarios": files}, Path("policy")),
-            workers, scheduler, out, progress,
-        )  # fmt: skip
+    given = list(map(Scenario, scenarios))
+    return _result_of(given, values, PolicyStudy, makers, (workers, scheduler, out, progress))
 
 
 def tune(
@@ -227,12 +218,8 @@ def benchmark(
         "laws": names, "predictors": list(predictors), "delays_ms": list(BENCHMARK_DELAYS_MS),
         "networks": [], **more,
     }  # fmt: skip
-    with laws_given(makers):
-        return _result_of(
-            [Scenario(each) for each in scenarios],
-            lambda files: Benchmark({"scenarios": files, **values}, Path("benchmark")),
-            workers, scheduler, out, progress,
-        )  # fmt: skip
+    given = list(map(Scenario, scenarios))
+    return _result_of(given, values, Benchmark, makers, (workers, scheduler, out, progress))
 
 
 def study(
@@ -263,13 +250,8 @@ def study(
     """
     with naming(Path("study")):
         made = study_type(kind)
-    given = Scenario(scenario, changes)
-    values = {"name": kind, **definition}
-    with given.laws():
-        return _result_of(
-            [given], lambda files: made({**values, "scenario": files[0]}, Path(kind)),
-            workers, scheduler, out, progress,
-        )  # fmt: skip
+    given, values = Scenario(scenario, changes), {"name": kind, **definition}
+    return _result_of(given, values, made, {}, (workers, scheduler, out, progress))
 
 
 def _named_laws(laws: Sequence[Law]) -> tuple[list[str], dict[str, Maker]]:
@@ -300,21 +282,26 @@ class _Here:
 
 
 def _result_of(
-    given: Sequence[Scenario],
-    build: Callable[[list[str]], StudyOfRuns],
-    workers: int | None,
-    scheduler: str | None,
-    out: str | Path | None,
-    on_progress: OnProgress | None,
-) -> Study:
-    """Run a study, and judge it."""
+    given: Scenario | list[Scenario], values: Mapping[str, Any],
+    build: Callable[[dict[str, Any], Path], StudyOfRuns], makers: dict[str, Maker], how: _How,
+) -> Study:  # fmt: skip
+    """Run a study of a scenario, or of a list of scenarios, and judge it."""
+    workers, scheduler, out, on_progress = how
+    source = Path(getattr(build, "kind", "margin"))
+
+    def study_of(files: list[str]) -> StudyOfRuns:
+        named = {"scenarios": files} if isinstance(given, list) else {"scenario": files[0]}
+        return build({**values, **named}, source)
+
+    each = given if isinstance(given, list) else [given]
     with ExitStack() as stack:
+        for scenario in each:
+            stack.enter_context(scenario.laws())
+        stack.enter_context(laws_given(makers))
         place = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else out
-        with study_session(given, build, Path(place), workers, scheduler, on_progress) as (
-            study,
-            folder,
-        ):
-            return Study(write_study(study, folder), folder.rows)
+        session = study_session(each, study_of, Path(place), workers, scheduler, on_progress)
+        study, folder = stack.enter_context(session)
+        return Study(write_study(study, folder), folder.rows)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deploy.judge.conditions import conditions_of_recording
 from deploy.judge.findings.link_delays import link_sentence, playout_sentence
@@ -21,9 +21,6 @@ from deploy.reports.tables import margin_text, number, percent
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.compared_runs import ComparedRuns
-
-if TYPE_CHECKING:
-    pass
 
 
 def run_page(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from bus_schema.configuration import ConfigurationError, shown
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, held, tolerated
+from deploy.reports.studies.study_result import Share
 from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -27,14 +29,14 @@ from deploy.studies.benchmark.cells import (
     cells_of,
     places_of,
 )
-from deploy.studies.tune.runs import DELAYS
+from deploy.studies.benchmark.result import BenchmarkResult, CellResult, PlantsKept
 from deploy.study.definition import scenario_name
 from deploy.study.losses import share_kept
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
 from deploy.study.settings import COMPENSATION
-from deploy.study.statistics import worst
-from deploy.study.study import StudyOfRuns
+from deploy.study.statistics import kept_up_to
+from deploy.study.study import StudyOfRuns, rows_by
 
 _CELLS_FILE = "cells.csv"
 
@@ -70,7 +72,7 @@ class Benchmark(StudyOfRuns):
                 study_keys.SEED: "as seeds",
                 PREDICTOR: "as predictors",
             }
-            own |= {COMPENSATION: "as predictors"} | dict.fromkeys(DELAYS, "as delays")
+            own |= {COMPENSATION: "as predictors"} | dict.fromkeys(study_keys.DELAYS, "as delays")
             study_keys.require_effect(given.fixed, own)
             names = [scenario_name(each, source.parent) for each in given.scenarios]
         self.definition = given.model_copy(update={"scenarios": names})
@@ -81,18 +83,18 @@ class Benchmark(StudyOfRuns):
             "network": "string", "window": "double",
         }  # fmt: skip
         with naming(source):
-            setups = {cell: load_setup(cell.scenario, self._common(cell)) for cell in self.cells}
-            self.bases = list({cell.scenario: setup for cell, setup in setups.items()}.values())
+            self._variants = [load_setup(each.scenario, self._common(each)) for each in self.cells]
+            cells = list(zip(self.cells, self._variants, strict=True))
+            self.bases = list({cell.scenario: setup for cell, setup in cells}.values())
             self.columns |= draw_columns(self.definition, self.bases)
             # Laws and gains of an arm share its places, whose plants take long to draw.
             kinds = [(cell.scenario, cell.predictor == NO_PREDICTOR) for cell in self.cells]
             of_kind = {
-                kind: places_of(self.definition, setups[cell], cell)
-                for kind, cell in dict(zip(kinds, self.cells, strict=True)).items()
+                kind: places_of(self.definition, setup, cell)
+                for kind, (cell, setup) in dict(zip(kinds, cells, strict=True)).items()
             }
             self._places = [of_kind[kind] for kind in kinds]
         self._require_usable_places()
-        self._variants = list(setups.values())
         self._left_out = 0
 
     def _require_usable_places(self) -> None:
@@ -101,7 +103,7 @@ class Benchmark(StudyOfRuns):
         Raises:
             ScenarioError: a place cannot be used on an arm.
         """
-        delays = [override(key, 0.5 * self.definition.delays_ms[-1]) for key in DELAYS]
+        delays = [override(key, 0.5 * self.definition.delays_ms[-1]) for key in study_keys.DELAYS]
         of_arms = {cell.scenario: index for index, cell in reversed(list(enumerate(self.cells)))}
         for arm, index in of_arms.items():
             common = self._common(self.cells[index])
@@ -160,7 +162,8 @@ class Benchmark(StudyOfRuns):
         """Yield a run of a place at a delay, with one seed, or with all."""
         cell, place = self.cells[index], self._places[index][number]
         delay_ms = self.definition.delays_ms[at] if place.has_delays else None
-        delays = [] if delay_ms is None else [override(key, 0.5 * delay_ms) for key in DELAYS]
+        half_ms = 0.5 * (delay_ms or 0.0)
+        delays = [override(key, half_ms) for key in study_keys.DELAYS if place.has_delays]
         columns = {
             **dict.fromkeys(self.columns), **place.columns,
             "arm": cell.scenario, "law": cell.law, "predictor": cell.predictor, "gains": cell.gains,
@@ -175,71 +178,60 @@ class Benchmark(StudyOfRuns):
             )  # fmt: skip
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        by_cell: dict[int, list[Row]] = {}
-        for row in rows:
-            by_cell.setdefault(int(row["point"].partition("-")[0]), []).append(row)
-        return {
-            "completed": len(rows) >= self.expected,
-            "runs_expected": self.expected,
-            "delays_ms": self.definition.delays_ms,
-            "networks": self.definition.networks,
-            "windows": self.definition.windows,
-            "plants": self.definition.plants,
-            "plant_seed": self.definition.plant_seed,
-            "cells": [self._found(self.cells[i], by_cell[i]) for i in sorted(by_cell)],
-        }
+        by_cell, wanted = rows_by(rows, lambda row: row["point"].partition("-")[0]), self.definition
+        return BenchmarkResult(
+            completed=len(rows) >= self.expected, runs_expected=self.expected,
+            delays_ms=wanted.delays_ms, networks=wanted.networks, windows=wanted.windows,
+            plants=wanted.plants, plant_seed=wanted.plant_seed,
+            cells=[self._found(self.cells[int(i)], own) for i, own in sorted(by_cell.items())],
+        ).to_json()  # fmt: skip
 
-    def _found(self, cell: Cell, rows: list[Row]) -> dict[str, Any]:
+    def _found(self, cell: Cell, rows: list[Row]) -> CellResult:
         of = {
             condition: [row for row in rows if row["condition"] == condition]
             for condition in (CONSTANT, PATTERN, NETWORK, PLANTS)
         }
         first = [row for row in of[CONSTANT] if row["point"].endswith("-00")]
-        constant_ms = self._kept_up_to(of[CONSTANT])
-        any_ms = min([constant_ms, *map(self._kept_up_to, _split(of[PATTERN], "pattern"))])
-        plants = [self._kept_up_to(each) for each in _split(of[PLANTS], "plant")]
-        return {
-            **cell._asdict(),
-            "margin_ms": constant_ms,
-            "any_pattern_ms": any_ms,
-            "rms_rad": _mean_of(first, "rms_rad"),
-            "travel_nm_per_s": _mean_of(first, "total_variation_nm_per_s"),
-            "networks": {
-                name: share_kept(sum(map(held, each)), len(each))
-                for name in self.definition.networks
-                if (each := [row for row in of[NETWORK] if row["network"] == name])
+        patterns, networks, plants = (
+            rows_by(of[condition], itemgetter(column))
+            for condition, column in ((PATTERN, "pattern"), (NETWORK, "network"), (PLANTS, "plant"))
+        )
+        margin_ms, kept_ms = (
+            self._kept_up_to(of[CONSTANT]), list(map(self._kept_up_to, plants.values()))
+        )  # fmt: skip
+        return CellResult(
+            **dict(cell), margin_ms=margin_ms,
+            any_pattern_ms=min([margin_ms, *map(self._kept_up_to, patterns.values())]),
+            rms_rad=_mean_of(first, "rms_rad"),
+            travel_nm_per_s=_mean_of(first, "total_variation_nm_per_s"),
+            networks={
+                name: Share(**share_kept(sum(map(held, networks[name])), len(networks[name])))
+                for name in self.definition.networks if name in networks
             },
-            "plants_kept": [
-                {
-                    "round_trip_ms": delay_ms,
-                    **share_kept(sum(kept >= delay_ms for kept in plants), len(plants)),
-                }
-                for delay_ms in self.definition.delays_ms
-                if plants
+            plants_kept=[
+                PlantsKept(
+                    round_trip_ms=each_ms,
+                    **share_kept(sum(kept >= each_ms for kept in kept_ms), len(kept_ms)),
+                )
+                for each_ms in self.definition.delays_ms if kept_ms
             ],
-        }
+        )  # fmt: skip
 
     def _kept_up_to(self, rows: list[Row]) -> float:
         """Return the largest delay up to which all runs were kept; 0 for none."""
-        found = 0.0
-        for delay_ms in self.definition.delays_ms:
-            at = [row for row in rows if row["round_trip_ms"] == delay_ms]
-            if not at or not all(map(tolerated, at)):
-                break
-            found = delay_ms
-        return found
+        return kept_up_to(rows, "round_trip_ms", self.definition.delays_ms, tolerated) or 0.0
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         """Write a table with a line for each cell."""
+        result = BenchmarkResult.model_validate(summary)
         with (folder / _CELLS_FILE).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             measures = ["margin_ms", "any_pattern_ms", "worst_rms_rad", "worst_travel_nm_per_s"]
-            writer.writerow([*Cell._fields, *measures, *(f"kept_{n}" for n in summary["networks"])])
-            for cell in summary["cells"]:
-                shares = [cell["networks"].get(n, {}).get("fraction") for n in summary["networks"]]
-                values = [cell["margin_ms"], cell["any_pattern_ms"]]
-                values += [worst(cell["rms_rad"]), worst(cell["travel_nm_per_s"])]
-                writer.writerow([*(cell[name] for name in Cell._fields), *values, *shares])
+            names = [*Cell.model_fields, *measures]
+            writer.writerow([*names, *(f"kept_{network}" for network in result.networks)])
+            for cell in result.cells:
+                values = (getattr(cell, name) for name in names)
+                writer.writerow([*values, *map(cell.fraction, result.networks)])
         summary["files"] = [_CELLS_FILE]
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
@@ -254,13 +246,6 @@ class Benchmark(StudyOfRuns):
             "windows": f"{wanted.windows} of each network",
             "tuned": ", ".join(sorted(tuned)) or "nothing: gains of the scenario, or derived",
         }
-
-
-def _split(rows: Iterable[Row], column: str) -> list[list[Row]]:
-    found: dict[Any, list[Row]] = {}
-    for row in rows:
-        found.setdefault(row[column], []).append(row)
-    return list(found.values())
 
 
 def _mean_of(rows: list[Row], column: str) -> list[float] | None:

@@ -16,10 +16,11 @@ from controller.compensation.delay_compensation import (
     COMMUNICATION_DISTURBANCE_OBSERVER,
     PREDICTORS,
 )
+from deploy.reports.gauges import Part
 from deploy.scenario import study_keys
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
-from deploy.studies.tune.runs import DELAYS, REAL_ARM
+from deploy.studies.tune.runs import REAL_ARM
 from deploy.study.definition import Different
 from deploy.study.follow_ups.patterns import HANDFUL
 from deploy.study.plants import UncertainDefinition, draw_plants
@@ -31,7 +32,6 @@ BENCHMARK_PREDICTORS = (NO_PREDICTOR, ADAPTIVE, "smith", COMMUNICATION_DISTURBAN
 BENCHMARK_DELAYS_MS = (1.0, 4.0, 8.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0)
 """Default predictors and delays of a benchmark."""
 PREDICTOR = "controller.delay_compensation.predictor"
-_TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _PATTERNS = ("link.uplink.pattern", "link.downlink.pattern")
 GIVEN, TUNED = "given", "tuned"
 CONSTANT, PATTERN, NETWORK, PLANTS = "constant", "pattern", "network", "plants"
@@ -63,7 +63,7 @@ class BenchmarkDefinition(UncertainDefinition):
     duration_s: Positive = 6.0
 
 
-class Cell(NamedTuple):
+class Cell(Part):
     """A law with a predictor, on an arm, with given or tuned gains."""
 
     scenario: str
@@ -111,7 +111,7 @@ def cells_of(wanted: BenchmarkDefinition) -> list[Cell]:
         if predictor not in known:
             raise ScenarioError(f"predictors = {predictor}: must be one of {', '.join(known)}")
     return [
-        Cell(scenario, law, predictor, gains)
+        Cell(scenario=scenario, law=law, predictor=predictor, gains=gains)
         for scenario in wanted.scenarios
         for law in wanted.laws
         for predictor in wanted.predictors
@@ -131,12 +131,12 @@ def places_of(wanted: BenchmarkDefinition, base: Setup, cell: Cell) -> list[Plac
             texts = tuple(override(key, pattern) for key in _PATTERNS)
             places.append(Place(PATTERN, texts, {"pattern": json.dumps(pattern)}))
     for network in wanted.networks:
-        texts = tuple(override(key, network) for key in _TRACES)
+        texts = tuple(override(key, network) for key in study_keys.TRACES)
         for window in range(wanted.windows):
             columns = {"network": network, "window": float(window)}
             places.append(Place(NETWORK, texts, columns, has_delays=False, window=window))
     if wanted.plants is not None:
-        drawn = draw_plants(wanted, base, [study_keys.LAW, study_keys.SEED, *DELAYS])
+        drawn = draw_plants(wanted, base, [study_keys.LAW, study_keys.SEED, *study_keys.DELAYS])
         places += [Place(PLANTS, each.overrides, each.columns) for each in drawn]
     return places
 

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from functools import partial
-from typing import Any
+from collections.abc import Sequence
 
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
-from deploy.reports.tables import Cell, Column, Status, Table
-from deploy.study.statistics import worst
+from deploy.reports.studies.study_result import Share
+from deploy.reports.studies.study_tables import TableColumn, shown_columns
+from deploy.reports.tables import Cell, Column, Status, Table, scaled, table_of
+from deploy.studies.benchmark.result import BenchmarkResult, CellResult
+from deploy.study.study import rows_by
 
-Summary = Mapping[str, Any]
-Entry = tuple[str, str, str]
-"""Law, predictor, and whether its gains are given or tuned."""
+Cells = list[CellResult]
 _HEIGHT_PX = 430
 _DASHES = ("solid", "dash", "dot")
 _SYMBOLS = ("circle", "diamond", "square", "cross", "x")
@@ -25,181 +24,160 @@ _SYMBOLS = ("circle", "diamond", "square", "cross", "x")
 
 def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a benchmark."""
-    summary = study.summary
-    entries = _ranked(summary)
-    first = _first_sentence(summary, entries)
-    headline, reasons = (first, []) if summary["completed"] else ("not complete", [first])
-    predictors = _names(summary, "predictor")
-    predictors.sort(key=lambda predictor: predictor != entries[0][0][1])  # that of the best leads
+    result = BenchmarkResult.model_validate(study.summary)
+    entries = _ranked(result)
+    first = _first_sentence(result, entries)
+    headline, reasons = (first, []) if result.completed else ("not complete", [first])
+    predictors = result.names("predictor")
+    predictors.sort(key=lambda predictor: predictor != entries[0][0].predictor)  # the best leads
     limits = (
         "The delays are a grid, so that a margin is at least the value shown. RMS error and travel"
-        f" are those at {summary['delays_ms'][0]:g} ms."
+        f" are those at {result.delays_ms[0]:g} ms."
     )
     return Page(
         "benchmark",
-        summary["name"],
+        result.name,
         verdict=ReportHead("mixed", headline.rstrip("."), [*reasons, limits]),
         facts=[
-            Fact("Arms", str(len(_names(summary, "scenario")))),
-            Fact("Uncertain plants", str(summary["plants"] or "none")),
+            Fact("Arms", str(len(result.names("scenario")))),
+            Fact("Uncertain plants", str(result.plants or "none")),
         ],
         panels=lambda: [
-            *(_kept_panel(each, "Delay" if place else "First")
+            *(_kept_panel(result, each, "Delay" if place else "First")
               for place, each in enumerate(predictors)),
-            _SCATTER,
+            _scatter_panel(result),
         ],
         subject=study,
-        results=[Cards([_ranking(summary, entries), _by_arm(summary)], "stacked")],
+        results=[Cards([_ranking(result, entries), _by_arm(result)], "stacked")],
     )  # fmt: skip
 
 
-def _first_sentence(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> str:
-    if not summary["completed"]:
+def _first_sentence(result: BenchmarkResult, entries: list[Cells]) -> str:
+    if not result.completed:
         return (
-            f"{summary['runs']} of about {summary['runs_expected']} runs: margins, shares and ranks"
+            f"{result.runs} of about {result.runs_expected} runs: margins, shares and ranks"
             " are those so far, and may change."
         )
-    (law, predictor, gains), cells = entries[0]
-    kept_ms = _least(cells, "any_pattern_ms")
+    cells = entries[0]
+    law, predictor, gains = cells[0].entry
+    kept_ms = _least(cells)
     if not kept_ms:
-        return f"No law with any predictor kept {summary['delays_ms'][0]:g} ms on every arm."
-    alike = [each for _, each in entries[1:] if len(each) == len(cells)]
-    others = sum(_least(each, "any_pattern_ms") == kept_ms for each in alike)
+        return f"No law with any predictor kept {result.delays_ms[0]:g} ms on every arm."
+    others = sum(len(each) == len(cells) and _least(each) == kept_ms for each in entries[1:])
     return (
         f"Largest delay that every arm and pattern kept: {kept_ms:g} ms, by {law} with predictor"
         f" {predictor} and {gains} gains" + f"; {others} more kept as much" * bool(others) + "."
     )
 
 
-def _names(summary: Summary, key: str) -> list[str]:
-    return list(dict.fromkeys(cell[key] for cell in summary["cells"]))
-
-
-def _ranked(summary: Summary) -> list[tuple[Entry, list[Summary]]]:
+def _ranked(result: BenchmarkResult) -> list[Cells]:
     """Return the cells of all arms by entry: by the worst arm, the mean, then the error.
 
     Entries without a cell of every arm, such as gains tuned on one, come last: their worst arm may
     be one that they have not run.
     """
-    found: dict[Entry, list[Summary]] = {}
-    for cell in summary["cells"]:
-        found.setdefault((cell["law"], cell["predictor"], cell["gains"]), []).append(cell)
 
-    def rank(item: tuple[Entry, list[Summary]]) -> tuple[float, ...]:
-        cells = item[1]
+    def rank(cells: Cells) -> tuple[float, ...]:
+        any_ms = [cell.any_pattern_ms for cell in cells]
         return (
-            -len(cells), -_least(cells, "any_pattern_ms"), -_mean(cells, "any_pattern_ms"),
-            -_mean(cells, "margin_ms"), _worst_rms_rad(cells),
+            -len(cells), -min(any_ms), -sum(any_ms) / len(cells), -_mean_ms(cells),
+            _worst_rms_rad(cells),
         )  # fmt: skip
 
-    return sorted(found.items(), key=rank)
+    return sorted(rows_by(result.cells, lambda cell: cell.entry).values(), key=rank)
 
 
-def _least(cells: list[Summary], key: str) -> float:
-    return min(float(cell[key]) for cell in cells)
+def _least(cells: Cells) -> float:
+    return min(cell.any_pattern_ms for cell in cells)
 
 
-def _worst_rms_rad(cells: list[Summary]) -> float:
+def _mean_ms(cells: Cells) -> float:
+    return sum(cell.margin_ms for cell in cells) / len(cells)
+
+
+def _worst_rms_rad(cells: Cells) -> float:
     """Return the error of the worst joint of the worst arm; infinite if one is unknown."""
-    errors = [worst(cell["rms_rad"]) for cell in cells]
+    errors = (cell.worst_rms_rad for cell in cells)
     return max(math.inf if each is None else each for each in errors)
 
 
-def _mean(cells: list[Summary], key: str) -> float:
-    return sum(float(cell[key]) for cell in cells) / len(cells)
+def _entry_columns() -> list[TableColumn]:
+    def column(name: str) -> TableColumn:
+        return Column(name.capitalize(), is_text=True), lambda cell: getattr(cell, name)
+
+    return list(map(column, ("law", "predictor", "gains")))
 
 
-def _ranking(summary: Summary, entries: list[tuple[Entry, list[Summary]]]) -> Table:
-    columns = [
-        *(Column(name, is_text=True) for name in ("Law", "Predictor", "Gains")),
-        Column("Any pattern, worst arm", "ms"), Column("Constant, worst arm", "ms"),
-        Column("Constant, mean", "ms"), Column("RMS error, worst arm", "mrad"),
-    ]  # fmt: skip
-    arms = len(_names(summary, "scenario"))
-    is_uneven = any(len(cells) < arms for _, cells in entries)
-    if is_uneven:
-        columns.append(Column("Arms", is_text=True))
-    if summary["networks"]:
-        columns.append(Column("Windows kept", is_text=True))
-    if summary["plants"]:
-        columns.append(Column("Plants kept", is_text=True))
-    rows = []
-    for entry, cells in entries:
+def _ranking(result: BenchmarkResult, entries: list[Cells]) -> Table:
+    arms = len(result.names("scenario"))
+    is_uneven = any(len(cells) < arms for cells in entries)
+
+    def rms_mrad(cells: Cells) -> float | None:
         rms_rad = _worst_rms_rad(cells)
-        row: list[Any] = [
-            *entry, _least(cells, "any_pattern_ms"), _least(cells, "margin_ms"),
-            _mean(cells, "margin_ms"),
-            1e3 * rms_rad if math.isfinite(rms_rad) else None,
-        ]  # fmt: skip
-        if is_uneven:
-            row.append(f"{len(cells)} of {arms}")
-        if summary["networks"]:
-            row.append(_share([each for cell in cells for each in cell["networks"].values()]))
-        if summary["plants"]:
-            row.append(_share([each for cell in cells for each in cell["plants_kept"]]))
-        rows.append(row)
-    return Table(
-        f"{summary['name']} · by the worst arm, then the mean", columns, rows,
+        return 1e3 * rms_rad if math.isfinite(rms_rad) else None
+
+    columns: list[TableColumn] = [
+        *((column, lambda cells, of=of: of(cells[0])) for column, of in _entry_columns()),
+        (Column("Any pattern, worst arm", "ms"), _least),
+        (Column("Constant, worst arm", "ms"), lambda cells: min(c.margin_ms for c in cells)),
+        (Column("Constant, mean", "ms"), _mean_ms),
+        (Column("RMS error, worst arm", "mrad"), rms_mrad),
+        *([(Column("Arms", is_text=True), lambda cells: f"{len(cells)} of {arms}")] * is_uneven),
+        *([(Column("Windows kept", is_text=True),
+            lambda cells: _share([e for cell in cells for e in cell.networks.values()]))]
+          if result.networks else []),
+        *([(Column("Plants kept", is_text=True),
+            lambda cells: _share([each for cell in cells for each in cell.plants_kept]))]
+          if result.plants else []),
+    ]  # fmt: skip
+    return table_of(
+        f"{result.name} · by the worst arm, then the mean", columns, entries,
         "A law that is lost at the smallest delay has no further runs: 0 ms, and windows and plants"
         " of its other arms only. Plants: over all delays that were asked for."
         + " Rows without every arm come last." * is_uneven,
     )  # fmt: skip
 
 
-def _share(shares: list[Summary]) -> Cell:
-    kept, total = (sum(each[key] for each in shares) for key in ("kept", "total"))
+def _share(shares: Sequence[Share]) -> Cell:
+    kept, total = sum(each.kept for each in shares), sum(each.total for each in shares)
     status: Status = "good" if total and kept == total else "bad"
     return Cell(f"{kept} of {total}", status) if total else Cell("none run")
 
 
-def _by_arm(summary: Summary) -> Table:
-    rows = [
-        [
-            cell["scenario"], cell["law"], cell["predictor"], cell["gains"], cell["margin_ms"],
-            cell["any_pattern_ms"],
-            *(None if value is None else factor * value for value, factor in (
-                (worst(cell["rms_rad"]), 1e3), (worst(cell["travel_nm_per_s"]), 1.0))),
-            *(_network(cell, name) for name in summary["networks"]),
-        ]
-        for cell in summary["cells"]
-    ]  # fmt: skip
-    columns = [
-        *(Column(name, is_text=True) for name in ("Arm", "Law", "Predictor", "Gains")),
-        Column("Constant", "ms"), Column("Any pattern", "ms"), Column("RMS error", "mrad"),
-        Column("Travel", "N m/s"),
-        *(Column(name, "%") for name in summary["networks"]),
-    ]  # fmt: skip
-    note = "Share of the windows of each network that were kept." if summary["networks"] else ""
-    return Table("Each arm", columns, rows, note)
+def _by_arm(result: BenchmarkResult) -> Table:
+    def of_network(name: str) -> TableColumn:
+        return Column(name, "%"), lambda cell: scaled(cell.fraction(name), 100.0)
+
+    columns: list[TableColumn] = [
+        (Column("Arm", is_text=True), lambda cell: cell.scenario),
+        *_entry_columns(),
+        *shown_columns(CellResult),
+        (Column("RMS error", "mrad"), lambda cell: scaled(cell.worst_rms_rad, 1e3)),
+        (Column("Travel", "N m/s"), lambda cell: cell.worst_travel_nm_per_s),
+        *map(of_network, result.networks),
+    ]
+    note = "Share of the windows of each network that were kept." if result.networks else ""
+    return table_of("Each arm", columns, result.cells, note)
 
 
-def _network(cell: Summary, name: str) -> float | None:
-    share = cell["networks"].get(name)
-    return None if share is None else 100.0 * share["fraction"]
-
-
-def _kept_panel(predictor: str, section: str) -> Panel[DrawnStudy]:
+def _kept_panel(result: BenchmarkResult, predictor: str, section: str) -> Panel[DrawnStudy]:
     return Panel(
         section, f"benchmark-{predictor}", f"Cases that are kept, predictor {predictor}",
-        partial(_kept, predictor),
+        lambda _: _kept(result, predictor),
         "Share of arms and uncertain plants that keep their bounds up to a constant delay, with the"
         " better of given and tuned gains; plants of an arm that is lost itself count as lost.",
     )  # fmt: skip
 
 
-def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
-    summary = study.summary
+def _kept(result: BenchmarkResult, predictor: str) -> go.Figure:
     figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "kept (%)")
-    delays_ms, arms = summary["delays_ms"], len(_names(summary, "scenario"))
-    for index, law in enumerate(_names(summary, "law")):
+    delays_ms, arms = result.delays_ms, len(result.names("scenario"))
+    for index, law in enumerate(result.names("law")):
         curves = []
-        for gains in _names(summary, "gains"):
-            cells = [
-                cell for cell in summary["cells"]
-                if (cell["law"], cell["predictor"], cell["gains"]) == (law, predictor, gains)
-            ]  # fmt: skip
+        for gains in result.names("gains"):
+            cells = [cell for cell in result.cells if cell.entry == (law, predictor, gains)]
             if len(cells) == arms:
-                plants = summary["plants"] or 0
+                plants = result.plants or 0
                 curves.append([_share_at(cells, delay_ms, plants) for delay_ms in delays_ms])
         if curves:
             figure.add_scatter(
@@ -210,36 +188,33 @@ def _kept(predictor: str, study: DrawnStudy) -> go.Figure:
     return figure
 
 
-def _share_at(cells: list[Summary], delay_ms: float, plants_of_arm: int) -> float:
+def _share_at(cells: Cells, delay_ms: float, plants_of_arm: int) -> float:
     """Return the share of all arms, and of their plants, that are kept at a delay, in %."""
-    kept = sum(cell["margin_ms"] >= delay_ms for cell in cells)
-    plants = [
-        each for cell in cells for each in cell["plants_kept"] if each["round_trip_ms"] == delay_ms
-    ]
+    kept = sum(cell.margin_ms >= delay_ms for cell in cells)
+    plants = [each for cell in cells for each in cell.plants_kept if each.round_trip_ms == delay_ms]
     total = len(cells) * (1 + plants_of_arm)
-    return float(100.0 * (kept + sum(each["kept"] for each in plants)) / total)
+    return float(100.0 * (kept + sum(each.kept for each in plants)) / total)
 
 
-def _margin_and_error(study: DrawnStudy) -> go.Figure:
-    summary = study.summary
+def _margin_and_error(result: BenchmarkResult) -> go.Figure:
     figure = style.new_figure(_HEIGHT_PX, "RMS error (mrad)", "constant delay kept (ms)")
     figure.update_xaxes(type="log")
-    predictors = _names(summary, "predictor")
-    for index, law in enumerate(_names(summary, "law")):
+    predictors = result.names("predictor")
+    for index, law in enumerate(result.names("law")):
         cells = [
-            cell for cell in summary["cells"]
-            if cell["law"] == law and worst(cell["rms_rad"]) is not None and cell["margin_ms"]
+            cell for cell in result.cells
+            if cell.law == law and cell.worst_rms_rad is not None and cell.margin_ms
         ]  # fmt: skip
         figure.add_scatter(
-            x=[1e3 * (worst(cell["rms_rad"]) or 0.0) for cell in cells],
-            y=[cell["margin_ms"] for cell in cells], name=law, mode="markers",
+            x=[scaled(cell.worst_rms_rad, 1e3) for cell in cells],
+            y=[cell.margin_ms for cell in cells], name=law, mode="markers",
             marker={
                 "color": style.palette(index),
                 "symbol": [
-                    _SYMBOLS[predictors.index(cell["predictor"]) % len(_SYMBOLS)] for cell in cells
+                    _SYMBOLS[predictors.index(cell.predictor) % len(_SYMBOLS)] for cell in cells
                 ],
             },
-            text=[f"{c['scenario']}, {c['predictor']}, {c['gains']} gains" for c in cells],
+            text=[f"{c.scenario}, {c.predictor}, {c.gains} gains" for c in cells],
         )  # fmt: skip
     for symbol, predictor in zip(_SYMBOLS, predictors if len(predictors) > 1 else (), strict=False):
         marker = {"color": style.MUTED, "symbol": symbol}
@@ -248,8 +223,10 @@ def _margin_and_error(study: DrawnStudy) -> go.Figure:
     return figure
 
 
-_SCATTER: Panel[DrawnStudy] = Panel(
-    "Delay", "benchmark-scatter", "Delay against precision", _margin_and_error,
-    "A point for each arm, predictor and gains that keep the smallest delay: further to the left is"
-    " more precise there, higher is more robust. Colours: laws; symbols: predictors.",
-)  # fmt: skip
+def _scatter_panel(result: BenchmarkResult) -> Panel[DrawnStudy]:
+    return Panel(
+        "Delay", "benchmark-scatter", "Delay against precision",
+        lambda _: _margin_and_error(result),
+        "A point for each arm, predictor and gains that keep the smallest delay: further to the"
+        " left is more precise there, higher is more robust. Colours: laws; symbols: predictors.",
+    )  # fmt: skip

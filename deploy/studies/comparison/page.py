@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from deploy.judge.conditions import Conditions
 from deploy.reports.page import Cards, Fact, Page
@@ -14,9 +13,6 @@ from deploy.reports.tables import number
 from deploy.studies.comparison import tables as of_runs
 from deploy.studies.comparison.sentences import verdict_on_laws
 from deploy.study.comparison.compared_runs import ComparedRuns
-
-if TYPE_CHECKING:
-    pass
 
 
 def laws_page(comparison: ComparedRuns, conditions: Conditions) -> Page[ComparedRuns]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,6 +23,7 @@ from deploy.cli.parts.progress import CommandProgress
 from deploy.cli.parts.study_command import SharedWorkers, carried_out
 from deploy.cli.parts.study_options import WorkerOptions
 from deploy.judge.run_rows import Row
+from deploy.reports.results import Results
 from deploy.reports.studies.results import write_study
 from deploy.run.console import Console
 from deploy.run.exit_codes import FAULT, INTERRUPTED
@@ -30,8 +32,13 @@ from deploy.run.stop_signals import on_stop
 from deploy.scenario.interface_choice import has_controller, interface_values
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.datasheet.data_sheet import DataSheet
-from deploy.studies.datasheet.results import sheet_folder, sheet_parts, write_data_sheet
-from deploy.studies.datasheet.robot_results import KIND, write_robot_sheet
+from deploy.studies.datasheet.results import (
+    OF_ROBOT,
+    sheet_folder,
+    sheet_parts,
+    write_data_sheet,
+    write_robot_sheet,
+)
 from deploy.studies.datasheet.robot_sheet import RobotSheet, run_row
 from deploy.study.study import StudyOfRuns
 
@@ -82,13 +89,7 @@ def datasheet(options: DatasheetOptions) -> None:
             lambda study, folder: _made(study, options, folder, console, stop, workers),
         )
     _leave_if_stopped(stop, console)
-    with ResultFolder(out).lock() as folder:
-        write_json(folder.manifest, provenance())
-        results = show_results(
-            console, folder, lambda: write_data_sheet(folder, sheet, parts, window)
-        )
-    kept = gate.is_passed(results.summary, console)
-    leave(interrupted=False, whole=True, kept=kept)
+    _written(out, gate, console, lambda folder: write_data_sheet(folder, sheet, parts, window))
 
 
 def torque_sheet(options: DatasheetOptions) -> DataSheet:
@@ -108,7 +109,7 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
         options.scenario, interface, options.law, options.network, options.fixed(), options.quick
     )
     margin, planned = sheet.margin(), list(sheet.runs())
-    gate = ResultGate(options, "datasheet", "ms", margin.tested_with, KIND)
+    gate = ResultGate(options, "datasheet", "ms", margin.tested_with, OF_ROBOT)
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(planned[0][2])
@@ -120,11 +121,16 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
             _leave_if_stopped(stop, console)
             progress.update(done)
             rows.append(run_row(*run))
+    _written(out, gate, console, lambda folder: write_robot_sheet(folder, sheet, found, rows))
+
+
+def _written(
+    out: Path, gate: ResultGate, console: Console, write: Callable[[ResultFolder], Results]
+) -> None:
+    """Write a data sheet, show it, and end with its exit code."""
     with ResultFolder(out).lock() as folder:
         write_json(folder.manifest, provenance())
-        results = show_results(
-            console, folder, lambda: write_robot_sheet(folder, sheet, found, rows)
-        )
+        results = show_results(console, folder, lambda: write(folder))
     leave(interrupted=False, whole=True, kept=gate.is_passed(results.summary, console))
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from deploy.judge.run_rows import Row
-from deploy.judge.tested_with import STUDY, Tested
+from deploy.judge.tested_with import STUDY
+from deploy.scenario import study_keys
 from deploy.scenario.referenced_files import TRACES
-from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.sweep.sweep import Sweep
@@ -22,8 +22,8 @@ from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
 from plant_emulator.channel.trace_file import read_trace
 
+Test = dict[str, dict[str, Any]]
 _SOURCE = Path("datasheet")
-TRACE_KEYS = "link.uplink.trace.file, link.downlink.trace.file"
 START_KEYS = "link.uplink.trace.start_s, link.downlink.trace.start_s"
 _STRETCH_NS, _LEAD_NS = 500_000_000, 250_000_000
 """Length of the worst stretch of a network, and how long before it a window begins."""
@@ -32,8 +32,31 @@ _MODEL_ERRORS = (0.8, 1.25)
 _SHARES_OF_MARGIN = (0.25, 0.5, 0.75, 1.0)
 
 
+class Sheet:
+    """Base of the settings of data sheets."""
+
+    network: str | None
+    fixed: Mapping[str, Any] | None
+    is_quick: bool
+
+    @property
+    def duration_s(self) -> float:
+        """Length of each run."""
+        given: float | None = (self.fixed or {}).get("duration_s")
+        return (3.0 if self.is_quick else 6.0) if given is None else given
+
+    def windows_of(self, network: str) -> tuple[str, list[float]]:
+        """Return the file or name of a network, and where its windows begin."""
+        file = Path(network)
+        name = str(file.resolve()) if file.is_file() else network
+        return name, window_starts_s(name, 5 if self.is_quick else 12)
+
+    def _set(self) -> dict[str, Any]:
+        return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
+
+
 @dataclass(frozen=True)
-class DataSheet:
+class DataSheet(Sheet):
     """Settings of a data sheet.
 
     Attributes:
@@ -52,18 +75,9 @@ class DataSheet:
     fixed: Mapping[str, Any] | None = None
     is_quick: bool = False
 
-    @property
-    def duration_s(self) -> float:
-        """Length of each run."""
-        given: float | None = (self.fixed or {}).get("duration_s")
-        return (3.0 if self.is_quick else 6.0) if given is None else given
-
-    def tested_with(self, margin: Tested | None) -> Tested | None:
+    def tested_with(self, margin: Test | None) -> Test | None:
         """Return its test from that of its search for margins, which older versions lack."""
         return margin and {**margin, STUDY: {**margin[STUDY], "plants": self.plants}}
-
-    def _set(self) -> dict[str, Any]:
-        return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
 
     def margin(self) -> StudyOfRuns:
         """Return the search for margins, without and with delay compensation, for any pattern."""
@@ -86,13 +100,12 @@ class DataSheet:
         """
         if self.network is None:
             return None
-        file = Path(self.network)
-        name = str(file.resolve()) if file.is_file() else self.network
+        name, starts_s = self.windows_of(self.network)
         grid: dict[str, list[Any]] = {
-            TRACE_KEYS: [name], START_KEYS: window_starts_s(name, 5 if self.is_quick else 12),
+            ", ".join(study_keys.TRACES): [name], START_KEYS: starts_s,
             COMPENSATION: [True, False], DRIVE_FEEDBACK: [False, True],
         }  # fmt: skip
-        given = {LAW: self.law, "duration_s": self.duration_s, **self._set()}
+        given = {study_keys.LAW: self.law, "duration_s": self.duration_s, **self._set()}
         values = {
             "name": "network", "scenario": self.arm, "grid": grid, "seeds": 1, "set": given,
         }  # fmt: skip

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from deploy.reports.kinds import ResultKind
 from deploy.studies.datasheet.result import DataSheetResult, RobotSheetResult
-from deploy.studies.datasheet.results import sheet_again
-from deploy.studies.datasheet.robot_results import KIND as OF_ROBOT
-from deploy.studies.datasheet.robot_results import robot_sheet_again
+from deploy.studies.datasheet.results import OF_ROBOT, robot_sheet_again, sheet_again
 
 KIND = ResultKind("datasheet", DataSheetResult, again=sheet_again)
 ROBOT = ResultKind(OF_ROBOT, RobotSheetResult, again=robot_sheet_again)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
@@ -18,12 +18,12 @@ from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.studies.study_texts import interval_text, losses_text
 from deploy.reports.tables import ABSENT, Column, Table, table_of
 from deploy.run.execute import JudgedRun
+from deploy.studies.datasheet.result import DataSheetResult
 from deploy.studies.margin import texts
 from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.sentences import model_text
 from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
 from deploy.studies.margin.theory_sentences import theory_sentences
-from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.sentences import robustness_sentences
 from deploy.studies.robustness.tables import robustness_table
 from deploy.studies.sweep.result import Point, SweepResult
@@ -32,7 +32,6 @@ from deploy.study.losses import share_kept
 from deploy.study.settings import DRIVE_FEEDBACK
 from deploy.study.study import rows_by
 
-Summary = dict[str, Any]
 _HEIGHT_PX = 430
 _MOST_POINTS = 400
 
@@ -45,81 +44,66 @@ class Windows(Runs):
 
 
 class DrawnSheet(NamedTuple):
-    """A data sheet: its summary, and the run on the worst window of the network."""
+    """A data sheet, and the run on the worst window of the network."""
 
-    summary: Summary
+    result: DataSheetResult
     window: JudgedRun | None
 
 
 def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
     """Return the page of a data sheet."""
-    summary = sheet.summary
-    parts = summary["parts"]
-    margin, plants = _margins(summary), _plants(summary)
-    head, *more = summary["headline"]
-    cards = [] if "network" not in parts else [_network_table(summary)]
-    cards += [*help_tables(margin, "margin/"), margin_table(margin)]
-    cards += disturbance_tables(margin)
-    cards += [] if plants is None else [robustness_table(plants)]
+    result, parts = sheet.result, sheet.result.parts
+    head, *more = result.headline
+    cards = [] if parts.network is None else [_network_table(result, parts.network)]
+    cards += [*help_tables(parts.margin, "margin/"), margin_table(parts.margin)]
+    cards += disturbance_tables(parts.margin)
+    cards += [] if parts.plants is None else [robustness_table(parts.plants)]
     return Page(
         "data sheet",
-        summary["name"],
+        result.name,
         verdict=ReportHead("mixed", head, more),
         facts=[
-            Fact("Arm", summary["arm"]),
-            Fact("Law", summary["law"]),
-            Fact("Network", summary["network"] or "none given"),
-            Fact("Runs", f"{summary['runs']}"),
+            Fact("Arm", result.arm),
+            Fact("Law", result.law or ""),
+            Fact("Network", result.network or "none given"),
+            Fact("Runs", f"{result.runs}"),
         ],
         panels=lambda: _panels(sheet),
         subject=sheet,
-        conditions=summary["conditions"],
+        conditions=result.conditions,
         results=[Cards(cards, "stacked")],
         footer="Each part has a report of its own, in the folders beside this file.",
     )  # fmt: skip
 
 
-def headline(summary: Summary) -> list[str]:
+def headline(result: DataSheetResult) -> list[str]:
     """Return the answer in one sentence, then its conditions and the rest.
 
     The answer is the network's verdict, or without a network the number to quote. That number has
     what is not known of the arm at its worst; the exact arm is the best case.
     """
-    parts = summary["parts"]
-    margin, plants = _margins(summary), _plants(summary)
+    parts, margin = result.parts, result.parts.margin
     cases = {case.compensation: case for case in margin.cases}
     sentences = []
-    if (network := parts.get("network")) is not None:
-        sentences += _network_sentences(summary, _points(network))
-    sentences += [*_quoted_sentences(summary, margin), _best_case_sentence(margin, cases[True])]
+    if parts.network is not None:
+        sentences += _network_sentences(result, parts.network)
+    sentences += [*_quoted_sentences(result), _best_case_sentence(margin, cases[True])]
     doubts = dict.fromkeys(each for case in cases.values() for each in case.doubts)
     sentences += [f"Not tested: {each}" for each in doubts]
-    if plants is not None:
-        sentences += robustness_sentences(plants)[:1]
-    if summary["runs_failed"]:
-        causes = (part.get("commonest_error") for part in parts.values())
+    if parts.plants is not None:
+        sentences += robustness_sentences(parts.plants)[:1]
+    if result.runs_failed:
+        causes = (part.commonest_error for part in parts.all.values())
         sentences.append(
-            f"{summary['runs_failed']} of {summary['runs']} runs failed, most often:"
+            f"{result.runs_failed} of {result.runs} runs failed, most often:"
             f" {next(filter(None, causes), 'unknown')}."
         )
     return [*sentences, *theory_sentences(margin.model_copy(update={"cases": [cases[False]]}))]
 
 
-def _margins(summary: Summary) -> MarginResult:
-    return MarginResult.model_validate(summary["parts"]["margin"])
-
-
-def _plants(summary: Summary) -> RobustnessResult | None:
-    found = summary["parts"].get("plants")
-    return None if found is None else RobustnessResult.model_validate(found)
-
-
-def _points(network: Summary) -> list[Point]:
-    return SweepResult.model_validate(network).points
-
-
-def _quoted_sentences(summary: Summary, margin: MarginResult) -> list[str]:
+def _quoted_sentences(result: DataSheetResult) -> list[str]:
     """The number to quote, of the better of both settings; then both, and what decided them."""
+    margin = result.parts.margin
     best = texts.furthest_case(margin.cases)
     (other,) = (case for case in margin.cases if case is not best)
     numbers = [
@@ -128,7 +112,7 @@ def _quoted_sentences(summary: Summary, margin: MarginResult) -> list[str]:
     ]
     quote = f"{texts.quoted_text(best, margin)} {setting_text(best)}"
     return [
-        f"{summary['arm']} under {summary['law']}: quote a round trip of {quote}.",
+        f"{result.arm} under {result.law}: quote a round trip of {quote}.",
         f"Round trips: {'; '.join(numbers)}{texts.unknowns_text(margin)}.",
     ]
 
@@ -148,21 +132,21 @@ def _best_case_sentence(margin: MarginResult, on: MarginCase) -> str:
     )
 
 
-def _network_sentences(summary: Summary, points: list[Point]) -> list[str]:
+def _network_sentences(result: DataSheetResult, network: SweepResult) -> list[str]:
     """Count the lost windows of the network; then their conditions, and what keeps more."""
 
     def kept(one: Windows) -> str:
         return f"{one.runs_kept} of {one.runs}"
 
-    equipment = _by_equipment(points)
+    equipment = _by_equipment(network.points)
     plain = [one for one in equipment if not one.drive_feedback]
     own, best = (max(each, key=lambda one: float(one.runs_kept)) for each in (plain, equipment))
-    lost, name = own.runs - own.runs_kept, Path(summary["network"]).name
+    lost, name = own.runs - own.runs_kept, Path(result.network or "").name
     interval = interval_text(own)
     verdict = f"lost in {lost} of {own.runs}" if lost else f"kept in {kept(own)}"
     sentences = [
         f"{name}: {verdict} windows {equipment_text(own)}.",
-        f"Windows of {summary['duration_s']:g} s; 95 % interval of the kept share: {interval}.",
+        f"Windows of {result.duration_s:g} s; 95 % interval of the kept share: {interval}.",
     ]
     if best.runs_kept > own.runs_kept:
         sentences.append(
@@ -193,7 +177,7 @@ def _smallest_margin(point: Point) -> float:
     return -math.inf if lowest is None else lowest
 
 
-def _network_table(summary: Summary) -> Table:
+def _network_table(result: DataSheetResult, network: SweepResult) -> Table:
     """Windows of the network that were kept, with what may help."""
     columns: list[TableColumn] = [
         (Column("Compensation", is_text=True), lambda one: COMPENSATION[one.compensation]),
@@ -207,12 +191,12 @@ def _network_table(summary: Summary) -> Table:
          lambda one: f"funnel-hil simulate network/scenarios/{one.worst_point}.yaml"),
     ]  # fmt: skip
     note = (
-        f"Each window is {summary['duration_s']:g} s of the network, the same in both directions."
+        f"Each window is {result.duration_s:g} s of the network, the same in both directions."
         " Windows begin at places spread evenly over the network, and one just before its worst"
         " half second: this one is no random place, so the share and its interval are rather low."
     )
-    title = f"Windows of {Path(summary['network']).name} in which bounds are kept"
-    rows = _by_equipment(_points(summary["parts"]["network"]))
+    title = f"Windows of {Path(result.network or '').name} in which bounds are kept"
+    rows = _by_equipment(network.points)
     return table_of(title, columns, rows, note)
 
 
@@ -241,7 +225,7 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
 
 
 def _share_kept(sheet: DrawnSheet) -> go.Figure:
-    margin, plants = _margins(sheet.summary), _plants(sheet.summary)
+    margin, plants = sheet.result.parts.margin, sheet.result.parts.plants
     figure = style.new_figure(_HEIGHT_PX, "round trip (ms)", "share (%)")
     if sheet.window is not None:
         trips_ms = np.sort(link.arrivals(sheet.window.data)[1])

@@ -1,26 +1,57 @@
-"""The numbers of data sheets that a gate reads."""
+"""The results of data sheets, as ``summary.json`` has them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from deploy.judge.gate import Finite, Gauged
-from deploy.reports.gauges import MM, GaugedSummary, Part
+from deploy.judge.reported_values import Reflex
+from deploy.reports.gauges import MM, Part
+from deploy.reports.studies.case_result import COMPENSATION
+from deploy.reports.studies.study_result import StudyResult
+from deploy.reports.tables import Shown
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.robustness.result import RobustnessResult
+from deploy.studies.sweep.result import SweepResult
+
+NO_NETWORK = "no network"
+"""Name of the link without delays, beside the windows of a network."""
 
 
-class _Parts(Part):
+class SheetResult(StudyResult):
+    """A data sheet: the answer in sentences, and its conditions."""
+
+    arm: str = ""
+    law: str | None = None
+    network: str | None = None
+    duration_s: float = 0.0
+    headline: list[str] = Field(default=[])
+
+
+class Parts(Part):
+    """The studies of a data sheet."""
+
     margin: MarginResult
+    network: SweepResult | None = None
     plants: RobustnessResult | None = None
 
+    @property
+    def all(self) -> dict[str, StudyResult]:
+        """Those that there are, by name."""
+        return {name: each for name, each in self if each is not None}
 
-class DataSheetResult(GaugedSummary):
+
+class DataSheetResult(SheetResult):
     """A data sheet: its margin with compensation, and that of its uncertain plants."""
 
     group = "datasheet"
-    parts: _Parts
+    folders: dict[str, str] = Field(default={})
+    worst_window: dict[str, Any] | None = None
+    parts: Parts
 
     def numbers(self) -> Iterator[Gauged]:
         margin = self.parts.margin
@@ -31,24 +62,91 @@ class DataSheetResult(GaugedSummary):
                 yield replace(each, name=f"{each.name}, uncertain plants")
 
 
-class _Way(Part):
+class Way(Part):
+    """A way to drive a robot; None for what does not apply to it.
+
+    Attributes:
+        law: the law.
+        preview: whether it reads its reference ahead.
+        limiter: whether the robot changes commands to stay within its limits.
+        compensation: whether delays are compensated.
+    """
+
+    law: str = ""
+    preview: bool | None = None
+    limiter: bool | None = None
+    compensation: bool | None = None
+
+    @property
+    def options(self) -> dict[str, bool | None]:
+        """What varies of the way to drive the robot."""
+        return {name: getattr(self, name) for name in ("preview", "limiter", "compensation")}
+
+    @property
+    def text(self) -> str:
+        """Law and options in words."""
+        known = ((name, on) for name, on in self.options.items() if on is not None)
+        return ", ".join([self.law, *(f"{COMPENSATION[on]} {name}" for name, on in known)])
+
+
+class Driven(Way):
+    """Runs of a robot that is driven in some way.
+
+    Attributes:
+        lag_ms: of the joint that is furthest behind or ahead.
+    """
+
+    tip_rms_mm: Annotated[Finite | None, Shown("Tip, RMS", "mm")] = None
+    tip_largest_mm: Annotated[Finite | None, Shown("Tip, largest", "mm")]
+    lag_ms: Annotated[Finite | None, Shown("Behind", "ms")] = None
+    lag_joint: str | None = None
+
+
+class RobotRun(Driven):
+    """A run of a robot on a link."""
+
+    link: str
+    kept: bool
+    verdict: str
+    reflexes: list[Reflex]
+    first_violation_s: float | None
+    faults: list[str]
+    command: str
+
+
+class WayResult(Driven):
+    """The runs of a way to drive a robot; errors are those of runs without a fault.
+
+    Attributes:
+        reflexes: how many runs each ended.
+        worst: link of the worst run; `command` repeats it.
+    """
+
     way: str
     runs: int
     kept: int
-    tip_largest_mm: Finite | None
+    reflexes: dict[str, int] = Field(default={})
+    worst: str = ""
+    command: str = ""
 
 
-class RobotSheetResult(GaugedSummary):
+class RobotSheetResult(SheetResult):
     """A robot's data sheet: its margins, and the largest error of its tip in each way."""
 
     group = "robot_datasheet"
     other_units = (MM,)
-    arm: str
+    interface: str = ""
     margin: MarginResult
-    ways: list[_Way]
+    runs_of_robot: list[RobotRun] = Field(default=[])
+    ways: list[WayResult]
 
     def numbers(self) -> Iterator[Gauged]:
         yield from self.margin.numbers()
         for way in self.ways:
             largest = way.tip_largest_mm if way.kept == way.runs else None
             yield Gauged(f"{self.arm}, {way.way}, largest tip error", largest, MM, sign=-1)
+
+    @property
+    def asked(self) -> list[RobotRun]:
+        """The runs without those on no network."""
+        return [run for run in self.runs_of_robot if run.link != NO_NETWORK]

@@ -1,4 +1,4 @@
-"""Files of a data sheet: its summary, its page, and the run on the worst window of the network."""
+"""Files of data sheets: summary, page, and the run on the worst window of the network."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_whole
 from deploy.judge.conditions import networks_of
 from deploy.judge.run_rows import Row
-from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.results import Again, Results, write_results, write_run
 from deploy.run.execute import JudgedRun, execute
 from deploy.run.new_folder import new_folder, resolved_out
@@ -19,8 +18,15 @@ from deploy.run.run_folder import ResultFolder, RunFolder, load_run, read_summar
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
+from deploy.studies.datasheet import robot_page
 from deploy.studies.datasheet.data_sheet import DataSheet, network_files, worst_window
 from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
+from deploy.studies.datasheet.result import (
+    DataSheetResult,
+    Parts,
+    RobotRun,
+    RobotSheetResult,
+)
 from deploy.studies.datasheet.robot_sheet import RobotSheet
 from deploy.studies.margin.result import MarginResult
 from deploy.study.study import StudyOfRuns, digest_of
@@ -28,6 +34,7 @@ from deploy.study.study import StudyOfRuns, digest_of
 FILE = "datasheet.yaml"
 _PARTS = ("margin", "network", "plants")
 _WINDOW = "worst_window"
+OF_ROBOT = "robot_datasheet"
 
 DoPart = Callable[[StudyOfRuns, Path], tuple[dict[str, Any], list[Row]]]
 """Runs a study in a folder; returns its summary and rows."""
@@ -87,9 +94,8 @@ def sheet_parts(
     parts = {"margin": do(margin, out / "margin")[0]}
     if windows is not None:
         parts["network"], rows = do(windows, out / "network")
-    plants = sheet.of_plants(
-        MarginResult.model_validate(parts["margin"]).cases[-1].any_pattern or 0.0
-    )
+    found = MarginResult.model_validate(parts["margin"])
+    plants = sheet.of_plants(found.cases[-1].any_pattern or 0.0)
     if plants is not None:
         parts["plants"] = do(plants, out / "plants")[0]
     return parts, _written_window(windows, rows, out)
@@ -119,23 +125,57 @@ def write_data_sheet(
         parts: summaries of its studies by name, each in a folder of that name.
         window: the run on the worst window of the network.
     """
-    margin = parts["margin"]
-    conditions = {**margin["conditions"], **networks_of(network_files(sheet.network))}
-    summary: dict[str, Any] = {
-        "kind": "datasheet",
-        "name": margin["cases"][0]["arm"],
-        "arm": margin["cases"][0]["arm"],
-        "law": sheet.law,
-        "network": sheet.network,
-        "duration_s": sheet.duration_s,
-        "completed": True,
-        "runs": sum(part["runs"] for part in parts.values()),
-        "runs_failed": sum(part["runs_failed"] for part in parts.values()),
-        "folders": {name: f"{name}/report.html" for name in parts},
-        "worst_window": None if window is None else window.summary["bounds"],
-        "conditions": conditions,
-        TESTED_WITH: sheet.tested_with(margin.get(TESTED_WITH)),
-        "parts": dict(parts),
-    }
-    summary["headline"] = headline(summary)
-    return write_results(folder, Results(summary, data_sheet_page(DrawnSheet(summary, window))))
+    found = Parts.model_validate(parts)
+    margin, studies = found.margin, found.all.values()
+    result = DataSheetResult(
+        kind="datasheet", name=margin.cases[0].arm, arm=margin.cases[0].arm, law=sheet.law,
+        network=sheet.network, duration_s=sheet.duration_s, completed=True,
+        runs=sum(part.runs for part in studies),
+        runs_failed=sum(part.runs_failed for part in studies),
+        folders={name: f"{name}/report.html" for name in parts},
+        worst_window=None if window is None else window.summary["bounds"],
+        conditions={**margin.conditions, **networks_of(network_files(sheet.network))},
+        tested_with=sheet.tested_with(margin.tested_with),
+        parts=found,
+    )  # fmt: skip
+    result.headline = headline(result)
+    summary = {**result.to_json(), "parts": dict(parts)}  # which have their nulls
+    return write_results(folder, Results(summary, data_sheet_page(DrawnSheet(result, window))))
+
+
+def robot_sheet_again(path: Path) -> Again:
+    """Write a robot's data sheet again from its summary."""
+    folder = ResultFolder(path.resolve())
+    summary = read_summary(folder.path)
+    result = RobotSheetResult.model_validate(summary)
+    return folder, lambda: _of_robot(folder, result, summary["margin"])
+
+
+def write_robot_sheet(
+    folder: ResultFolder, sheet: RobotSheet, margin: dict[str, Any], runs: list[RobotRun]
+) -> Results:
+    """Write summary and page of a robot's data sheet.
+
+    Args:
+        folder: its folder.
+        sheet: what it is about.
+        margin: summary of its search for margins.
+        runs: what its runs found.
+    """
+    found = MarginResult.model_validate(margin)
+    arm = found.cases[0].arm
+    result = RobotSheetResult(
+        kind=OF_ROBOT, name=arm, arm=arm, interface=sheet.interface, law=sheet.law,
+        network=sheet.network, duration_s=sheet.duration_s, completed=True,
+        runs=len(runs) + found.runs, runs_failed=found.runs_failed,
+        conditions={**found.conditions, **networks_of(network_files(sheet.network))},
+        tested_with=found.tested_with, runs_of_robot=runs, margin=found, ways=[],
+    )  # fmt: skip
+    return _of_robot(folder, result, margin)
+
+
+def _of_robot(folder: ResultFolder, result: RobotSheetResult, margin: dict[str, Any]) -> Results:
+    result.ways = robot_page.ways_of(result.asked)
+    result.headline = robot_page.headline(result)
+    summary = {**result.to_json(), "margin": margin}  # which has its nulls
+    return write_results(folder, Results(summary, robot_page.robot_sheet_page(result)))

@@ -9,20 +9,21 @@ from __future__ import annotations
 import itertools
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from controller.laws import LAWS
-from deploy.judge.metrics import summarise
+from deploy.judge.metrics import judge
 from deploy.judge.verdict import Verdict
 from deploy.run.simulate import simulate
 from deploy.scenario.interface_choice import COMPENSATION, KIND, LOOPS, interface_values, takes_of
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import LAW
+from deploy.scenario.study_keys import DELAYS, LAW, TRACES
 from deploy.scenario.yaml_files import ScenarioError, override
-from deploy.studies.datasheet.data_sheet import START_KEYS, TRACE_KEYS, window_starts_s
+from deploy.studies.datasheet.data_sheet import START_KEYS, Sheet
+from deploy.studies.datasheet.result import NO_NETWORK, RobotRun, Way
 from deploy.studies.margin.margin_study import margin_study
 from deploy.study.study import StudyOfRuns
 from plant_emulator.interfaces.configuration import INTERFACES, InterfaceConfiguration
@@ -30,7 +31,6 @@ from plant_emulator.interfaces.settings import TORQUE
 
 _SOURCE = Path("datasheet")
 _PREVIEW = "controller.preview_ms"
-_DELAYS = ("link.uplink.delay_ms", "link.downlink.delay_ms")
 _LINK = ("link.uplink", "link.downlink")
 _USUAL_LAW = "fixed_time_adaptive"
 _ROUND_TRIPS_MS = (0.0, 10.0, 20.0, 40.0, 80.0)
@@ -41,33 +41,7 @@ SHOWN_MS = 40.0
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to drive a robot; None for what does not apply to it.
-
-    Attributes:
-        law: the law.
-        preview: whether it reads its reference ahead.
-        limiter: whether the robot changes commands to stay within its limits.
-        compensation: whether delays are compensated.
-    """
-
-    law: str
-    preview: bool | None = None
-    limiter: bool | None = None
-    compensation: bool | None = None
-
-    def values(self, kind: str) -> dict[str, Any]:
-        """Return its values of a scenario whose robot has a kind of interface."""
-        varied = {
-            _PREVIEW: {None: None, False: 0.0, True: "auto"}[self.preview],
-            limiter_key(kind): self.limiter,
-            COMPENSATION: self.compensation,
-        }
-        return {LAW: self.law} | {key: each for key, each in varied.items() if each is not None}
-
-
-@dataclass(frozen=True)
-class RobotSheet:
+class RobotSheet(Sheet):
     """Settings of the data sheet of a robot.
 
     Attributes:
@@ -87,12 +61,6 @@ class RobotSheet:
     is_quick: bool = False
 
     @property
-    def duration_s(self) -> float:
-        """Length of each run."""
-        given: float | None = (self.fixed or {}).get("duration_s")
-        return (3.0 if self.is_quick else 6.0) if given is None else given
-
-    @property
     def loop(self) -> str:
         """The law whose margin is searched."""
         return self.law or LOOPS.get(takes_of(self.interface), _USUAL_LAW)
@@ -108,7 +76,8 @@ class RobotSheet:
         for limiter, law, compensation in itertools.product(limiters, laws, compensations):
             reads_ahead = not has_torque and law in LAWS and LAWS[law].gives != TORQUE
             previews = self._tried(_PREVIEW, can=reads_ahead)
-            found += [Way(law, each, limiter, compensation) for each in previews]
+            options: dict[str, Any] = {"law": law, "limiter": limiter, "compensation": compensation}
+            found += [Way(preview=each, **options) for each in previews]
         return found
 
     def _tried(self, key: str, *, can: bool) -> Sequence[bool | None]:
@@ -122,15 +91,13 @@ class RobotSheet:
         """
         if self.network is None:
             link = self._setup({}).link
-            is_given = any(key in self._set() for key in ("link", *_LINK, *_DELAYS))
+            is_given = any(key in self._set() for key in ("link", *_LINK, *DELAYS))
             ways = (link.uplink, link.downlink)
             if is_given or any(not way.is_constant or way.delay_ms for way in ways):
                 return {"the given link": {}}
-            return {f"{ms:g} ms": dict.fromkeys(_DELAYS, 0.5 * ms) for ms in _ROUND_TRIPS_MS}
-        file = Path(self.network)
-        name = str(file.resolve()) if file.is_file() else self.network
-        starts_s = window_starts_s(name, 5 if self.is_quick else 12)
-        traces = dict.fromkeys(TRACE_KEYS.split(", "), name)
+            return {f"{ms:g} ms": dict.fromkeys(DELAYS, 0.5 * ms) for ms in _ROUND_TRIPS_MS}
+        name, starts_s = self.windows_of(self.network)
+        traces = dict.fromkeys(TRACES, name)
         windows = {
             f"window at {start_s:g} s": {**traces, **dict.fromkeys(START_KEYS.split(", "), start_s)}
             for start_s in starts_s
@@ -144,7 +111,7 @@ class RobotSheet:
             ScenarioError: a scenario refuses a setting.
         """
         for way, (name, values) in itertools.product(self.ways(), self.links().items()):
-            yield way, name, self._setup({**way.values(self.interface), **values})
+            yield way, name, self._setup({**values_of(way, self.interface), **values})
 
     def margin(self) -> StudyOfRuns:
         """Return the search for the largest constant delay; raises ScenarioError."""
@@ -159,9 +126,6 @@ class RobotSheet:
             values["compensation"] = [False, True]
         return margin_study({**values, "set": own}, _SOURCE)
 
-    def _set(self) -> dict[str, Any]:
-        return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
-
     def _setup(self, values: Mapping[str, Any]) -> Setup:
         own = interface_values(self.interface, self.law)
         for key, varied in itertools.product(self._set(), (KIND, *values)):
@@ -171,8 +135,14 @@ class RobotSheet:
         return load_setup(self.arm, [override(key, each) for key, each in given.items()])
 
 
-NO_NETWORK = "no network"
-"""Name of the link without delays, beside the windows of a network."""
+def values_of(way: Way, kind: str) -> dict[str, Any]:
+    """Return its values of a scenario whose robot has a kind of interface."""
+    varied = {
+        _PREVIEW: {None: None, False: 0.0, True: "auto"}[way.preview],
+        limiter_key(kind): way.limiter,
+        COMPENSATION: way.compensation,
+    }
+    return {LAW: way.law} | {key: each for key, each in varied.items() if each is not None}
 
 
 def limiter_key(kind: str) -> str:
@@ -184,30 +154,20 @@ def _has_limiter(kind: str) -> bool:
     return "limiter" in type(InterfaceConfiguration(kind=kind).settings).model_fields
 
 
-def run_row(way: Way, link: str, setup: Setup) -> dict[str, Any]:
-    """Run a robot, and return what its data sheet says of it.
-
-    The lag is that of the joint that is furthest behind or ahead.
-    """
-    found = summarise(simulate(setup).data())
+def run_row(way: Way, link: str, setup: Setup) -> RobotRun:
+    """Run a robot, and return what its data sheet says of it."""
+    found = judge(simulate(setup).data())
     lags = {
         name: lag
-        for name, lag in zip(setup.robot.joint_names, found["lag_ms"], strict=True)
+        for name, lag in zip(setup.robot.joint_names, found.lag_ms, strict=True)
         if lag is not None
     }
     joint = max(lags, key=lambda name: abs(lags[name]), default=None)
     words = (word for each in setup.overrides for word in ("--set", each))
-    return {
-        **asdict(way),
-        "link": link,
-        "kept": found["verdict"] == Verdict.KEPT,
-        "verdict": found["verdict"],
-        "tip_rms_mm": found["tip_error_mm"]["rms"],
-        "tip_largest_mm": found["tip_error_mm"]["largest"],
-        "lag_ms": None if joint is None else lags[joint],
-        "lag_joint": joint,
-        "reflexes": found["reflexes"],
-        "first_violation_s": found["bounds"]["first_violation_s"],
-        "faults": found["faults"],
-        "command": f"funnel-hil simulate {setup.source} {shlex.join(words)}",
-    }
+    return RobotRun(
+        **dict(way), link=link, kept=found.verdict is Verdict.KEPT, verdict=found.verdict.value,
+        tip_rms_mm=found.tip_error_mm.rms, tip_largest_mm=found.tip_error_mm.largest,
+        lag_ms=None if joint is None else lags[joint], lag_joint=joint,
+        reflexes=found.reflexes, first_violation_s=found.bounds.first_violation_s,
+        faults=found.faults, command=f"funnel-hil simulate {setup.source} {shlex.join(words)}",
+    )  # fmt: skip

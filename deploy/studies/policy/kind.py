@@ -5,6 +5,6 @@ from __future__ import annotations
 from deploy.reports.kinds import ResultKind
 from deploy.studies.policy.page import policy_page
 from deploy.studies.policy.policy import PolicyStudy
-from deploy.studies.policy.result import GaugedPolicy
+from deploy.studies.policy.result import PolicyResult
 
-KIND = ResultKind(PolicyStudy.kind, GaugedPolicy, PolicyStudy, policy_page)
+KIND = ResultKind(PolicyStudy.kind, PolicyResult, PolicyStudy, policy_page)

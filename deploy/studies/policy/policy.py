@@ -16,7 +16,8 @@ from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, validated
-from deploy.studies.policy.findings import case_findings
+from deploy.studies.policy.findings import merge_findings
+from deploy.studies.policy.result import PolicyResult
 from deploy.study.definition import (
     Different,
     StudyDefinition,
@@ -24,10 +25,9 @@ from deploy.study.definition import (
     scenario_name,
 )
 from deploy.study.planned_run import PlannedRun
-from deploy.study.study import StudyOfRuns
+from deploy.study.study import StudyOfRuns, rows_by
 
 INFERENCE, MERGE, TASK = "controller.inference_ms", "controller.chunks.merge", "reference.task"
-_TRACES = ("link.uplink.trace.file", "link.downlink.trace.file")
 _MOST_TIMES = 1000
 _YAML = (".yaml", ".yml")
 _OF_ARM_FILES: dict[str, Any] = {
@@ -143,26 +143,20 @@ class PolicyStudy(StudyOfRuns):
                         )  # fmt: skip
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        wanted, completed = self.definition, len(rows) == self.expected
-        return {
-            "completed": completed,
-            "title": "inference time",
-            "unit": "ms",
-            "values": sorted({time_ms for case in self.cases for time_ms in case.times_ms}),
-            "policy": ", ".join(self.laws),
-            "network": wanted.network,
-            "at_ms": wanted.at_ms,
-            "limit_ms": wanted.limit_ms,
-            "tasks": wanted.tasks,
-            "cases": [
-                case_findings(
-                    {"arm": case.arm, "merge": case.merge, "is_whole": case.is_whole},
-                    [row for row in rows if (row["arm"], row["merge"]) == (case.arm, case.merge)],
-                    case.times_ms, wanted.at_ms,
+        wanted, of_case = self.definition, rows_by(rows, lambda row: (row["arm"], row["merge"]))
+        return PolicyResult(
+            completed=len(rows) == self.expected, title="inference time", unit="ms",
+            values=sorted({time_ms for case in self.cases for time_ms in case.times_ms}),
+            policy=", ".join(self.laws), network=wanted.network, at_ms=wanted.at_ms,
+            limit_ms=wanted.limit_ms, tasks=wanted.tasks,
+            cases=[
+                merge_findings(
+                    case.arm, case.merge, of_case.get((case.arm, case.merge), []), case.times_ms,
+                    wanted.at_ms, is_whole=case.is_whole,
                 )
                 for case in self.cases
             ],
-        }  # fmt: skip
+        ).to_json()  # fmt: skip
 
     @property
     def _tasks(self) -> Sequence[int | None]:
@@ -202,7 +196,7 @@ class PolicyStudy(StudyOfRuns):
         usual: tuple[str, ...] = ()
         if Path(scenario).suffix and not scenario.endswith(_YAML):
             usual = tuple(override(key, value) for key, value in _OF_ARM_FILES.items())
-        traces = {} if wanted.network is None else dict.fromkeys(_TRACES, wanted.network)
+        traces = {} if wanted.network is None else dict.fromkeys(study_keys.TRACES, wanted.network)
         law = {} if wanted.law is None else {study_keys.LAW: wanted.law}
         tasks = {} if task is None else {TASK: task}
         values = {**traces, **law, MERGE: merge, INFERENCE: inference_ms, **tasks}

@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
+from deploy.studies.tune.result import TuneResult
 from deploy.studies.tune.tables import (
     AS_SAID,
     BEYOND_ALL,
@@ -20,36 +21,36 @@ _HEIGHT_PX = 430
 
 def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a tuning."""
-    summary = study.summary
+    result = TuneResult.model_validate(study.summary)
     return Page(
         "tuning",
-        summary["name"],
-        verdict=ReportHead("mixed", tune_headline(summary), tune_sentences(summary)),
+        result.name,
+        verdict=ReportHead("mixed", tune_headline(result), tune_sentences(result)),
         facts=[
-            Fact("Scenario", summary["scenario"]),
-            Fact("Tuned for", AS_SAID[summary["goal"]]),
-            Fact("Candidates for each law", f"{summary['budget']}"),
+            Fact("Scenario", result.scenario),
+            Fact("Tuned for", AS_SAID[result.goal]),
+            Fact("Candidates for each law", f"{result.budget}"),
         ],
         panels=lambda: [
             Panel(
                 "Search",
                 "tune-history",
                 "Best cost so far",
-                _history,
+                lambda _: _history(result),
                 "Each line begins with the gains of the scenario, or those that the law derives"
                 " from the arm. A line that still falls at its end has not converged. Costs of runs"
                 " that failed are not drawn.",
             )
         ],
         subject=study,
-        results=[Cards(tune_tables(summary), "stacked")],
+        results=[Cards(tune_tables(result), "stacked")],
     )
 
 
-def _history(study: DrawnStudy) -> go.Figure:
+def _history(result: TuneResult) -> go.Figure:
     figure = style.new_figure(_HEIGHT_PX, "candidate", "best cost so far")
-    for index, (law, found) in enumerate(study.summary["laws"].items()):
-        costs = [None if cost >= BEYOND_ALL else cost for cost in found["history"]]
+    for index, (law, found) in enumerate(result.laws.items()):
+        costs = [None if cost >= BEYOND_ALL else cost for cost in found.history]
         figure.add_scatter(
             x=list(range(len(costs))), y=costs, name=law, mode="lines", line_shape="hv",
             line_color=style.palette(index),

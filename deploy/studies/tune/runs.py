@@ -25,7 +25,6 @@ REAL_ARM = (
 bandwidth ω = 2π 100 rad/s makes of it a velocity noise of about q/√12 √(ω³ T/2) = 6e-4 rad/s at
 T = 1 ms. On a perfect arm, laws gain precision from ever higher gains; a real one ends that."""
 _ONE_PERIOD_MS = 1.0
-DELAYS = ("link.uplink.delay_ms", "link.downlink.delay_ms")
 _OTHER_START = -0.5
 _OTHER_MOTION = {"amplitude_rad": 0.1, "frequency_rad_s": 2.0}
 
@@ -87,7 +86,7 @@ def judged(wanted: TuneDefinition, base: Setup) -> list[Place]:
 def _on_real_arm(wanted: TuneDefinition, place: Place) -> Iterator[Place]:
     """Yield the place at one control period of delay, or at all delays."""
     for delay_ms in (_ONE_PERIOD_MS,) if wanted.goal == "rms" else wanted.delays_ms:
-        delays = [override(key, 0.5 * delay_ms) for key in DELAYS]
+        delays = [override(key, 0.5 * delay_ms) for key in study_keys.DELAYS]
         yield Place(
             place.name, (*place.overrides, *delays),
             {**place.columns, "round_trip_ms": delay_ms},

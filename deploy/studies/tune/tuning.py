@@ -25,12 +25,14 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, plain, validated
 from deploy.studies.tune.costs import UNFINISHED, delay_cost, error_cost
 from deploy.studies.tune.gain_search import FIXED, Gains, GainSearch
-from deploy.studies.tune.runs import DELAYS, REAL_ARM, TuneDefinition, judged, searched
+from deploy.studies.tune.result import Judged, TunedLaw, TuneResult
+from deploy.studies.tune.runs import REAL_ARM, TuneDefinition, judged, searched
 from deploy.study.definition import scenario_name
 from deploy.study.execution.growth import may_rise
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import draw_columns, with_ranges
-from deploy.study.study import StudyOfRuns
+from deploy.study.statistics import kept_up_to
+from deploy.study.study import StudyOfRuns, rows_by
 
 _QUARTER = 4
 _CONVERGED, _NARROW = 0.02, 0.15
@@ -78,7 +80,7 @@ class Tuning(StudyOfRuns):
         given = validated(with_ranges(values, source), TuneDefinition, source)
         with naming(source):
             own = {study_keys.LAW: "as laws (--laws)", study_keys.SEED: "under seeds"}
-            own |= dict.fromkeys(DELAYS, "as delays (--delays with --for margin)")
+            own |= dict.fromkeys(study_keys.DELAYS, "as delays (--delays with --for margin)")
             study_keys.require_effect(given.fixed, own)
             scenario = scenario_name(given.scenario, source.parent)
         self.definition = given.model_copy(update={"scenario": scenario})
@@ -180,64 +182,53 @@ class Tuning(StudyOfRuns):
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         wanted = self.definition
-        return {
-            "scenario": self.bases[0].scenario.name,
-            "goal": wanted.goal,
-            "budget": wanted.budget,
-            "search_seed": wanted.search_seed,
-            "delays_ms": wanted.delays_ms if wanted.goal == "margin" else None,
-            "travel_limit_per_s": wanted.travel_limit_per_s,
-            "joint_names": list(self.bases[0].robot.joint_names),
-            "completed": len(rows) >= self.expected,
-            "runs_expected": self.expected,
-            "laws": {law.name: self._found(law) for law in self._laws if law.search.costs},
-        }
+        return TuneResult(
+            scenario=self.bases[0].scenario.name, goal=wanted.goal, budget=wanted.budget,
+            search_seed=wanted.search_seed, travel_limit_per_s=wanted.travel_limit_per_s,
+            delays_ms=wanted.delays_ms if wanted.goal == "margin" else None,
+            joint_names=list(self.bases[0].robot.joint_names),
+            completed=len(rows) >= self.expected, runs_expected=self.expected,
+            laws={law.name: self._found(law) for law in self._laws if law.search.costs},
+        ).to_json()  # fmt: skip
 
-    def _found(self, law: _Law) -> dict[str, Any]:
+    def _found(self, law: _Law) -> TunedLaw:
         search, costs = law.search, law.search.costs
         best = np.minimum.accumulate(costs)
         late = len(best) - 1 - len(best) // _QUARTER
         gained = float(best[late] - best[-1])
-        return {
-            "candidates": len(costs),
-            "cost_start": costs[0],
-            "cost_found": float(best[-1]),
-            "best_candidate": search.best,
-            "history": best.tolist(),
-            "gained_in_last_quarter": gained,
-            "spread": search.spread,
-            "converged": bool(
-                search.is_over
-                and best[-1] < UNFINISHED
-                and gained < _CONVERGED
-                and search.spread < _NARROW
-            ),
-            "gains": {"start": law.gains(0), "found": law.gains(1)},
-            "judged": {
+        is_settled = gained < _CONVERGED and search.spread < _NARROW
+        return TunedLaw(
+            candidates=len(costs), cost_start=costs[0], cost_found=float(best[-1]),
+            best_candidate=search.best, history=best.tolist(), gained_in_last_quarter=gained,
+            spread=search.spread,
+            converged=bool(search.is_over and best[-1] < UNFINISHED and is_settled),
+            gains={"start": law.gains(0), "found": law.gains(1)},
+            judged={
                 name: self._verdict_of(law, which)
                 for which, name in enumerate(("start", "found"))
                 if (which if which in law.judged_gains else 0) in law.judged
             },
-        }
+        )  # fmt: skip
 
-    def _verdict_of(self, law: _Law, which: int) -> list[dict[str, Any]]:
-        """Return what became of the runs with these gains, a mapping for each place."""
-        rows = law.judged[which if which in law.judged else 0]
+    def _verdict_of(self, law: _Law, which: int) -> list[Judged]:
+        """Return what became of the runs with these gains, a part for each place."""
         found = []
+        by_place = rows_by(law.judged[min(which, max(law.judged))], lambda row: row["place"])
         for name in dict.fromkeys(place.name for place in self.places["judge"]):
-            of_place = [row for row in rows if row["place"] == name]
-            kept = [row for row in of_place if row["bounds_kept"] and row["error"] is None]
-            rms = [row["rms_rad"] for row in of_place if row["rms_rad"] is not None]
-            result: dict[str, Any] = {"place": name, "runs": len(of_place), "kept": len(kept)}
+            own = by_place.get(name, [])
+            rms = [row["rms_rad"] for row in own if row["rms_rad"] is not None]
+            one = Judged(place=name, runs=len(own), kept=sum(map(_is_kept, own)))
             if self.definition.goal == "rms":
-                result["rms_rad"] = np.max(rms, axis=0).tolist() if rms else None
+                one.rms_rad = np.max(rms, axis=0).tolist() if rms else None
             else:
-                result["kept_up_to_ms"] = _kept_up_to(of_place, self.definition.delays_ms)
-            found.append(result)
+                delays_ms = sorted(self.definition.delays_ms)
+                one.kept_up_to_ms = kept_up_to(own, "round_trip_ms", delays_ms, _is_kept)
+            found.append(one)
         return found
 
     def keep_files(self, summary: dict[str, Any], folder: Path) -> None:
         """Write a scenario for each law with the gains that were found."""
+        files = list[str]()
         for law in self._laws:
             if law.name not in summary["laws"]:
                 continue
@@ -247,7 +238,8 @@ class Tuning(StudyOfRuns):
             overrides = [*self._under(law.name), gains, name]
             write_scenario(load_setup(self.definition.scenario, overrides), path)
             summary["laws"][law.name]["file"] = path.name
-        summary["files"] = [found["file"] for found in summary["laws"].values() if "file" in found]
+            files.append(path.name)
+        summary["files"] = files
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
         wanted = self.definition
@@ -284,15 +276,8 @@ def _file(law: str) -> str:
     return law.replace(":", "_").replace(".", "_")
 
 
-def _kept_up_to(rows: Sequence[Row], delays_ms: Sequence[float]) -> float | None:
-    """Return the largest delay up to which all runs kept their bounds; None for none."""
-    found = None
-    for delay_ms in sorted(delays_ms):
-        at = [row for row in rows if row["round_trip_ms"] == delay_ms]
-        if not at or not all(row["bounds_kept"] and row["error"] is None for row in at):
-            return found
-        found = delay_ms
-    return found
+def _is_kept(row: Row) -> bool:
+    return row["bounds_kept"] and row["error"] is None
 
 
 def _require_rising(ranges: Mapping[str, tuple[float, float]]) -> None:

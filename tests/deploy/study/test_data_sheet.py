@@ -10,6 +10,7 @@ import pytest
 from deploy.reports.kinds import gauged
 from deploy.studies.datasheet.data_sheet import DataSheet
 from deploy.studies.datasheet.page import headline
+from deploy.studies.datasheet.result import DataSheetResult
 from deploy.study.quoted import quoted
 from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK
 from tests.deploy.own_laws import own_law
@@ -36,6 +37,10 @@ def made(tmp_path_factory):
 
 def summary_of(folder):
     return json.loads((folder / "summary.json").read_text())
+
+
+def headline_of(summary):
+    return headline(DataSheetResult.model_validate(summary))
 
 
 def test_its_headline_has_the_numbers_of_its_parts(made):
@@ -119,12 +124,12 @@ def test_feedback_at_the_drives_that_is_set_is_not_varied(made):
 def test_the_headline_names_estimated_rotors_that_decide(made):
     out, _, _ = made
     summary = summary_of(out)
-    assert "rotors" not in " ".join(headline(summary))  # paper_arm has none
+    assert "rotors" not in " ".join(headline_of(summary))  # paper_arm has none
     for case in summary["parts"]["margin"]["cases"]:
         kept_ms = None if case["compensation"] else 0.5
         case["smaller_rotors"] = {**case, "margin": kept_ms, "first_failure": 1.0}
         case |= quoted(case)
-    (sentence,) = (each for each in headline(summary) if each.startswith("Round trips: "))
+    (sentence,) = (each for each in headline_of(summary) if each.startswith("Round trips: "))
     assert "0.5 ms without compensation (with a tenth of the estimated rotors)" in sentence
     assert "none with compensation (with a tenth of the estimated rotors)" in sentence
 
@@ -134,7 +139,7 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     summary = summary_of(out)
     for point in summary["parts"]["network"]["points"]:
         point["runs_kept"] = int(point["values"][3])  # with feedback at the drives alone
-    assert headline(summary)[:3] == [
+    assert headline_of(summary)[:3] == [
         "calm.txt: lost in 4 of 4 windows with compensation, without drive feedback.",
         "Windows of 0.4 s; 95 % interval of the kept share: 0–49 %.",
         "Kept in 4 of 4 with compensation, with drive feedback: add"
@@ -149,7 +154,7 @@ def test_without_a_network_the_headline_is_the_number_to_quote_alone(made):
     cases = summary["parts"]["margin"]["cases"]
     best = max(cases, key=lambda case: case["quoted"])
     setting = "with" if best["compensation"] else "without"
-    assert headline(summary)[0] == (
+    assert headline_of(summary)[0] == (
         f"paper_arm under smc: quote a round trip of {best['quoted']:g} ms {setting} compensation."
     )
 

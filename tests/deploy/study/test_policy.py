@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 
 import funnel_hil as funnel_hil_api
+from deploy.reports.tables import shown_in
 from deploy.scenario.scenario import load_setup
 from deploy.studies.policy.findings import jump_column, longest, recommended
 from deploy.studies.policy.policy import PolicyStudy
+from deploy.studies.policy.result import Merge, Point
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
@@ -92,36 +94,40 @@ def test_tasks_are_refused_for_a_reference_without_them(funnel_hil, tmp_path):
     assert "reference" in funnel_hil.output(*words, code=2)
 
 
+def case(merge, time_ms, jump_mm, jump_rad=0.1, jerk=1.0):
+    """Return a merge, and its runs at 100 ms."""
+    figures = {"jump_mm": jump_mm, "jump_rad": jump_rad, "jerk_rms_rad_s3": jerk}
+    at = Point(
+        inference_ms=100.0, runs=1, runs_kept=1, ends=None, worst_point="000",
+        **dict.fromkeys(shown_in(Point)) | figures,
+    )  # fmt: skip
+    return Merge(
+        arm="arm", merge=merge, is_whole=True, inference_ms=time_ms, is_limit=False, ends=None,
+        of_tasks_ms=None, at=at, points=[at],
+    )  # fmt: skip
+
+
 def test_the_merge_that_jumps_least_at_the_inference_time_asked_for_is_recommended():
     """Of equals the one with the least jerk. One that keeps the bounds longer may jump more."""
 
-    def case(merge, time_ms, jump_mm, jerk):
-        at = {"inference_ms": 100.0, "jump_mm": jump_mm, "jump_rad": 0.1, "jerk_rms_rad_s3": jerk}
-        return {"merge": merge, "inference_ms": time_ms, "at": at}
-
-    longer = case("a", 300.0, 2.0, 1.0)
-    rows = [longer, case("b", 100.0, 1.0, 9.0), case("c", 150.0, 1.0, 3.0)]
-    lost = [case("d", None, 0.0, 0.0), case("e", 50.0, 0.0, 0.0)]
-    assert recommended([*rows, *lost])["merge"] == "c"
+    longer = case("a", 300.0, 2.0, jerk=1.0)
+    rows = [longer, case("b", 100.0, 1.0, jerk=9.0), case("c", 150.0, 1.0, jerk=3.0)]
+    lost = [case("d", None, 0.0, jerk=0.0), case("e", 50.0, 0.0, jerk=0.0)]
+    assert recommended([*rows, *lost]).merge == "c"
     assert longest([*rows, *lost]) is longer
-    assert recommended(lost)["merge"] == "e"
+    assert recommended(lost).merge == "e"
     assert recommended(lost[:1]) is None
 
 
 def test_one_unit_serves_all_merges_of_an_arm():
     """Where the tip stays, joints decide, and no jump in mm is compared with one in rad."""
 
-    def case(merge, jump_mm, jump_rad):
-        at = {"inference_ms": 100.0, "jump_mm": jump_mm, "jump_rad": jump_rad,
-              "jerk_rms_rad_s3": 1.0}  # fmt: skip
-        return {"merge": merge, "inference_ms": 100.0, "at": at}
-
-    moved = [case("a", 0.0, 6e-4), case("b", 5e-4, 5e-7)]
+    moved = [case("a", 100.0, 0.0, 6e-4), case("b", 100.0, 5e-4, 5e-7)]
     assert jump_column(moved) == "jump_mm"
-    assert recommended(moved)["merge"] == "a"
-    still = [case("a", 0.0, 6e-4), case("b", 0.0, 5e-7)]
+    assert recommended(moved).merge == "a"
+    still = [case("a", 100.0, 0.0, 6e-4), case("b", 100.0, 0.0, 5e-7)]
     assert jump_column(still) == "jump_rad"
-    assert recommended(still)["merge"] == "b"
+    assert recommended(still).merge == "b"
 
 
 def test_arms_of_one_name_are_refused(funnel_hil, tmp_path):

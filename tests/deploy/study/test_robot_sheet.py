@@ -10,7 +10,8 @@ from deploy.reports.kinds import gauged
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.datasheet.command import DatasheetOptions, torque_sheet
-from deploy.studies.datasheet.robot_sheet import RobotSheet, Way, limiter_key, run_row
+from deploy.studies.datasheet.result import Way
+from deploy.studies.datasheet.robot_sheet import RobotSheet, limiter_key, run_row
 from tests.deploy.study.theory.linear_arms import Arm
 from tests.warm_process import output_of
 
@@ -113,15 +114,15 @@ def test_twenty_lost_packets_are_a_reflex_with_its_time_and_the_limiter_does_not
     fixed = {"metrics.from_s": 0.5, "controller.delay_compensation.enabled": False}
     sheet = RobotSheet(str(file), "franka_torque", "pid", network, fixed, is_quick=True)
     found = {
-        (way.limiter, link): run_row(way, link, setup)["reflexes"]
+        (way.limiter, link): run_row(way, link, setup).reflexes
         for way, link, setup in sheet.runs()
         if link in ("window at 0 s", "no network")
     }
     for limiter in (False, True):
         assert found[limiter, "no network"] == []
         [reflex] = found[limiter, "window at 0 s"]
-        assert reflex["kind"] == "communication_constraints_violation"
-        assert reflex["time_s"] == pytest.approx(1.12, abs=2e-3)
+        assert reflex.kind == "communication_constraints_violation"
+        assert reflex.time_s == pytest.approx(1.12, abs=2e-3)
 
 
 def test_a_limiter_prevents_a_reflex_about_the_rate_of_torques(still):
@@ -133,10 +134,8 @@ def test_a_limiter_prevents_a_reflex_about_the_rate_of_torques(still):
         "link.downlink.schedule": [{"kind": "outage", "at_s": 0.0105, "for_s": 0.015}],
     }  # fmt: skip
     sheet = RobotSheet(str(file), "franka_torque", "pid", None, fixed, is_quick=True)
-    kinds = {
-        way.limiter: run_row(way, link, setup)["reflexes"] for way, link, setup in sheet.runs()
-    }
-    assert [each["kind"] for each in kinds[False]] == ["controller_torque_discontinuity"]
+    kinds = {way.limiter: run_row(way, link, setup).reflexes for way, link, setup in sheet.runs()}
+    assert [each.kind for each in kinds[False]] == ["controller_torque_discontinuity"]
     assert kinds[True] == []
 
 
@@ -148,7 +147,7 @@ def test_what_is_varied_is_what_applies_to_the_interface():
         ("streaming", False), ("streaming", True),
         ("position_correction", False), ("position_correction", True),
     ]  # fmt: skip
-    assert ways("speedj")[0] == Way("proportional_velocity", preview=False)
+    assert ways("speedj")[0] == Way(law="proportional_velocity", preview=False)
     assert {way.limiter for way in ways("franka_position")} == {False, True}
     assert {way.compensation for way in ways("franka_torque")} == {False, True}
     set_already = {"controller.preview_ms": 5}
