@@ -103,6 +103,37 @@ class MarginSearch:
         return max(self._neighbours, key=lambda pair: pair[1] - pair[0], default=None)
 
     @property
+    def variants_at_most(self) -> int:
+        """Largest number of variants that are left to begin, by `probes_at_most`."""
+        begun = self.requested.keys() - self.outcomes.keys()
+        return max(0, self.probes_at_most - len(begun)) * len(self.variants)
+
+    @property
+    def probes_at_most(self) -> int:
+        """Largest number of remaining probes, if no value below one that held is lost."""
+        margin, failure = self.margin, self.first_failure
+        hints, limit = len(self._untried_hints), self.steps.limit
+        if failure is not None:
+            left = hints + sum(value not in self.outcomes for value in self._beyond(failure))
+            if margin is None:
+                return left
+            left += (failure - margin - 1).bit_length()
+            return left + self._gaps_at_most(is_bracketed=failure - margin == 1)
+        left = hints + (margin is None) + self._gaps_at_most(is_bracketed=margin == limit)
+        if margin == limit:
+            return left
+        doublings, grown = 0, margin or 0
+        while grown < limit:
+            grown, doublings = min(2 * grown or self.steps.first, limit), doublings + 1
+        return left + doublings + limit.bit_length() + len(_BEYOND)
+
+    def _gaps_at_most(self, *, is_bracketed: bool) -> int:
+        """Return the largest number of values that halve gaps; a longer margin has wider parts."""
+        if not is_bracketed:
+            return 2 * (self.parts - 1)
+        return sum(self._halvings(high - low) for low, high in self._neighbours)
+
+    @property
     def probes_left(self) -> int:
         """Number of remaining probes, if the next one of a bracketing fails."""
         margin, failure, hints = self.margin, self.first_failure, len(self._untried_hints)
