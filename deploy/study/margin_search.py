@@ -114,18 +114,25 @@ class MarginSearch:
         margin, failure = self.margin, self.first_failure
         hints, limit = len(self._untried_hints), self.steps.limit
         if failure is not None:
-            left = hints + sum(value not in self.outcomes for value in self._beyond(failure))
+            beyond = sum(value not in self.outcomes for value in self._beyond(failure))
             if margin is None:
-                return left
+                return hints + beyond
+            is_bracketed = failure - margin == 1
+            left = hints + (beyond if is_bracketed else len(_BEYOND))  # a lower failure has others
             left += (failure - margin - 1).bit_length()
-            return left + self._gaps_at_most(is_bracketed=failure - margin == 1)
+            return left + self._gaps_at_most(is_bracketed=is_bracketed)
         left = hints + (margin is None) + self._gaps_at_most(is_bracketed=margin == limit)
         if margin == limit:
             return left
-        doublings, grown = 0, margin or 0
-        while grown < limit:
-            grown, doublings = min(2 * grown or self.steps.first, limit), doublings + 1
+        doublings = max(map(self._doublings, (margin or 0, *self._untried_hints)))
         return left + doublings + limit.bit_length() + len(_BEYOND)
+
+    def _doublings(self, margin: int) -> int:
+        """Return the number of values that are probed from a margin to the limit, if all hold."""
+        grown, count = margin, 0
+        while grown < self.steps.limit:
+            grown, count = min(2 * grown or self.steps.first, self.steps.limit), count + 1
+        return count
 
     def _gaps_at_most(self, *, is_bracketed: bool) -> int:
         """Return the largest number of values that halve gaps; a longer margin has wider parts."""

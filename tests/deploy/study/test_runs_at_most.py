@@ -12,11 +12,14 @@ from deploy.study.margin_search import PARTS, MarginSearch, Steps
 from tests.deploy.study.studies import Here, folder_of, made_up, margin_of
 
 
-def totals_of(search, is_lost):
-    """Probe until the search ends; return done and left, before the first and after each."""
+def totals_of(search, lost, *, holds_again):
+    """Probe until the search ends; return done and left, before the first and after each.
+
+    Values from `lost` on are lost, but those beyond hold again once the failure is bracketed.
+    """
     totals = [search.probes_at_most]
     while (steps := search.next()) is not None:
-        search.outcomes[steps] = not is_lost(steps)
+        search.outcomes[steps] = steps < lost or (holds_again and search.first_failure == lost)
         totals.append(len(search.outcomes) + search.probes_at_most)
     return totals
 
@@ -26,11 +29,11 @@ def test_probes_at_most_never_rise_wherever_values_are_lost(parts):
     numbers = random.Random(parts)
     for _ in range(1500):
         limit = numbers.randint(1, 400)
-        lost, again = numbers.randint(0, limit + 1), numbers.choice([1.0, 1.4, 1.7, 9.0])
+        lost = numbers.randint(0, limit + 1)
         hints = [numbers.randint(1, limit) for _ in range(numbers.randint(0, 2))]
         steps = Steps(0.0, 0.5, numbers.randint(1, limit), limit)
         search = MarginSearch(steps, hints=list(dict.fromkeys(hints)), parts=parts)
-        totals = totals_of(search, lambda value, lost=lost, last=again * lost: lost <= value < last)
+        totals = totals_of(search, lost, holds_again=numbers.random() < 0.3)
         assert totals == sorted(totals, reverse=True), (search, totals)
         assert totals[-1] == len(search.outcomes)
 
@@ -39,8 +42,7 @@ def lost_from(limit_ms):
     """Rows of runs that are lost at this delay and above."""
 
     def row(run):
-        is_lost = run.columns["value"] >= limit_ms
-        return made_up(run, margin_min=-0.1 if is_lost else 0.4, lost_at_s=0.5 if is_lost else None)
+        return made_up(run, violation_fraction=0.01 * (run.columns["value"] >= limit_ms))
 
     return row
 
