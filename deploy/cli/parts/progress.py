@@ -157,11 +157,17 @@ class CommandProgress:
         return f", {(self._total - self._done) / recent:.0f} s left" if is_steady else ""
 
     def _foresee_end(self) -> None:
-        """Foresee the end from the mean cost of a run so far; a little later changes nothing."""
+        """Foresee the end from the mean cost of a run so far; a little later changes nothing.
+
+        The first run also starts the workers, and counts for nothing.
+        """
         own, now_s = self._done - self._done_before, time.monotonic()
         if own < min(_LEAST_RUNS, self._total - self._done_before):
             return
-        left_s = (self._total - self._done) * (now_s - self._started_s) / own
+        first_s, first = self._marks[min(1, len(self._marks) - 1)]
+        if own <= first:
+            return
+        left_s = (self._total - self._done) * (now_s - first_s) / (own - first)
         if not self._end_s - now_s <= left_s <= _LONGER * (self._end_s - now_s):
             self._end_s = now_s + left_s
 

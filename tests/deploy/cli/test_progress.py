@@ -46,17 +46,18 @@ def test_runs_of_earlier_commands_are_counted_apart_and_have_no_speed(console):
 
 
 def test_a_total_of_a_search_never_rises_and_its_time_left_counts_down(console, monkeypatch):
-    """Searches end early; each run takes 2 s, and later ones 1 or 6 s."""
+    """Searches end early; each run takes 2 s, later ones 1 or 6 s; the first waits for 30 s."""
     now_s = [0.0]
     monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
     with CommandProgress(console, "search", 60, "runs") as progress:
         counter = RunCounter(progress)
         for done, most in enumerate([60] * 5 + [50] * 10 + [55] * 5 + [40] * 20, start=1):
-            now_s[0] += 2.0 if done <= 20 else 1.0 if done <= 25 else 6.0
+            usual_s = 2.0 if done <= 20 else 1.0 if done <= 25 else 6.0
+            now_s[0] += 30.0 if done == 1 else usual_s
             counter.done({"error": None}, most, False)
     shown = lines(console)
-    assert shown[0] == "2 of 60 runs, 0.5 runs/s"
-    assert "10 of at most 50 runs, 0.5 runs/s, at most 80 s left" in shown
+    assert shown[0] == "1 of 60 runs, 0.0333 runs/s"
+    assert any(re.match("9 of at most 50 runs, .*, at most 82 s left", line) for line in shown)
     totals = [int(re.search(r" of (?:at most )?(\d+) runs", line)[1]) for line in shown]
     assert totals == sorted(totals, reverse=True)
     assert {60, 50, 40} == set(totals)
