@@ -8,7 +8,6 @@ import sys
 from tests.deploy.docs.pages import DOCS
 from tests.warm_process import ROOT
 
-
 CONTENTS = {
     "scenario": '<span class="pre">duration_s</span>',
     "commands": "--require-bounds",
