@@ -63,14 +63,14 @@ def test_margin_of_each_task_from_python(tmp_path):
     setup = policy_setup(tmp_path, CHUNKS, funnel_rad=0.06)
     study = funnel_hil_api.policy(
         "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], tasks=3, out=tmp_path,
-        limit_ms=400, resolution_ms=100, set={**TASKS, "duration_s": 2},
+        limit_ms=300, resolution_ms=100, set={**TASKS, "duration_s": 2},
     )  # fmt: skip
     [case] = study.summary["cases"]
     of_tasks = case["of_tasks_ms"]
     alone = []
     for task in (1, 2, 3):
         found = funnel_hil_api.policy(
-            "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], limit_ms=400,
+            "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], limit_ms=300,
             resolution_ms=100, set={**TASKS, "duration_s": 2, "reference.task": task},
         ).summary["cases"][0]  # fmt: skip
         alone.append(found["inference_ms"])
