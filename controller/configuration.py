@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Collection, Sequence
-from functools import cache
-from pathlib import PurePath
-from typing import Annotated, Any, Literal, cast
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
-    BeforeValidator,
     Field,
-    PlainValidator,
     ValidationInfo,
-    create_model,
     field_validator,
     model_validator,
 )
@@ -27,21 +21,23 @@ from bus_schema.configuration import (
     Number,
     PerJointPositive,
     Positive,
-    Sections,
     StrictModel,
     Whole,
     expand,
     expand_fields,
 )
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.registry import KnownNameIn, NameIn
+from bus_schema.registry import NameIn
 from bus_schema.robot_description import RobotDescription
 from controller.chunks.answer import NEAR, BetweenAnswers, Holding
 from controller.chunks.configuration import ChunksConfiguration
 from controller.compensation.arm_belief import nominal_arm
-from controller.compensation.command_timeline import LONGEST_HORIZON_NS, HorizonSettings
+from controller.compensation.command_timeline import HorizonSettings
+from controller.compensation.configuration import (
+    DelayCompensationConfiguration,
+    DriveFeedbackConfiguration,
+)
 from controller.compensation.delay_compensation import (
-    ADAPTIVE,
     COMMUNICATION_DISTURBANCE_OBSERVER,
     DelayCompensation,
 )
@@ -52,6 +48,7 @@ from controller.external.external_law import (
     ExternalLawConfiguration,
     ExternalTargetLaw,
 )
+from controller.law_choice import PROCESS, GainsByLaw, Word, is_law_name, program_name
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
@@ -62,120 +59,6 @@ from controller.policies.served_policy import ServedPolicy
 from controller.slow_law import AnswerTiming, ChunkRules, SlowLaw
 
 USUAL_ANSWER_TIMEOUT_S = 60.0
-LONGEST_HORIZON_MS = 1e-6 * LONGEST_HORIZON_NS
-LONGEST_BRIDGE_MS = 1000.0
-"""Longest time for which a command may bridge the loss of later ones."""
-PROCESS = "process"
-"""In place of a law's name: the controller is a user's own process on the bus."""
-_INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
-_PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
-
-
-def is_program(name: str) -> bool:
-    """Whether the controller of this name is a program: the law ``external``, or a process."""
-    return name == EXTERNAL or name.startswith(f"{PROCESS}: ")
-
-
-def is_law_name(name: str) -> bool:
-    """Whether a name is a law, a custom one, a policy server's address, or a process."""
-    return name in LAWS or name == PROCESS or is_custom(name) or is_address(name)
-
-
-def _to_word(value: Any) -> Any:
-    """Convert a number, as YAML reads it, to a word of a command line."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return str(value) if is_number else value
-
-
-Word = Annotated[str, BeforeValidator(_to_word), Field(min_length=1)]
-"""A word of a command line."""
-
-
-def _check_bridge(value: object) -> object:
-    # A union of types would report each of its parts, by names that no scenario has.
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value != "auto" and not (is_number and 0.0 <= cast(float, value) <= LONGEST_BRIDGE_MS):
-        raise ValueError(f"a number of ms from 0 to {LONGEST_BRIDGE_MS:g}, or auto")
-    return value
-
-
-class DelayCompensationConfiguration(StrictModel):
-    """Prediction of the state in which a command will act, for any law.
-
-    Attributes:
-        enabled: whether the law sees the predicted state instead of the measured one.
-        predictor: ``adaptive``, or a rival that learns nothing of the arm's model: ``smith``,
-            ``communication_disturbance_observer`` or ``hold_prediction``.
-        observer_bandwidth_rad_s: bandwidth of the observer for model errors and disturbances, or of
-            a rival's filter; ``hold_prediction`` has none.
-        learn_friction: whether Coulomb friction is identified too (``adaptive`` only).
-        identify_model: whether inertia, payload, viscous friction and actuator lag are identified
-            while the arm moves (``adaptive`` only).
-        expected_round_trip_ms: round trip to assume until the first command is in force; by default
-            what the sections of both directions say. An automatic play-out is this long from the
-            start, and never shorter.
-        bridge_ms: each command also holds predicted torques for this time after it acts; they act
-            while later commands are lost. Needs an automatic play-out. ``auto``: 200, but at most
-            ``plant.command_timeout_ms``, where commands may come too late (``adaptive`` only).
-    """
-
-    enabled: bool = False
-    predictor: Annotated[str, KnownNameIn("predictors")] = ADAPTIVE
-    observer_bandwidth_rad_s: Positive = 60.0
-    learn_friction: bool = True
-    identify_model: bool = True
-    expected_round_trip_ms: Annotated[NonNegative, Field(le=LONGEST_HORIZON_MS)] | None = None
-    bridge_ms: Annotated[float | Literal["auto"], BeforeValidator(_check_bridge)] = "auto"
-
-    @property
-    def learns_model(self) -> bool:
-        """Whether anything of the arm's model is identified while it moves."""
-        return self.predictor == ADAPTIVE and self.identify_model
-
-    @property
-    def learns_friction(self) -> bool:
-        """Whether Coulomb friction is identified while the arm moves."""
-        return self.predictor == ADAPTIVE and self.learn_friction
-
-
-class DriveFeedbackConfiguration(StrictModel):
-    """Targets for drives that close their own loop; for any law.
-
-    Attributes:
-        enabled: whether commands contain targets and torques, and the emulated drives use both.
-        bandwidth_rad_s: bandwidth ω of the drives' loop; stiffness is I ω², damping 2 I ω, with the
-            joint's inertia I.
-    """
-
-    enabled: bool = False
-    bandwidth_rad_s: Positive = 100.0
-
-
-def _check_gains(given: Any) -> dict[str, Any]:
-    """Validate gains by law; of the extensions, those named are loaded."""
-    named = [law for law in given if isinstance(law, str)] if isinstance(given, dict) else []
-    checked = _section_now(named).model_validate(given)
-    return {law: gains for law, gains in checked if gains is not None}
-
-
-def _section_now(only: Collection[str] | None) -> type[StrictModel]:
-    """Return the section of gains, with the extensions of these names; None for all usable ones."""
-    entries = LAWS.usable(only)
-    unusable = [(law, dict[str, Any]) for law in only or () if law in LAWS and law not in entries]
-    return _gains_section((*((law, entry.gains) for law, entry in entries.items()), *unusable))
-
-
-@cache  # creating it takes 15 ms, each time a scenario is read
-def _gains_section(types: tuple[tuple[str, Any], ...]) -> type[StrictModel]:
-    """Return a section with gains of these types by the name of their law, and ``custom`` ones."""
-    fields: dict[str, Any] = {law: (gains | None, None) for law, gains in types}
-    fields["custom"] = (dict[str, Any], Field(default_factory=dict))
-    return create_model("Gains", __base__=StrictModel, **fields)
-
-
-GainsByLaw = Annotated[
-    dict[str, Any], PlainValidator(_check_gains), Sections(lambda only: [_section_now(only)])
-]
 
 
 class ControllerConfiguration(StrictModel):
@@ -304,7 +187,7 @@ class ControllerConfiguration(StrictModel):
     @property
     def name(self) -> str:
         """Name of the controller: the law, or the program of the process."""
-        return self.law if self.process is None else f"{PROCESS}: {_program_name(self.process)}"
+        return self.law if self.process is None else f"{PROCESS}: {program_name(self.process)}"
 
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
         """Return the gains of the configured law, expanded to the robot's joints.
@@ -529,13 +412,3 @@ class ControllerConfiguration(StrictModel):
             return np.full(joints, np.inf)
         key = "controller.torque_rate_limit_nm_s"
         return expand(self.torque_rate_limit_nm_s, joints, key)
-
-
-def _program_name(command: tuple[str, ...]) -> str:
-    """Return the name of a command's program; for an interpreter, that of its script."""
-    program, *arguments = command
-    scripts = [word for word in arguments if not word.startswith("-")]
-    is_interpreter = _INTERPRETER.fullmatch(PurePath(program).name) is not None
-    if is_interpreter and scripts and _PLAIN_NAME.fullmatch(scripts[0]):
-        program = scripts[0]
-    return PurePath(program).stem

@@ -6,7 +6,9 @@ and does all of that again in each caller that it links it into. Only the outerm
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import gc
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numba
@@ -70,7 +72,20 @@ class EntryCompiler(_Compiler):  # type: ignore[misc]
     """Compiles kernels that Python calls, and their environments with those of what they call."""
 
     def compile_extra(self, function: Any) -> Any:
-        result = super().compile_extra(function)
+        with _garbage_kept():
+            result = super().compile_extra(function)
         for environment in result._find_referenced_environments():
             result.library.codegen.set_env(environment.env_name, environment)
         return result
+
+
+@contextlib.contextmanager
+def _garbage_kept() -> Iterator[None]:
+    """Pause garbage collection, which takes a fifth of the time of a compilation."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

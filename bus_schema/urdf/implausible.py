@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from collections import defaultdict
 from collections.abc import Collection, Iterator
 from itertools import takewhile
 
@@ -37,9 +38,12 @@ def mass_warnings(root: ET.Element, moving: set[str]) -> Iterator[str]:
         yield f"all {len(heavy)} moved links have the same mass: {masses.pop():g} kg"
     places = np.array([tree.frame(name)[0] for name in moved])
     extent = float(np.sqrt(((places - places[0]) ** 2).sum(axis=1)).max())
+    children = defaultdict[str, list[str]](list)
+    for child, joint in tree.joints.items():
+        children[joint_ends(joint)[0]].append(child)
     for name in heavy if len(moving) >= _FEWEST else ():
         at = tree.frame(name)[0]
-        ends = [tree.frame(c)[0] for c, j in tree.joints.items() if joint_ends(j)[0] == name]
+        ends = [tree.frame(child)[0] for child in children[name]]
         length = max((_distance(end, at) for end in ends), default=0.0)
         if (far := _distance(tree.center(name)[0], at)) - length > _OUTSIDE * extent:
             size = f"the link is {length:.3g} m long, and the arm {extent:.3g} m"

@@ -14,7 +14,7 @@ from controller.compensation.command_timeline import (
     PIECES,
     HorizonSettings,
 )
-from controller.configuration import LONGEST_HORIZON_MS
+from controller.compensation.configuration import LONGEST_HORIZON_MS
 from deploy.scenario.checked_scenario import CheckedScenario
 from deploy.scenario.held_arm import held_arm_ceiling_ms
 from plant_emulator.channel.delay_range import (

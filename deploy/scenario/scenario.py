@@ -16,7 +16,7 @@ from typing import Any
 from bus_schema.configuration import ConfigurationError, shown
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
-from controller.configuration import PROCESS
+from controller.law_choice import PROCESS
 from deploy.scenario.base_units import in_base_units
 from deploy.scenario.checking.checks import check
 from deploy.scenario.checking.explanation import Origin

@@ -14,7 +14,7 @@ from bus_schema.configuration import shown
 from bus_schema.errors import Stopped
 from bus_schema.foreign_text import say
 from bus_schema.recording.atomic_files import write_json
-from controller.configuration import PROCESS, is_law_name
+from controller.law_choice import PROCESS, is_law_name
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.parts.options import GateOptions, OneRunOptions

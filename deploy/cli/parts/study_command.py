@@ -102,8 +102,10 @@ class SharedWorkers(contextlib.ExitStack):
         """Return the workers for one study; `start` starts them if there are none."""
         if self._workers is None:
             self._workers = self.enter_context(start())
-        yield self._workers
-        self._workers.forget()
+        try:
+            yield self._workers
+        finally:
+            self._workers.forget()
 
 
 @contextlib.contextmanager

@@ -41,7 +41,9 @@ _STYLE: Any = {
 """Fonts are embedded, as publishers ask; the same result gives the same bytes."""
 _NO_DATE: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 _DASHES = {"dot": ":", "dash": "--", "dashdot": "-.", "solid": "-"}
-_MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "x": "X"}
+_MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "x": "X",
+            "triangle-up": "^", "triangle-down": "v", "line-ew-open": "_"}  # fmt: skip
+"""Those of matplotlib for those of plotly; others are circles."""
 _OWN_MARKERS = ("", "s", "^", "D", "v", "P", "X", "<", ">")
 _SCATTER_MARKERS = ("o", *_OWN_MARKERS[1:])
 _FILLS = ("full", "none", "left", "right", "top", "bottom")
@@ -259,9 +261,9 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
             shown = style if number == 0 else {**style, "label": "_nolegend_"}
             at.plot([x], [y], linestyle="", marker=_MARKERS.get(symbol, "o"), **shown)
         return
+    marker = _MARKERS.get(symbols, "o") if "markers" in mode else ""
     if mode == "markers" and symbols is None and place:
-        symbols = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
-    marker = _MARKERS.get(symbols or "circle", symbols) if "markers" in mode else ""
+        marker = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
     if "lines" in mode and symbols is None and place:
         marker = _OWN_MARKERS[place]
     if trace.error_x.array is not None:

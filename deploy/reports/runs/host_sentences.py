@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
-from controller.configuration import is_program
+from controller.law_choice import is_program
 from deploy.judge.conditions import lacked_grants
 from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.metrics import RunResult

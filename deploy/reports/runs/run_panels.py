@@ -12,6 +12,8 @@ from functools import partial
 from importlib import resources
 from typing import Any, TypeAlias, TypeVar
 
+import plotly.graph_objects as go
+
 from bus_schema.registry import Registry
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import chunks, joints, learned, link, several_runs, space, timeline
@@ -125,16 +127,18 @@ def panels_of_run() -> list[RunsPanel]:
     added = [
         replace(panel, id=name, draw=partial(_drawn, str(extension), panel.draw))
         for name, panel in RUN_FIGURES.usable().items()
-        if (extension := RUN_FIGURES.extension(name)) is not None
+        if (extension := RUN_FIGURES.extension(name)) is not None and isinstance(panel, Panel)
     ]
     return [*RUN_PANELS, *added]
 
 
-def _drawn(extension: str, draw: Draw, runs: ComparedRuns) -> Content | None:
-    """Draw a figure of a package; one that raises is left out, so that the report is written."""
+def _drawn(extension: str, draw: Draw, runs: ComparedRuns) -> go.Figure | None:
+    """Draw a figure of a package; without one it is left out, so that the report is written."""
     try:
         content = draw(runs)
-        return content() if callable(content) else content
+        if content is not None and not isinstance(content, go.Figure):
+            raise TypeError(f"gives a {type(content).__name__}, not a plotly figure")
     except Exception as error:  # noqa: BLE001  code of a package may raise anything
         logger.warning("%s is left out: %s: %s", extension, type(error).__name__, error)
         return None
+    return content

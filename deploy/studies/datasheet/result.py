@@ -79,7 +79,7 @@ class Way(Part):
 
     @property
     def options(self) -> dict[str, bool | None]:
-        """What varies of the way to drive the robot."""
+        """Options that vary of the way to drive the robot."""
         return {name: getattr(self, name) for name in ("preview", "limiter", "compensation")}
 
     @property

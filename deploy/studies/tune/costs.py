@@ -16,6 +16,8 @@ EXCESS_WEIGHT = 10.0
 UNFINISHED = 1000.0
 """Cost beyond any of a run that counts."""
 _LOST_WEIGHT = 0.5
+_LEAST = 1e-12
+"""Stands for errors and travel of zero, as of a law without torque, which have no logarithm."""
 
 
 def error_cost(row: Row, setup: Setup, travel_limit_per_s: float | None) -> float:
@@ -37,11 +39,11 @@ def error_cost(row: Row, setup: Setup, travel_limit_per_s: float | None) -> floa
     shares = (row["violation_fraction"], row["saturated_fraction"])
     failings = sum(1.0 + 10.0 * share for share in shares if share > 0.0)
     if travel_limit_per_s is None:
-        roughness = SMOOTHNESS_WEIGHT * np.log(travel).mean()
+        roughness = SMOOTHNESS_WEIGHT * np.log(np.maximum(travel, _LEAST)).mean()
     else:
-        excess = np.maximum(np.log(travel / travel_limit_per_s), 0.0)
+        excess = np.log(np.maximum(travel / travel_limit_per_s, 1.0))
         roughness = excess.any() + EXCESS_WEIGHT * excess.mean()
-    return float(np.log(errors).mean() + roughness + failings)
+    return float(np.log(np.maximum(errors, _LEAST)).mean() + roughness + failings)
 
 
 def delay_cost(rows: Sequence[Row], duration_s: float) -> float:

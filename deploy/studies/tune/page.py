@@ -50,7 +50,7 @@ def tune_page(study: DrawnStudy) -> Page[DrawnStudy]:
 def _history(result: TuneResult) -> go.Figure:
     figure = style.new_figure(_HEIGHT_PX, "candidate", "best cost so far")
     for index, (law, found) in enumerate(result.laws.items()):
-        costs = [None if cost >= BEYOND_ALL else cost for cost in found.history]
+        costs = [None if cost is None or cost >= BEYOND_ALL else cost for cost in found.history]
         figure.add_scatter(
             x=list(range(len(costs))), y=costs, name=law, mode="lines", line_shape="hv",
             line_color=style.palette(index),

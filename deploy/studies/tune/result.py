@@ -27,19 +27,20 @@ class TunedLaw(Part):
     """A law and its search.
 
     Attributes:
-        history: the best cost so far after each candidate.
+        history: the best cost so far after each candidate; null for one of earlier versions that
+            was infinite.
         gains: those of the start, and those that were found.
         judged: runs with each of them, a part for each place.
         file: scenario with the gains that were found.
     """
 
     candidates: int
-    cost_start: float
-    cost_found: float
+    cost_start: float | None
+    cost_found: float | None
     best_candidate: int
-    history: list[float]
-    gained_in_last_quarter: float
-    spread: float
+    history: list[float | None]
+    gained_in_last_quarter: float | None
+    spread: float | None
     converged: bool
     gains: dict[str, Gains]
     judged: dict[str, list[Judged]]

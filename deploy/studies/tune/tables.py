@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.tables import Cell, Column, Status, Table, number, table_of
 from deploy.studies.tune.result import Judged, TuneResult
@@ -21,7 +23,10 @@ def _search_table(result: TuneResult) -> Table:
         (Column("Law", is_text=True), lambda item: item[0]),
         (Column("Start", "cost"), lambda item: item[1].cost_start),
         (Column("Found", "cost"), lambda item: item[1].cost_found),
-        (Column("Spread", "%"), lambda item: 100.0 * item[1].spread),
+        (
+            Column("Spread", "%"),
+            lambda item: None if item[1].spread is None else 100.0 * item[1].spread,
+        ),
         (Column("Converged", is_text=True), lambda item: "yes" if item[1].converged else "no"),
         (Column("Scenario", is_text=True), lambda item: item[1].file),
     ]
@@ -74,9 +79,17 @@ def _judged_cell(one: Judged) -> Cell:
     return Cell(f"{number(worst)}, {one.kept} of {one.runs}", status)
 
 
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def _cost(found: float | None) -> float:
+    return -math.inf if found is None else found
+
+
 def tune_headline(result: TuneResult) -> str:
     """Return the lowest cost, and how many runs the search had not seen kept their bounds."""
-    law, found = min(result.laws.items(), key=lambda item: item[1].cost_found)
+    law, found = min(result.laws.items(), key=lambda item: _cost(item[1].cost_found))
     lowest = f"Lowest cost: {number(found.cost_found)} by {law} ({number(found.cost_start)}"
     judged = found.judged.get("found", ())
     kept, runs = sum(each.kept for each in judged), sum(each.runs for each in judged)

@@ -277,7 +277,7 @@ def _file(law: str) -> str:
 
 
 def _is_kept(row: Row) -> bool:
-    return row["bounds_kept"] and row["error"] is None
+    return bool(row["bounds_kept"]) and row["error"] is None
 
 
 def _require_rising(ranges: Mapping[str, tuple[float, float]]) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from bus_schema.registry import extensions_in
 from bus_schema.runtime.extensions import Extension
 from bus_schema.user_files import is_file
-from controller.configuration import is_program
+from controller.law_choice import is_program
 from controller.laws.custom import find_law, is_custom, is_given, read_by_imports
 from controller.laws.read_files import (
     ABSENT,

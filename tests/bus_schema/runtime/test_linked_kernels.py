@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import math
 import os
 import shutil
 import subprocess
 import sys
+import traceback
 from pathlib import Path
 
+import numba
 import pytest
 
 from tests.warm_process import ROOT
@@ -105,3 +108,26 @@ print(sum_of_roots(4.0), len(root.signatures))
         [sys.executable, "-c", words], capture_output=True, text=True, check=True, env=environment
     )
     assert done.stdout.split() == ["6.0", "1"]
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_no_garbage_is_collected_while_a_kernel_compiles(kernels, is_on):
+    module, was_on, collections = kernels(), gc.isenabled(), []
+    compiler = numba.core.compiler.CompilerBase.compile_extra.__code__
+
+    def note(phase, _):
+        callers = (frame.f_code for frame, _ in traceback.walk_stack(sys._getframe()))
+        collections.append(phase == "start" and compiler in callers)
+
+    (gc.enable if is_on else gc.disable)()
+    gc.callbacks.append(note)
+    try:
+        module.sum_of_roots.compile("(float64,)")
+        assert gc.isenabled() == is_on
+        with pytest.raises(numba.TypingError):
+            module.sum_of_roots.compile("(unicode_type,)")
+        assert gc.isenabled() == is_on
+    finally:
+        gc.callbacks.remove(note)
+        (gc.enable if was_on else gc.disable)()
+    assert not any(collections)

@@ -150,17 +150,23 @@ def test_report_of_a_run_has_the_figure_of_a_package(funnel_hil, tmp_path):
     assert shown.tolist() == run.table("plant_truth")["velocity"][:, 1].tolist()
 
 
-def test_figure_that_raises_is_left_out_and_named(add_package, funnel_hil, tmp_path, caplog):
+@pytest.mark.parametrize(("draws", "reason"), [
+    ("1 / 0", "ZeroDivisionError"), ("'text'", "gives a str, not a plotly figure"),
+])  # fmt: skip
+def test_figure_that_raises_is_left_out_and_named(
+    draws, reason, add_package, funnel_hil, tmp_path, caplog
+):
     source = (
         "from deploy.reports.page import Panel\n"
-        "BAD = Panel('Motion', 'bad', 'Bad', lambda _: 1 / 0, 'It raises.')\n"
+        f"BAD = Panel('Motion', 'bad', 'Bad', lambda _: {draws}, 'It raises.')\n"
     )
     (tmp_path / "bad_figure.py").write_text(source)
-    add_package(project(group="figures", bad="bad_figure:BAD"), tmp_path)
+    both = {"bad": "bad_figure:BAD", "worse": "deploy.reports.page:Panel"}
+    add_package(project(group="figures", **both), tmp_path)
     funnel_hil("simulate", "paper_arm", "--set", SHORT, "--out", str(tmp_path / "run"))
     assert 'id="bad"' not in (tmp_path / "run" / "report.html").read_text()
     assert "bad (funnel_hil.figures) of" in caplog.text
-    assert "ZeroDivisionError" in caplog.text
+    assert reason in caplog.text
 
 
 @pytest.mark.usefixtures("example_package")

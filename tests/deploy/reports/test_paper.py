@@ -187,6 +187,15 @@ def test_points_of_laws_differ_in_grey(tmp_path, monkeypatch, symbols):
     assert len(shapes) == (3 if symbols is None else 1)
 
 
+@pytest.mark.parametrize(
+    "symbol", ["line-ew-open", "circle-open", "triangle-up", "triangle-down", "star-diamond-dot"]
+)
+def test_any_symbol_of_plotly_is_drawn(tmp_path, symbol):
+    figure = line_figure().add_scatter(x=[1.0], y=[2.0], mode="markers", marker_symbol=symbol)
+    write_figure(figure, tmp_path / "any.svg", 1)
+    assert (tmp_path / "any.svg").stat().st_size > 1000
+
+
 def test_intervals_of_points_are_drawn(tmp_path, monkeypatch):
     figure = new_figure(300)
     half = {"array": [0.5, 0.25], "arrayminus": [0.1, 0.2], "symmetric": False}

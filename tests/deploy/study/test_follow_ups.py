@@ -78,7 +78,9 @@ def test_no_margin_is_quoted_before_its_follow_ups_are_over(tmp_path):
     numbers, count, whole = set(), 0, False
     while not whole:
         count += 1
-        study = helped(quantity="jitter", what_helps=False, model_errors=[0.8])  # no theory
+        study = helped(
+            quantity="jitter", resolution=3, what_helps=False, model_errors=[0.8]
+        )  # no theory, and few runs: the study is made once for each of them
         whole, folder = conduct(study, tmp_path / f"{count}", Here(lost, at_most=count))
         case = case_of(study, folder)
         numbers.add((case["quoted"], case["quoted_because"]))

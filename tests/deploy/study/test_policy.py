@@ -23,8 +23,8 @@ TASKS = {
     "controller.between_answers": "linear",
     "controller.chunks": {"horizon": 16, "period_ms": 20, "ask_every": 8},
 }  # fmt: skip
-SHORT = ("--set", CHUNKS, "--set", "duration_s=3")
-BOUNDS = ("--limit", "320", "--resolution", "40", "--workers", "1")
+SHORT = ("--set", CHUNKS, "--set", "duration_s=2")
+BOUNDS = ("--limit", "240", "--resolution", "40", "--workers", "1")
 
 
 def test_perfect_chunks_are_tolerated_until_they_run_out(tmp_path, funnel_hil):
@@ -63,15 +63,15 @@ def test_margin_of_each_task_from_python(tmp_path):
     setup = policy_setup(tmp_path, CHUNKS, funnel_rad=0.06)
     study = funnel_hil_api.policy(
         "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], tasks=3, out=tmp_path,
-        limit_ms=400, resolution_ms=100, set={**TASKS, "duration_s": 3},
+        limit_ms=300, resolution_ms=100, set={**TASKS, "duration_s": 2},
     )  # fmt: skip
     [case] = study.summary["cases"]
     of_tasks = case["of_tasks_ms"]
     alone = []
     for task in (1, 2, 3):
         found = funnel_hil_api.policy(
-            "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], limit_ms=400,
-            resolution_ms=100, set={**TASKS, "duration_s": 3, "reference.task": task},
+            "funnel_hil:Demonstrator", [str(setup.source)], merges=["replace"], limit_ms=300,
+            resolution_ms=100, set={**TASKS, "duration_s": 2, "reference.task": task},
         ).summary["cases"][0]  # fmt: skip
         alone.append(found["inference_ms"])
     assert of_tasks["smallest"] == min(alone) == case["inference_ms"]

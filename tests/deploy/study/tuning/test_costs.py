@@ -53,3 +53,9 @@ def test_each_delay_that_is_kept_is_worth_1_and_a_late_loss_up_to_half():
     assert delay_cost([run(), run(), lost], 4.0) == pytest.approx(-2.125)
     assert delay_cost([run(growing=True)], 4.0) == 0.0
     assert delay_cost([run(verdict="lost", first_violation_s=9.0)], 4.0) == -0.5
+
+
+def test_a_law_without_torque_has_a_cost_that_can_be_compared():
+    without = run(total_variation_nm_per_s=[0.0, 0.0])
+    assert -10.0 < error_cost(without, SETUP, None) - error_cost(run(), SETUP, None) < 0.0
+    assert error_cost(without, SETUP, 2.0) == pytest.approx(math.log(0.1))

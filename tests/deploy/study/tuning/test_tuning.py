@@ -12,8 +12,10 @@ import pytest
 from deploy.judge.run_rows import read_rows
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.studies.tune.result import TuneResult
 from deploy.studies.tune.runs import TuneDefinition, judged
-from deploy.studies.tune.tuning import Tuning
+from deploy.studies.tune.tables import tune_headline, tune_tables
+from deploy.studies.tune.tuning import Tuning, _is_kept
 from tests.warm_process import output_of
 
 pytest.importorskip("cma", reason="the extra tuning is not installed")
@@ -173,3 +175,19 @@ def test_options_of_other_studies_are_refused(tmp_path, option):
 @pytest.mark.parametrize("command", ["benchmark", "datasheet"])
 def test_studies_that_confirm_nothing_have_no_option_for_it(command):
     assert "No such option: --confirm" in output_of(command, "--confirm", code=2)
+
+
+def test_costs_that_earlier_versions_left_empty_are_read(grown):
+    """They were infinite, of laws whose torque never changes."""
+    summary = json.loads((grown[0] / "summary.json").read_text())
+    name, law = next(iter(summary["laws"].items()))
+    empty = {"cost_start": None, "cost_found": None, "history": [None], "spread": None}
+    summary["laws"] = {name: law | empty | {"gained_in_last_quarter": None}}
+    result = TuneResult.model_validate(summary)
+    assert tune_headline(result).startswith(f"Lowest cost: – by {name}")
+    assert len(tune_tables(result)) >= 1
+
+
+def test_runs_that_left_nothing_are_not_kept():
+    assert not _is_kept({"bounds_kept": None, "error": "ended by signal 9"})
+    assert _is_kept({"bounds_kept": True, "error": None}) is True
