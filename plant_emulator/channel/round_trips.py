@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.tables import MOST_BYTES, column_names, read_columns
@@ -18,9 +19,20 @@ from bus_schema.user_files import read_text
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
 """tshark's field: the time from a TCP segment to its ACK."""
 _ACK_TIMES = ("frame.time_epoch", "frame.time_relative")
-_REPLY = re.compile(r"(?:\[([\d.]+)\] )?.*seq=(\d+) .*?time[=<]([\d.]+) ms")
+_REPLY = re.compile(
+    r"(?:\[(?P<stamp>[\d.]+)\] )?.*seq=(?P<number>\d+) .*?time[=<](?P<trip_ms>[\d.]+) ms"
+)
+_UNANSWERED = re.compile(r"(?:Request timeout for|no answer yet for|From) .*seq[ =](?P<number>\d+)")
 _FIRST_LINES = re.compile(rb"^PING \S+ \(|^(\[[\d.]+\] )?\d+ bytes from .* time[=<]", re.MULTILINE)
-_STATISTICS = re.compile(r"(\d+) packets transmitted, .* time (\d+)ms")
+_WINDOWS = re.compile(rb"(?i:bytes)=\d+ .*TTL=\d+")
+_STATISTICS = re.compile(
+    r"(\d{1,12}) packets transmitted, \d+( packets)? received(?:.* time (\d{1,12})ms)?"
+)
+_NO_REPLIES = (
+    "does not contain two replies in the format of ping: make it on Linux, LC_ALL=C ping -D HOST"
+)
+_MOST_LOST = 1000
+"""With more requests for each reply, the numbers are damaged and would fill the memory."""
 _IPERF = re.compile(rb"\A\s*\{.*\"version\":\s*\"iperf 3", re.DOTALL)
 _BEGINNING = 4000
 _WRAP = 1 << 16
@@ -58,6 +70,8 @@ def measured_round_trips(path: Path) -> RoundTrips | None:
         beginning = file.read(_BEGINNING)
     if _FIRST_LINES.search(beginning):
         return from_ping(path, read_text(path).splitlines(), None)
+    if _WINDOWS.search(beginning):
+        raise ValueError(f"{path}: {_NO_REPLIES}")
     if _IPERF.match(beginning):
         return _from_iperf(path)
     names = column_names(path)
@@ -94,26 +108,22 @@ def from_ping(path: Path, lines: Sequence[str], interval_s: float | None) -> Rou
     Raises:
         ValueError: there are not two replies, or there are times beside `interval_s`.
     """
-    found = [each for each in map(_REPLY.match, lines) if each and "(DUP!)" not in each.string]
-    has_times = any(each[1] for each in found)
+    has_times = any(each and each["stamp"] for each in map(_REPLY.match, lines))
     if has_times and interval_s is not None:
         raise ValueError(f"{path}: --interval must be left out: it has times, by ping -D")
     if interval_s is None:
         interval_s, source = _interval_s(lines)
     else:
         source = "as given"
-    replies: dict[int, tuple[float, float]] = {}
-    newest = 0
-    for reply in found:
-        stamp, number, round_trip_ms = reply[1], int(reply[2]), float(reply[3])
-        number += max(0, newest - number + _WRAP // 2) // _WRAP * _WRAP  # it has 16 bits
-        newest = max(newest, number)
-        sent_s = float(stamp) - round_trip_ms / 1e3 if stamp else number * interval_s
-        replies[number] = sent_s, round_trip_ms
+    replies, unanswered = _requests(path, lines, interval_s)
     if len(replies) < 2:
-        raise ValueError(f"{path}: does not contain two replies in the format of ping")
-    numbers, known = np.arange(min(replies), max(replies) + 1), sorted(replies)
-    times_s = np.interp(numbers, known, [replies[number][0] for number in known])
+        raise ValueError(f"{path}: {_NO_REPLIES}")
+    numbers = _numbers(path, lines, {*replies, *unanswered}, len(replies))
+    known = sorted(replies)
+    sent_s = np.array([replies[number][0] for number in known])
+    gap_s = (sent_s[-1] - sent_s[0]) / (known[-1] - known[0])
+    times_s = np.interp(numbers, known, sent_s)
+    times_s += gap_s * (numbers - np.clip(numbers, known[0], known[-1]))  # beyond the replies
     times_s = np.maximum.accumulate(times_s)  # ping rounds long round trips to whole milliseconds
     missing = (0.0, float("nan"))
     trips_ms = np.array([replies.get(int(n), missing)[1] for n in numbers])
@@ -122,12 +132,64 @@ def from_ping(path: Path, lines: Sequence[str], interval_s: float | None) -> Rou
     return RoundTrips(times_s, trips_ms, assumed)
 
 
+def _requests(
+    path: Path, lines: Sequence[str], interval_s: float
+) -> tuple[dict[int, tuple[float, float]], set[int]]:
+    """Return when each answered request was sent and its round trip in ms, and the unanswered."""
+    replies: dict[int, tuple[float, float]] = {}
+    unanswered: set[int] = set()
+    newest = 0
+    for line_number, line in enumerate(lines, 1):
+        reply = _REPLY.match(line)
+        found = reply or _UNANSWERED.search(line)
+        if found is None or "(DUP!)" in line:
+            continue
+        try:
+            number = int(found["number"])
+            round_trip_ms = float(reply["trip_ms"]) if reply else 0.0
+            stamp_s = float(reply["stamp"]) if reply and reply["stamp"] else None
+        except ValueError as error:
+            raise ValueError(f"{path}, line {line_number}: {error}") from error
+        if (replies or unanswered) and number > newest + _WRAP:
+            raise ValueError(f"{path}, line {line_number}: seq={number}: must be at most {_WRAP}"
+                             f" above {newest}")  # fmt: skip
+        number += max(0, newest - number + _WRAP // 2) // _WRAP * _WRAP  # it has 16 bits
+        newest = max(newest, number)
+        if reply is None:
+            unanswered.add(number)
+        else:
+            sent_s = number * interval_s if stamp_s is None else stamp_s - round_trip_ms / 1e3
+            replies[number] = sent_s, round_trip_ms
+    return replies, unanswered
+
+
+def _numbers(path: Path, lines: Sequence[str], seen: set[int], replies: int) -> NDArray[np.int64]:
+    """Return the numbers of all requests, as far as the output shows its beginning and end."""
+    first, last = min(seen), max(seen)
+    is_whole = any(line.startswith("PING ") for line in lines)
+    statistics = _statistics(lines)
+    # Linux counts from 1; others, which write "packets received", from 0.
+    start = 0 if first == 0 or (statistics and statistics[2]) else 1
+    if is_whole:
+        first = min(first, start)
+    if statistics and (is_whole or int(statistics[1]) <= _WRAP):  # else numbers may have wrapped
+        last = max(last, start + int(statistics[1]) - 1)
+    if last - first >= _MOST_LOST * replies:
+        raise ValueError(f"{path}: {replies} replies to requests {first} to {last}: must be at"
+                         f" least one of {_MOST_LOST}")  # fmt: skip
+    return np.arange(first, last + 1)
+
+
+def _statistics(lines: Sequence[str]) -> re.Match[str] | None:
+    """Return what the last lines say: number of requests, and the time that they took in ms."""
+    return next(filter(None, map(_STATISTICS.search, reversed(lines))), None)
+
+
 def _interval_s(lines: Sequence[str]) -> tuple[float, str]:
     """Return the time between requests of output without times, and who says it."""
-    for line in reversed(lines):
-        found = _STATISTICS.search(line)
-        if found is not None and int(found[1]) > 1 and int(found[2]):
-            return 1e-3 * int(found[2]) / (int(found[1]) - 1), "by its statistics"
+    found = _statistics(lines)
+    if found is not None and int(found[1]) > 1 and int(found[3] or 0):
+        return 1e-3 * int(found[3]) / (int(found[1]) - 1), "by its statistics"
     return _USUAL_INTERVAL_S, "ping's default, assumed"
 
 

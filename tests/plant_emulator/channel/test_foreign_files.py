@@ -105,6 +105,60 @@ def test_ping_without_times_has_the_interval_of_its_statistics(
     assert "each direction replays half of each round trip" in trace.assumed
 
 
+HEAD = "PING robot (10.0.0.2): 56 data bytes\n"
+REPLIES = "".join(f"64 bytes from x: icmp_seq={n} ttl=64 time=4.0 ms\n" for n in (2, 3, 5))
+
+
+@pytest.mark.parametrize(
+    ("text", "first", "last"),
+    [
+        (HEAD + REPLIES + "13 packets transmitted, 3 received, 76% packet loss", 1, 13),
+        (HEAD + REPLIES + "9 packets transmitted, 3 packets received, 66.6% packet loss", 0, 8),
+        (HEAD + "Request timeout for icmp_seq 0\n" + REPLIES + "Request timeout for icmp_seq 7",
+         0, 7),
+        (REPLIES + "From 10.0.0.1 icmp_seq=6 Destination Host Unreachable\n", 2, 6),
+        (REPLIES + "64 bytes from x: icmp_seq=9 ttl=64 ti", 2, 5),
+        (REPLIES + "70000 packets transmitted, 3 received, 99% packet loss", 2, 5),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("has_times", [False, True])
+def test_losses_at_the_ends_of_ping_count(
+    tmp_path: Path, text: str, first: int, last: int, has_times: bool
+) -> None:
+    """Requests 2, 3 and 5, one a second, are answered after 4 ms; those beside them are lost."""
+    if has_times:
+        text = re.sub(r"(64 bytes.*icmp_seq=(\d) .* ms)", r"[170000000\2.004] \1", text)
+    (tmp_path / "ping.txt").write_text(text)
+    trace = read_trace(tmp_path / "ping.txt")
+    expected = [2_000_000 if n in (2, 3, 5) else LOST_NS for n in range(first, last + 1)]
+    assert trace.delays_ns.tolist() == expected
+    times_s = [each / 1e9 for each in trace.times_ns.tolist()]
+    assert times_s == pytest.approx(list(range(last - first + 1)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (REPLIES + "64 bytes from x: icmp_seq=99999999999 ttl=1 time=1 ms",
+         "line 4: seq=99999999999: must be at most 65536 above 5"),
+        (REPLIES + f"64 bytes from x: icmp_seq={'9' * 5000} ttl=1 time=1 ms", "line 4: "),
+        (REPLIES + "64 bytes from x: icmp_seq=30000 ttl=1 time=1 ms",
+         "4 replies to requests 2 to 30000: must be at least one of 1000"),
+        (HEAD + REPLIES + "99999999999 packets transmitted, 3 received", "3 replies to requests 1"),
+        (REPLIES + "64 bytes from x: icmp_seq=6 ttl=1 time=1.2.3 ms", "line 4: .*'1.2.3'"),
+        ("PING robot (10.0.0.2) 56(84) Bytes an Daten.\n"
+         "64 Bytes von 10.0.0.2: icmp_seq=1 ttl=64 Zeit=4.00 ms\n", "LC_ALL=C ping -D HOST"),
+        ("\nPinging 10.0.0.2 with 32 bytes of data:\n"
+         "Reply from 10.0.0.2: bytes=32 time=4ms TTL=64\n", "LC_ALL=C ping -D HOST"),
+        ("Antwort von 10.0.0.2: Bytes=32 Zeit<1ms TTL=64\n", "LC_ALL=C ping -D HOST"),
+    ],
+)  # fmt: skip
+def test_damaged_or_localised_ping_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "ping.txt").write_text(text)
+    with pytest.raises(ValueError, match=f"ping.txt.*{complaint}"):
+        read_trace(tmp_path / "ping.txt")
+
+
 def iperf(intervals: list[dict[str, object]], end: dict[str, object]) -> str:
     start = {"connected": [], "version": "iperf 3.16"}
     streams = [{"streams": [each]} for each in intervals]
