@@ -6,12 +6,13 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
+from bus_schema.configuration import shown
 from bus_schema.tables import MOST_BYTES, column_names, read_columns
 from bus_schema.time_units import UNITS_MS, check_interval, split_unit
 from bus_schema.user_files import read_text
@@ -33,7 +34,6 @@ _NO_REPLIES = (
 )
 _MOST_LOST = 1000
 """With more requests for each reply, the numbers are damaged and would fill the memory."""
-_IPERF = re.compile(rb"\A\s*\{.*\"version\":\s*\"iperf 3", re.DOTALL)
 _BEGINNING = 4000
 _WRAP = 1 << 16
 _USUAL_INTERVAL_S = 1.0
@@ -72,8 +72,8 @@ def measured_round_trips(path: Path) -> RoundTrips | None:
         return from_ping(path, read_text(path).splitlines(), None)
     if _WINDOWS.search(beginning):
         raise ValueError(f"{path}: {_NO_REPLIES}")
-    if _IPERF.match(beginning):
-        return _from_iperf(path)
+    if beginning.lstrip().startswith(b"{") and (report := _iperf_report(path)) is not None:
+        return _from_iperf(path, report)
     names = column_names(path)
     time = next((each for each in _ACK_TIMES if each in names), None)
     if ACK_ROUND_TRIP in names and time is not None:
@@ -193,23 +193,36 @@ def _interval_s(lines: Sequence[str]) -> tuple[float, str]:
     return _USUAL_INTERVAL_S, "ping's default, assumed"
 
 
-def _from_iperf(path: Path) -> RoundTrips | None:
+def _iperf_report(path: Path) -> dict[str, Any] | None:
+    """Return what ``iperf3 --json`` wrote; None where a file is something else."""
+    try:
+        report = json.loads(read_text(path, MOST_BYTES))
+        is_iperf = report["start"]["version"].startswith("iperf 3")
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
+    return report if is_iperf else None
+
+
+def _from_iperf(path: Path, report: dict[str, Any]) -> RoundTrips:
     """Return the round trips of a TCP test's first stream, one for each interval of the report.
 
     Raises:
-        ValueError: it was a test over UDP, whose report has no delays.
+        ValueError: it failed, has no round trips, as over UDP, or its times fall.
     """
+    if "error" in report:
+        raise ValueError(f"{path}: iperf3 failed: {shown(report['error'])}")
     try:
-        report = json.loads(read_text(path, MOST_BYTES))
         streams = [each["streams"][0] for each in report["intervals"] if each["streams"]]
         streams = [each for each in streams if not each.get("omitted")]
-        found = np.array([[each["end"], each.get("rtt", 0.0)] for each in streams], dtype=float)
-        total = report["end"].get("sum", {})
-    except (ValueError, LookupError, TypeError, AttributeError):
-        return None
+        found = np.array([[each["end"], each.get("rtt") or 0.0] for each in streams], dtype=float)
+        total = dict(report["end"].get("sum") or {})
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is a damaged report of iperf3: {error!r}") from error
     if len(found) < 2 or not found[:, 1].all():
-        raise ValueError(f"{path} is output of iperf3 without round trips:{_udp(total)}"
+        raise ValueError(f"{path} is output of iperf3 without round trips:{_instead(total)}"
                          " measure delays with ping -D or funnel-hil link")  # fmt: skip
+    if not (np.diff(found[:, 0]) >= 0.0).all():
+        raise ValueError(f"{path}: the times (end) of iperf3's intervals must not fall")
     assumed = (
         "iperf3's round trips, which the kernel smooths, while the test fills the link; losses are"
         f" not in them: {_HALVES}"
@@ -217,14 +230,15 @@ def _from_iperf(path: Path) -> RoundTrips | None:
     return RoundTrips(found[:, 0], found[:, 1] / 1e3, assumed)
 
 
-def _udp(total: dict[str, float]) -> str:
-    """Return the keys of the link for what a test over UDP measured."""
+def _instead(total: dict[str, Any]) -> str:
+    """Return the keys of the link for what a test over UDP measured, else what to run."""
     if "jitter_ms" not in total:
-        return ""
-    return (
-        f" use rate_kbit_s: {total['bits_per_second'] / 1e3:.4g},"
-        f" jitter_ms: {total['jitter_ms']:.3g} and loss: {total['lost_percent'] / 100:.3g};"
-    )
+        return " run iperf3 -J on the sender, over TCP, or"
+    keys = (("rate_kbit_s", "bits_per_second", 1e-3, 4), ("jitter_ms", "jitter_ms", 1.0, 3),
+            ("loss", "lost_percent", 1e-2, 3))  # fmt: skip
+    found = [f"{key}: {scale * total[name]:.{digits}g}" for key, name, scale, digits in keys
+             if isinstance(total.get(name), int | float)]  # fmt: skip
+    return f" use {', '.join(found[:-1])} and {found[-1]};" if found[1:] else ""
 
 
 def _from_table(path: Path, names: Sequence[str]) -> RoundTrips | None:

@@ -185,6 +185,36 @@ def test_udp_report_of_iperf_is_refused_with_keys_of_the_link(tmp_path: Path) ->
         read_trace(tmp_path / "f")
 
 
+def test_version_of_iperf_may_stand_far_from_the_beginning(tmp_path: Path) -> None:
+    report = json.loads(iperf([{"end": n, "rtt": 4000 * n} for n in (1, 2)], {}))
+    report["start"] = {"connected": ["x" * 5000], **report["start"]}
+    report["start"]["version"] = report["start"].pop("version")
+    (tmp_path / "iperf.json").write_text(json.dumps(report))
+    assert read_trace(tmp_path / "iperf.json").delays_ns.tolist() == [2_000_000, 4_000_000]
+
+
+UDP = {"bits_per_second": 1.05e6, "jitter_ms": 0.25, "lost_percent": None}
+ROWS: list[dict[str, object]] = [{"end": 1.0}, {"end": 2.0}]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (iperf(ROWS, {"sum": UDP}), "use rate_kbit_s: 1050 and jitter_ms: 0.25; measure"),
+        (iperf([], {})[:-1] + ', "error": "unable to connect to server"}',
+         "iperf3 failed: 'unable to connect to server'"),
+        (iperf(ROWS, {"sum_sent": {}}), "run iperf3 -J on the sender, over TCP"),
+        (iperf([{"end": 2.0, "rtt": 1}, {"end": 1.0, "rtt": 1}], {}), "must not fall"),
+        (iperf([{"end": "soon", "rtt": 1}], {}), "damaged report of iperf3.*soon"),
+        ('{"a":' * 100_000, "is missing|names no|unknown"),
+    ],
+)  # fmt: skip
+def test_reports_of_iperf_without_delays_say_why(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "iperf.json").write_text(text)
+    with pytest.raises(ValueError, match=complaint):
+        read_trace(tmp_path / "iperf.json")
+
+
 @pytest.mark.parametrize(
     ("text", "delays_us", "is_round_trip"),
     [
