@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import shown
+from bus_schema.foreign_files import refuse_foreign
 from bus_schema.tables import MOST_BYTES, column_names, read_columns
 from bus_schema.time_units import UNITS_MS, check_interval, split_unit
-from bus_schema.user_files import read_text
+from bus_schema.user_files import read_bytes, read_text
 
+LONGEST_MS = 60_000.0
 ACK_ROUND_TRIP = "tcp.analysis.ack_rtt"
 """tshark's field: the time from a TCP segment to its ACK."""
 _ACK_TIMES = ("frame.time_epoch", "frame.time_relative")
@@ -40,6 +42,9 @@ _USUAL_INTERVAL_S = 1.0
 _SENT = {"time", "t", "timestamp", "sent", "send", "send_time", "sent_time", "time_sent", "tx"}
 _ROUND_TRIP = {"rtt", "round_trip", "round_trip_time", "ping"}
 _ONE_WAY = {"delay", "latency", "owd", "one_way_delay", "one_way_latency"}
+_OF_TRACES = {"time_s", "delay_ms", "round_trip_ms"}
+_LONGEST_WITHOUT_UNIT = 1.0
+"""Messages of a loop are rarely 1 s apart, and often 1 ms."""
 _HALVES = "each direction replays half of each round trip"
 
 
@@ -245,14 +250,21 @@ def _from_table(path: Path, names: Sequence[str]) -> RoundTrips | None:
     """Return the delays of a table with one column of times and one of delays, by their names.
 
     Raises:
-        ValueError: the name of the delays has no unit, or the times are in another unit.
+        ValueError: no columns have such names, one needs a unit, times are in another, or a delay
+            is out of range.
     """
-    if {"delay_ms", "round_trip_ms"} & set(names) and "time_s" in names:
+    if len(_OF_TRACES & set(names)) > 1 and "time_s" in names:
         return None
     words = {name: split_unit(name) for name in names}
     times = [name for name in names if words[name][0] in _SENT]
     delays = [name for name in names if words[name][0] in _ONE_WAY | _ROUND_TRIP]
     if len(times) != 1 or len(delays) != 1:
+        if not _OF_TRACES & set(names):
+            refuse_foreign(path, read_bytes(path, MOST_BYTES))
+            raise ValueError(f"{path}: the columns are {shown(', '.join(names))}: one must be of"
+                             f" times ({_listed(_SENT)}) and one of delays"
+                             f" ({_listed(_ONE_WAY | _ROUND_TRIP)}), with units, as time_s and"
+                             " delay_ms or round_trip_ms")  # fmt: skip
         return None
     (time,), (delay,) = times, delays
     unit = words[delay][1]
@@ -268,8 +280,18 @@ def _from_table(path: Path, names: Sequence[str]) -> RoundTrips | None:
         check_interval(sent_s[order])
     except ValueError as error:
         raise ValueError(f"{path}, column {time}: {error}") from error
+    gap = float(np.median(np.diff(sent_s[order]))) if len(sent_s) > 1 else 0.0
+    if not words[time][1] and gap >= _LONGEST_WITHOUT_UNIT:
+        raise ValueError(f"{path}: the name of column {time} has no unit, and its times are usually"
+                         f" {gap:.3g} apart: name it {time}_ms or {time}_s")  # fmt: skip
+    delays_ms = columns.values[delay] * UNITS_MS[unit]
+    is_wrong = (delays_ms < 0.0) | (delays_ms > LONGEST_MS)
+    columns.refuse_where(is_wrong, delay, f"delays must be 0 to {LONGEST_MS:g} ms")
     is_one_way = words[delay][0] in _ONE_WAY
     how = "empty cells are lost" + ("" if is_one_way else f": {_HALVES}")
     assumed = f"columns {time} in {words[time][1] or 's'} and {delay} in {unit}, {how}"
-    return RoundTrips(sent_s[order], (columns.values[delay] * UNITS_MS[unit])[order], assumed,
-                      is_one_way)  # fmt: skip
+    return RoundTrips(sent_s[order], delays_ms[order], assumed, is_one_way)
+
+
+def _listed(names: set[str]) -> str:
+    return ", ".join(sorted(names))
