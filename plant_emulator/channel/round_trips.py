@@ -191,7 +191,7 @@ def _statistics(lines: Sequence[str]) -> re.Match[str] | None:
 
 
 def _interval_s(lines: Sequence[str]) -> tuple[float, str]:
-    """Return the time between requests of output without times, and who says it."""
+    """Return the time between two requests in s, and where it is from, for a reader."""
     found = _statistics(lines)
     if found is not None and int(found[1]) > 1 and int(found[3] or 0):
         return 1e-3 * int(found[3]) / (int(found[1]) - 1), "by its statistics"
