@@ -12,7 +12,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InputError
 
 UNITS_MS = {"s": 1e3, "ms": 1.0, "us": 1e-3, "ns": 1e-6}
-_SUFFIX = re.compile(r"(?:_|\s*[\[(])([mnuµμ]?)s(?:ec)?[\])]?$")
+_SUFFIX = re.compile(r"(?:_|\s*[\[(])([mnuµμ]?)s(?:ec)?[\])]?$", re.IGNORECASE)
 _PREFIXES = {"µ": "u", "μ": "u"}
 _SHORTEST_S, _LONGEST_S = 10e-6, 10.0
 
@@ -31,7 +31,8 @@ def split_unit(column: str) -> tuple[str, str]:
     """Return the words of a column's name in lower case, and its unit; an empty one for none."""
     found = _SUFFIX.search(column)
     words = column if found is None else column[: found.start()]
-    unit = "" if found is None else f"{_PREFIXES.get(found[1], found[1])}s"
+    prefix = "" if found is None else found[1].lower()
+    unit = "" if found is None else f"{_PREFIXES.get(prefix, prefix)}s"
     return re.sub(r"[\s-]+", "_", words.strip().lower()), unit
 
 

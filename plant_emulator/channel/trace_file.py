@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.tables import read_columns
-from plant_emulator.channel.round_trips import measured_round_trips
+from plant_emulator.channel.round_trips import LONGEST_MS, measured_round_trips
 
 LOST_NS = -1
 """Stands for a delay where a message was lost."""
-LONGEST_MS = 60_000.0
 ONE_WAY, ROUND_TRIP = DELAYS = ("delay_ms", "round_trip_ms")
 """Columns of delays, of which a trace has one."""
 _END_SHARE = 20

@@ -22,6 +22,7 @@ from deploy.judge.run_data import RunData
 from deploy.run.execute import InProcesses, JudgedRun, execute
 from deploy.run.network.links import with_free_endpoints
 from deploy.run.simulate import simulate
+from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.studies.bench.measure import Section, cost_us, interleave, ratio
@@ -39,7 +40,6 @@ _PERIOD = "period of the loop"
 BARE = "run of simulate"
 ONE = "run of a sweep on 1 worker"
 TWO = "run of a sweep on 2 workers"
-_DELAYS = "link.uplink.delay_ms, link.downlink.delay_ms"
 _PAIRS = 8
 """Simulations and bare physics start instantly, so more of them are compared."""
 _ENGINES_COMPARED_ON = "iiwa"
@@ -237,7 +237,7 @@ def measure_sweep(scenario: str, seconds: float, runs: int, repetitions: int) ->
     """
     overrides = [f"duration_s={seconds}", "metrics.from_s=0"]
     setup = load_setup(scenario, overrides)
-    grid = {_DELAYS: [0.01 * index for index in range(runs)]}
+    grid = {", ".join(study_keys.DELAYS): [0.01 * index for index in range(runs)]}
     fixed = {"duration_s": seconds, "metrics.from_s": 0}
     values = {"name": "bench", "scenario": scenario, "set": fixed, "grid": grid}
     sweep = Sweep(values, Path("bench"))

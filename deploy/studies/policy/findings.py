@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from deploy.judge.run_rows import Row, held, tolerated
+from deploy.judge.run_rows import Row, held, reason_of, tolerated
 from deploy.reports.tables import shown_in
 from deploy.studies.policy.result import Merge, OfTasks, Point
 from deploy.study.statistics import worst
@@ -79,8 +79,8 @@ def _point(time_ms: float, rows: list[Row]) -> Point:
 
 
 def _reason(rows: Sequence[Row]) -> str | None:
-    """Return the commonest reason of a loss; None for none."""
-    reasons = Counter(row["loss_reason"] for row in rows if row.get("loss_reason"))
+    """Return the commonest reason why runs are not tolerated; None for none."""
+    reasons = Counter(filter(None, map(reason_of, rows)))
     return reasons.most_common(1)[0][0] if reasons else None
 
 

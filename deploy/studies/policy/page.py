@@ -48,7 +48,7 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
         return [f"{arm}: not complete."]
     best = recommended(cases)
     if best is None or best.at is None:
-        return [f"{arm}: no merge keeps the bounds, even without inference time."]
+        return [f"{arm}: {_none_holds(cases)}."]
     key, last = jump_column(cases), longest(cases)
     jump = _jump(best.at, key)
     most = [_jump(case.at, key) for case in cases if case.at and case is not best]
@@ -59,6 +59,21 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
         f"{arm}: at an inference time of {best.at.inference_ms:g} ms use {best.merge}.",
         f"Its chunks jump by {jump[1]}{others}. It keeps the bounds up to {_up_to(best)}{more}.",
     ]
+
+
+def _none_holds(cases: list[Merge]) -> str:
+    """Return what becomes of the shortest inference time, which no merge tolerates."""
+    points = [point for case in cases for point in case.points]
+    shortest_ms = min(point.inference_ms for point in points)
+    kept_ms = sorted({point.inference_ms for point in points if point.runs_kept == point.runs})
+    reasons = {p.ends for p in points if p.inference_ms == shortest_ms and p.ends}
+    why = f" ({', '.join(sorted(reasons))})" if reasons else ""
+    if not kept_ms:
+        return f"no merge keeps the bounds, even at an inference time of {shortest_ms:g} ms{why}"
+    flaw = "bounds are kept but it does not hold" if kept_ms[0] == shortest_ms else "it is lost"
+    longer = [each for each in kept_ms if each > shortest_ms]
+    more = f"; bounds are kept at up to {longer[-1]:g} ms, see the figure" if longer else ""
+    return f"no inference time to quote: at {shortest_ms:g} ms {flaw}{why}{more}"
 
 
 def _up_to(case: Merge) -> str:

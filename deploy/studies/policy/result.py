@@ -20,7 +20,7 @@ class Point(Part):
     """The runs of a merge at an inference time; figures are the largest of its runs.
 
     Attributes:
-        ends: the commonest reason of a loss.
+        ends: the commonest reason why a run is not tolerated.
         jump_mm: of the tip.
         starved_share: share of ticks without an action.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -43,7 +44,8 @@ def error_cost(row: Row, setup: Setup, travel_limit_per_s: float | None) -> floa
     else:
         excess = np.log(np.maximum(travel / travel_limit_per_s, 1.0))
         roughness = excess.any() + EXCESS_WEIGHT * excess.mean()
-    return float(np.log(np.maximum(errors, _LEAST)).mean() + roughness + failings)
+    cost = float(np.log(np.maximum(errors, _LEAST)).mean() + roughness + failings)
+    return cost if math.isfinite(cost) else UNFINISHED
 
 
 def delay_cost(rows: Sequence[Row], duration_s: float) -> float:

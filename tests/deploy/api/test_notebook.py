@@ -10,6 +10,11 @@ import deploy
 NOTEBOOK = Path(deploy.__file__).parent / "api" / "funnel_hil.ipynb"
 
 
+def test_documentation_shows_this_notebook_and_no_copy():
+    page = NOTEBOOK.parents[1] / "docs/how-to/python.ipynb"
+    assert page.resolve() == NOTEBOOK.resolve()
+
+
 def outputs(cells, containing):
     """What the only cell with a text in it gave, as text."""
     (cell,) = (cell for cell in cells if cell.cell_type == "code" and containing in cell.source)

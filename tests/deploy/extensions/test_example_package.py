@@ -160,8 +160,9 @@ def test_figure_that_raises_is_left_out_and_named(
         "from deploy.reports.page import Panel\n"
         f"BAD = Panel('Motion', 'bad', 'Bad', lambda _: {draws}, 'It raises.')\n"
     )
-    (tmp_path / "bad_figure.py").write_text(source)
-    both = {"bad": "bad_figure:BAD", "worse": "deploy.reports.page:Panel"}
+    module = f"figure_of_{len(draws)}"  # a module is imported once in a process
+    (tmp_path / f"{module}.py").write_text(source)
+    both = {"bad": f"{module}:BAD", "worse": "deploy.reports.page:Panel"}
     add_package(project(group="figures", **both), tmp_path)
     funnel_hil("simulate", "paper_arm", "--set", SHORT, "--out", str(tmp_path / "run"))
     assert 'id="bad"' not in (tmp_path / "run" / "report.html").read_text()

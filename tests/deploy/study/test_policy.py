@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 import funnel_hil as funnel_hil_api
+from deploy.judge.run_rows import failed_row
 from deploy.reports.tables import shown_in
 from deploy.scenario.scenario import load_setup
-from deploy.studies.policy.findings import jump_column, longest, recommended
+from deploy.studies.policy.findings import jump_column, longest, merge_findings, recommended
+from deploy.studies.policy.page import advice
 from deploy.studies.policy.policy import PolicyStudy
-from deploy.studies.policy.result import Merge, Point
+from deploy.studies.policy.result import Merge, Point, PolicyResult
 from tests.one_joint import policy_setup
 
 CHUNKS = "controller.chunks={horizon: 16, period_ms: 20, ask_every: 8}"
@@ -117,6 +121,35 @@ def test_the_merge_that_jumps_least_at_the_inference_time_asked_for_is_recommend
     assert longest([*rows, *lost]) is longer
     assert recommended(lost).merge == "e"
     assert recommended(lost[:1]) is None
+
+
+@pytest.mark.parametrize(("kept", "ends", "said"), [
+    ({0.0: 0, 25.0: 1, 50.0: 1}, "lag",
+     "no inference time to quote: at 0 ms it is lost (lag); bounds are kept at up to 50 ms"),
+    ({0.0: 1, 25.0: 1}, "vibration",
+     "at 0 ms bounds are kept but it does not hold (vibration); bounds are kept at up to 25 ms"),
+    ({0.0: 0, 25.0: 0}, "saturated",
+     "no merge keeps the bounds, even at an inference time of 0 ms (saturated)"),
+])  # fmt: skip
+def test_a_policy_without_a_time_to_quote_says_what_its_runs_did(kept, ends, said):
+    merge = case("replace", None, 0.0)
+    points = [
+        merge.at.model_copy(update={"inference_ms": time_ms, "runs_kept": count, "ends": ends})
+        for time_ms, count in kept.items()
+    ]
+    result = PolicyResult.model_construct(
+        completed=True, cases=[merge.model_copy(update={"points": points})]
+    )
+    [sentence] = advice(result, "arm")
+    assert said in sentence
+
+
+def test_a_flaw_of_a_kept_run_is_named():
+    flawed = failed_row(1, "") | {"inference_ms": 0.0, "arm": "arm", "merge": "replace",
+        "error": None, "verdict": "kept", "vibrating": True, "point": "0"}  # fmt: skip
+    found = merge_findings("arm", "replace", [flawed], [0.0], 0.0, is_whole=True)
+    assert (found.inference_ms, found.ends) == (None, "vibration")
+    assert found.points[0].runs_kept == 1
 
 
 def test_one_unit_serves_all_merges_of_an_arm():

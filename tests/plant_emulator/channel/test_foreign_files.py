@@ -105,6 +105,60 @@ def test_ping_without_times_has_the_interval_of_its_statistics(
     assert "each direction replays half of each round trip" in trace.assumed
 
 
+HEAD = "PING robot (10.0.0.2): 56 data bytes\n"
+REPLIES = "".join(f"64 bytes from x: icmp_seq={n} ttl=64 time=4.0 ms\n" for n in (2, 3, 5))
+
+
+@pytest.mark.parametrize(
+    ("text", "first", "last"),
+    [
+        (HEAD + REPLIES + "13 packets transmitted, 3 received, 76% packet loss", 1, 13),
+        (HEAD + REPLIES + "9 packets transmitted, 3 packets received, 66.6% packet loss", 0, 8),
+        (HEAD + "Request timeout for icmp_seq 0\n" + REPLIES + "Request timeout for icmp_seq 7",
+         0, 7),
+        (REPLIES + "From 10.0.0.1 icmp_seq=6 Destination Host Unreachable\n", 2, 6),
+        (REPLIES + "64 bytes from x: icmp_seq=9 ttl=64 ti", 2, 5),
+        (REPLIES + "70000 packets transmitted, 3 received, 99% packet loss", 2, 5),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("has_times", [False, True])
+def test_losses_at_the_ends_of_ping_count(
+    tmp_path: Path, text: str, first: int, last: int, has_times: bool
+) -> None:
+    """Requests 2, 3 and 5, one a second, are answered after 4 ms; those beside them are lost."""
+    if has_times:
+        text = re.sub(r"(64 bytes.*icmp_seq=(\d) .* ms)", r"[170000000\2.004] \1", text)
+    (tmp_path / "ping.txt").write_text(text)
+    trace = read_trace(tmp_path / "ping.txt")
+    expected = [2_000_000 if n in (2, 3, 5) else LOST_NS for n in range(first, last + 1)]
+    assert trace.delays_ns.tolist() == expected
+    times_s = [each / 1e9 for each in trace.times_ns.tolist()]
+    assert times_s == pytest.approx(list(range(last - first + 1)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (REPLIES + "64 bytes from x: icmp_seq=99999999999 ttl=1 time=1 ms",
+         "line 4: seq=99999999999: must be at most 65536 above 5"),
+        (REPLIES + f"64 bytes from x: icmp_seq={'9' * 5000} ttl=1 time=1 ms", "line 4: "),
+        (REPLIES + "64 bytes from x: icmp_seq=30000 ttl=1 time=1 ms",
+         "4 replies to requests 2 to 30000: must be at least one of 1000"),
+        (HEAD + REPLIES + "99999999999 packets transmitted, 3 received", "3 replies to requests 1"),
+        (REPLIES + "64 bytes from x: icmp_seq=6 ttl=1 time=1.2.3 ms", "line 4: .*'1.2.3'"),
+        ("PING robot (10.0.0.2) 56(84) Bytes an Daten.\n"
+         "64 Bytes von 10.0.0.2: icmp_seq=1 ttl=64 Zeit=4.00 ms\n", "LC_ALL=C ping -D HOST"),
+        ("\nPinging 10.0.0.2 with 32 bytes of data:\n"
+         "Reply from 10.0.0.2: bytes=32 time=4ms TTL=64\n", "LC_ALL=C ping -D HOST"),
+        ("Antwort von 10.0.0.2: Bytes=32 Zeit<1ms TTL=64\n", "LC_ALL=C ping -D HOST"),
+    ],
+)  # fmt: skip
+def test_damaged_or_localised_ping_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "ping.txt").write_text(text)
+    with pytest.raises(ValueError, match=f"ping.txt.*{complaint}"):
+        read_trace(tmp_path / "ping.txt")
+
+
 def iperf(intervals: list[dict[str, object]], end: dict[str, object]) -> str:
     start = {"connected": [], "version": "iperf 3.16"}
     streams = [{"streams": [each]} for each in intervals]
@@ -131,9 +185,39 @@ def test_udp_report_of_iperf_is_refused_with_keys_of_the_link(tmp_path: Path) ->
         read_trace(tmp_path / "f")
 
 
+def test_version_of_iperf_may_stand_far_from_the_beginning(tmp_path: Path) -> None:
+    report = json.loads(iperf([{"end": n, "rtt": 4000 * n} for n in (1, 2)], {}))
+    report["start"]["connected"] = ["x" * 5000]
+    (tmp_path / "iperf.json").write_text(json.dumps(report))
+    assert read_trace(tmp_path / "iperf.json").delays_ns.tolist() == [2_000_000, 4_000_000]
+
+
+UDP = {"bits_per_second": 1.05e6, "jitter_ms": 0.25, "lost_percent": None}
+ROWS: list[dict[str, object]] = [{"end": 1.0}, {"end": 2.0}]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (iperf(ROWS, {"sum": UDP}), "use rate_kbit_s: 1050 and jitter_ms: 0.25; measure"),
+        (iperf([], {})[:-1] + ', "error": "unable to connect to server"}',
+         "iperf3 failed: 'unable to connect to server'"),
+        (iperf(ROWS, {"sum_sent": {}}), "run iperf3 -J on the sender, over TCP"),
+        (iperf([{"end": 2.0, "rtt": 1}, {"end": 1.0, "rtt": 1}], {}), "must not fall"),
+        (iperf([{"end": "soon", "rtt": 1}], {}), "damaged report of iperf3.*soon"),
+        ('{"a":' * 100_000, "one must be of times"),
+    ],
+)  # fmt: skip
+def test_reports_of_iperf_without_delays_say_why(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "iperf.json").write_text(text)
+    with pytest.raises(ValueError, match=complaint):
+        read_trace(tmp_path / "iperf.json")
+
+
 @pytest.mark.parametrize(
     ("text", "delays_us", "is_round_trip"),
     [
+        ("seq,T (S),RTT (MS)\n1,0,3\n2,0.01,\n3,0.02,5\n", [1500, None, 2500], True),
         ("seq,Timestamp,RTT [ms]\n1,0,3\n2,0.01,\n3,0.02,5\n", [1500, None, 2500], True),
         ("t_us,latency_us\n20000,5000\n0,3000\n10000,\n", [3000, None, 5000], False),
     ],
@@ -154,7 +238,15 @@ def test_tables_are_read_by_the_names_of_their_columns(
     [
         (b"time,latency\n0,1\n1,2\n", "column latency has no unit, such as latency_ms: rename"),
         (b"time,latency_ms\n0,1\n100,2\n", "column time: the times are usually 100 s apart"),
-        (b"time,latency_ms\n0,-1\n1,2\n", "delays must be 0 to 60000 ms"),
+        (b"time,latency_ms\n0,1\n2,2\n4,1\n", "usually 2 apart: name it time_ms or time_s"),
+        (
+            b"time_s,latency_ms\n0,1\n1,-1\n",
+            "line 3, column latency_ms = -1: delays must be 0 to 60000 ms",
+        ),
+        (
+            b"when,how_long\n0,1\n1,2\n",
+            "columns are 'when, how_long': one must be of times .*sent.*delays .*rtt",
+        ),
         (b"\x89MCAP0\r\n", "is an MCAP file: funnel-hil trace import mcap"),
         (b"\x0a\x0d\x0d\x0a\x1c\0\0\0", "is a pcap file: give its table, tshark -r FILE"),
     ],

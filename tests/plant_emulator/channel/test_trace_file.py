@@ -32,7 +32,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
     [
         (
             "0,1\n1,2\n",
-            "line 1, column 1 '0' is unknown: the columns are time_s, and perhaps delay_ms",
+            "the columns are '0, 1': one must be of times .*, as time_s and delay_ms or round",
         ),
         ("when,delay_ms\n0,1\n1,2\n", "line 1, column 1 'when' is unknown"),
         ("time_s,delay_ms,rtt\n0,1,2\n", "line 1, column 3 'rtt' is unknown"),
@@ -49,7 +49,7 @@ def test_csv_and_parquet_say_the_same(tmp_path: Path) -> None:
         ("time_s,delay_ms,lost\n0,1,2\n1,2,0\n", "line 2, column lost = 2: must be 1 if delay"),
         ("time_s,delay_ms\n0,1\n", "at least two rows"),
         ("time_s,delay_ms\n0,\n1,\n", "some messages must arrive"),
-        ("", "line 1, column 1 '' is unknown"),
+        ("", "the columns are '': one must be of times"),
     ],
 )
 def test_what_is_no_trace_is_refused(tmp_path: Path, text: str, complaint: str) -> None:

@@ -59,3 +59,4 @@ def test_a_law_without_torque_has_a_cost_that_can_be_compared():
     without = run(total_variation_nm_per_s=[0.0, 0.0])
     assert -10.0 < error_cost(without, SETUP, None) - error_cost(run(), SETUP, None) < 0.0
     assert error_cost(without, SETUP, 2.0) == pytest.approx(math.log(0.1))
+    assert error_cost(run(rms_rad=[math.inf, 0.001]), SETUP, None) == UNFINISHED
