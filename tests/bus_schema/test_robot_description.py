@@ -120,3 +120,18 @@ def test_missing_file_and_folder_are_named(tmp_path):
         load_robot(tmp_path / "nowhere.urdf")
     with pytest.raises(RobotDescriptionError, match="cannot be read as URDF"):
         load_robot(tmp_path)
+
+
+def test_arms_of_the_same_file_share_no_array(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM)
+    load_robot(path).effort_limits_nm[:] = 0.0
+    assert load_robot(path).effort_limits_nm.all()
+
+
+def test_an_arm_follows_its_file(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM)
+    first = load_robot(path)
+    path.write_text(ARM.replace(f'effort="{first.effort_limits_nm[0]:g}"', 'effort="3.5"'))
+    assert load_robot(path).effort_limits_nm[0] == 3.5
