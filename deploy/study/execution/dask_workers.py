@@ -166,7 +166,7 @@ def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
             dashboard_address=None,
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any free port
             silence_logs=logging.CRITICAL,
-            preload=[f"{__package__}.worker_start", __name__],  # so that no first run waits for imports
+            preload=[f"{__package__}.worker_start", __name__],  # no first run waits for imports
         )
 
 
