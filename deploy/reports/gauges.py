@@ -23,7 +23,7 @@ class Part(BaseModel):
     unfinished result.
     """
 
-    model_config = ConfigDict(strict=True, allow_inf_nan=False, extra="allow")
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, extra="allow", defer_build=True)
 
     @model_validator(mode="before")
     @classmethod

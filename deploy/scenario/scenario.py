@@ -38,7 +38,10 @@ from deploy.scenario.yaml_files import (
 SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
 
 
-def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str = "--set") -> Setup:
+def load_setup(
+    name_or_path: str, overrides: Sequence[str] = (), given_by: str = "--set",
+    *, creates_sides: bool = True,
+) -> Setup:  # fmt: skip
     """Load, override and check a scenario.
 
     Args:
@@ -46,12 +49,13 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
             file of an arm, which gets a `starter_scenario`; arguments of xacro may follow it.
         overrides: ``dotted.key=value``; values are YAML.
         given_by: what they were set with, for messages.
+        creates_sides: as for `check`; false where a run has been made with the same values.
 
     Raises:
         ScenarioError: anything about it is wrong.
     """
     path, values = named_values(name_or_path)
-    return build_setup(values, path, overrides, given_by)
+    return build_setup(values, path, overrides, given_by, creates_sides=creates_sides)
 
 
 def named_values(name_or_path: str) -> tuple[Path, dict[str, Any]]:
@@ -84,8 +88,9 @@ def file_values(path: Path, arguments: Mapping[str, str] = MappingProxyType({}))
 
 
 def build_setup(
-    values: Mapping[str, Any], source: Path, overrides: Sequence[str] = (), given_by: str = "--set"
-) -> Setup:
+    values: Mapping[str, Any], source: Path, overrides: Sequence[str] = (),
+    given_by: str = "--set", *, creates_sides: bool = True,
+) -> Setup:  # fmt: skip
     """Override and check the values of a scenario.
 
     Args:
@@ -93,6 +98,7 @@ def build_setup(
         source: that file, or a name for it; relative paths start beside it.
         overrides: ``dotted.key=value``; values are YAML.
         given_by: what they were set with, for messages.
+        creates_sides: as for `check`.
 
     Raises:
         ScenarioError: anything about it is wrong.
@@ -102,7 +108,7 @@ def build_setup(
     name_code(scenario, origin)
     with naming(origin):
         scenario = _with_judged_period(scenario, origin)
-    return check(scenario, origin)
+    return check(scenario, origin, creates_sides=creates_sides)
 
 
 def _with_judged_period(scenario: ScenarioConfiguration, origin: Origin) -> ScenarioConfiguration:

@@ -103,6 +103,44 @@ class MarginSearch:
         return max(self._neighbours, key=lambda pair: pair[1] - pair[0], default=None)
 
     @property
+    def variants_at_most(self) -> int:
+        """Largest number of variants that are left to begin, by `probes_at_most`."""
+        begun = self.requested.keys() - self.outcomes.keys()
+        return max(0, self.probes_at_most - len(begun)) * len(self.variants)
+
+    @property
+    def probes_at_most(self) -> int:
+        """Largest number of remaining probes, if no value below one that held is lost."""
+        margin, failure = self.margin, self.first_failure
+        hints, limit = len(self._untried_hints), self.steps.limit
+        if failure is not None:
+            beyond = sum(value not in self.outcomes for value in self._beyond(failure))
+            if margin is None:
+                return hints + beyond
+            is_bracketed = failure - margin == 1
+            left = hints + (beyond if is_bracketed else len(_BEYOND))  # a lower failure has others
+            left += (failure - margin - 1).bit_length()
+            return left + self._gaps_at_most(is_bracketed=is_bracketed)
+        left = hints + (margin is None) + self._gaps_at_most(is_bracketed=margin == limit)
+        if margin == limit:
+            return left
+        doublings = max(map(self._doublings, (margin or 0, *self._untried_hints)))
+        return left + doublings + limit.bit_length() + len(_BEYOND)
+
+    def _doublings(self, margin: int) -> int:
+        """Return the number of values that are probed from a margin to the limit, if all hold."""
+        grown, count = margin, 0
+        while grown < self.steps.limit:
+            grown, count = min(2 * grown or self.steps.first, self.steps.limit), count + 1
+        return count
+
+    def _gaps_at_most(self, *, is_bracketed: bool) -> int:
+        """Return the largest number of values that halve gaps; a longer margin has wider parts."""
+        if not is_bracketed:
+            return 2 * (self.parts - 1)
+        return sum(self._halvings(high - low) for low, high in self._neighbours)
+
+    @property
     def probes_left(self) -> int:
         """Number of remaining probes, if the next one of a bracketing fails."""
         margin, failure, hints = self.margin, self.first_failure, len(self._untried_hints)

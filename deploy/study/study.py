@@ -115,6 +115,11 @@ class StudyOfRuns(ABC):
         """Number of runs, as far as known now."""
         return self._requested
 
+    @property
+    def at_most(self) -> int:
+        """Largest number of runs that it can still come to, with those done; it falls over time."""
+        return self.expected
+
     @cached_property
     def _requested(self) -> int:
         return sum(1 for _ in self.first())

@@ -120,3 +120,18 @@ def test_missing_file_and_folder_are_named(tmp_path):
         load_robot(tmp_path / "nowhere.urdf")
     with pytest.raises(RobotDescriptionError, match="cannot be read as URDF"):
         load_robot(tmp_path)
+
+
+def test_arms_of_the_same_file_share_no_array():
+    path = shipped_arm("paper_arm").path
+    load_robot(path).effort_limits_nm[:] = 0.0
+    assert load_robot(path).effort_limits_nm.tolist() == [400.0, 700.0, 300.0]
+
+
+def test_an_arm_follows_its_file(tmp_path):
+    path = tmp_path / "arm.urdf"
+    text = shipped_arm("paper_arm").path.read_text()
+    path.write_text(text)
+    assert load_robot(path).effort_limits_nm[0] == 400.0
+    path.write_text(text.replace('effort="400', 'effort="350'))
+    assert load_robot(path).effort_limits_nm[0] == 350.0

@@ -31,7 +31,7 @@ from funnel_hil.results import Study
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike, named_law
 
 OnProgress = Callable[[int, int], None]
-"""Is called after each run with how many are done, and how many there will be."""
+"""Is called after each run with how many are done, and how many there are at most."""
 
 _How = tuple[int | None, str | None, str | Path | None, OnProgress | None]
 """Workers, scheduler, folder and what is called after each run."""
@@ -356,9 +356,9 @@ def session_of(
     """Do the runs that a study's folder lacks; yield the folder, which is locked meanwhile."""
     done = itertools.count(1)
 
-    def progress(_row: Row, expected: int, _before: bool) -> None:
+    def progress(_row: Row, at_most: int, _before: bool) -> None:
         if on_progress is not None:
-            on_progress(next(done), expected)
+            on_progress(next(done), at_most)
 
     def team() -> AbstractContextManager[Workers]:
         if workers == 0 and scheduler is None:

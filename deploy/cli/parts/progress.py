@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -18,6 +19,9 @@ _PLAIN_LINE_S = 3.0
 _BAR_WIDTH = 12
 _LEAST_DONE, _STEADY = 0.1, 0.2
 """The time left is shown from this share on, while recent and mean speed differ by less."""
+_LEAST_RUNS, _LONGER = 8, 1.2
+"""With a largest total, the time left is shown from this number on. It counts down, until the
+mean cost of all runs gives a shorter time, or one that is longer by this factor."""
 _WHOLE = Column(no_wrap=True, overflow="ellipsis")
 
 
@@ -34,7 +38,8 @@ class CommandProgress:
     def __init__(self, console: Console, name: str, total: float, unit: str) -> None:
         self._console, self._unit, self._note = console, unit, ""
         self._total, self._done, self._done_before = total, 0.0, 0.0
-        self._share, self._total_moves = 0.0, False
+        self._share, self._is_largest = 0.0, False
+        self._end_s = math.inf
         self._is_brief = False
         self._bar = Progress(
             TextColumn("{task.description}", style="bold", markup=False, table_column=_WHOLE),
@@ -68,15 +73,17 @@ class CommandProgress:
 
         Args:
             done: how much in all.
-            total: how much there is to do; as before by default. Where it changes, the share that
-                is done is shown instead, which never falls.
+            total: the largest total that is still possible; as before by default. The total that
+                is shown never rises.
             note: what else there is to say; as before by default.
         """
         self._done = done
         if done - self._done_before > self._marks[-1][1]:
             self._marks.append((time.monotonic(), done - self._done_before))
         if total is not None and total != self._total:
-            self._total, self._total_moves = total, True
+            self._total, self._is_largest = max(done, min(total, self._total)), True
+        if self._is_largest:
+            self._foresee_end()
         self._share = max(self._share, done / self._total if self._total > 0.0 else 0.0)
         self._note = self._note if note is None else note
         self._bar.update(self._task, completed=self._share, line=self._fitting_line())
@@ -132,23 +139,37 @@ class CommandProgress:
     def _line(self, *, time_left: bool = True) -> str:
         elapsed_s = max(time.monotonic() - self._started_s, 1e-9)
         speed = (self._done - self._done_before) / elapsed_s
-        line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
-        if self._total_moves:  # a search that ends earlier or later than it seemed
-            line = f"{self._done:g} {self._unit}, {100.0 * min(self._share, 1.0):.0f} %"
+        total = f"at most {self._total:g}" if self._is_largest else f"{self._total:g}"
+        line = f"{round(self._done, 2):g} of {total} {self._unit}"
         if speed > 0.0:
             is_time = self._unit == "s"  # simulated seconds per second: the real-time factor
             line += f", speed {speed:.3g}" if is_time else f", {speed:.3g} {self._unit}/s"
-            recent = self._recent_speed()
-            is_steady = abs(recent - speed) < _STEADY * speed
-            if (
-                time_left
-                and self._done < self._total
-                and recent
-                and (is_steady or self._total_moves)
-            ):
-                about = "about " if self._total_moves else ""
-                line += f", {about}{(self._total - self._done) / recent:.0f} s left"
+            if time_left and self._done < self._total:
+                line += self._time_left(speed)
         return f"{line}, {self._note}" if self._note else line
+
+    def _time_left(self, speed: float) -> str:
+        if self._is_largest:
+            left_s = self._end_s - time.monotonic()
+            return f", at most {left_s:.0f} s left" if 0.0 < left_s < math.inf else ""
+        recent = self._recent_speed()
+        is_steady = recent and abs(recent - speed) < _STEADY * speed
+        return f", {(self._total - self._done) / recent:.0f} s left" if is_steady else ""
+
+    def _foresee_end(self) -> None:
+        """Foresee the end from the mean cost of a run so far; a little later changes nothing.
+
+        The first run also starts the workers, and counts for nothing.
+        """
+        own, now_s = self._done - self._done_before, time.monotonic()
+        if own < min(_LEAST_RUNS, self._total - self._done_before):
+            return
+        first_s, first = self._marks[min(1, len(self._marks) - 1)]
+        if own <= first:
+            return
+        left_s = (self._total - self._done) * (now_s - first_s) / (own - first)
+        if not self._end_s - now_s <= left_s <= _LONGER * (self._end_s - now_s):
+            self._end_s = now_s + left_s
 
     def _recent_speed(self) -> float:
         """Return the speed over the last half of what is done; 0 while too little is done.

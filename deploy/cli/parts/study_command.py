@@ -40,14 +40,19 @@ _OPEN_SCHEDULER = (
 
 
 class RunCounter:
-    """Counts the finished runs of a study on a progress line."""
+    """Counts the finished runs of one study, or of several in turn, on a progress line."""
 
     def __init__(self, progress: CommandProgress) -> None:
         self._progress = progress
         self._done = self._before = self._failed = 0
+        self._of_others = 0
 
-    def done(self, values: Row, expected: int, before: bool) -> None:
-        """A run is done, now or by an earlier command; `expected` runs there will be in all."""
+    def begin(self, later: int) -> None:
+        """Begin another study, after which at most `later` runs of others follow."""
+        self._of_others = self._done + later
+
+    def done(self, values: Row, at_most: int, before: bool) -> None:
+        """A run is done, now or by an earlier command; the study has `at_most` runs in all."""
         self._done += 1
         self._before += before
         self._failed += values["error"] is not None
@@ -55,7 +60,7 @@ class RunCounter:
         note = ", ".join(f"{count} {what}" for what, count in notes.items() if count)
         if before:
             self._progress.skip_to(self._before)
-        self._progress.update(self._done, total=expected, note=note)
+        self._progress.update(self._done, total=self._of_others + at_most, note=note)
 
 
 def run_study(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: bool = False) -> None:
@@ -106,7 +111,7 @@ class SharedWorkers(contextlib.ExitStack):
 @contextlib.contextmanager
 def carried_out(
     study: StudyOfRuns, options: WorkerOptions, console: Console, stop: threading.Event,
-    shared: SharedWorkers | None = None,
+    shared: SharedWorkers | None = None, counter: RunCounter | None = None,
 ) -> Iterator[Session]:  # fmt: skip
     """Do the runs that the folder of a study lacks, with progress; it is locked meanwhile.
 
@@ -116,11 +121,12 @@ def carried_out(
         console: where to show the progress.
         stop: set to end early.
         shared: workers, if other studies with the same laws use them too.
+        counter: of a progress line that other studies use too, whose runs it counts.
     """
     start = _workers(study, options)
     with open_session(
         study, start if shared is None else partial(shared.borrowed, start), options.out,
-        _progress(console, study, options, stop),
+        _progress(console, study, options, stop, counter),
         overwrite=options.overwrite, is_elsewhere=options.scheduler is not None, stop=stop,
     ) as done:  # fmt: skip
         if done.folder.unseen:
@@ -144,13 +150,17 @@ def _workers(study: StudyOfRuns, options: WorkerOptions) -> Callable[[], DaskWor
 
 @contextlib.contextmanager
 def _progress(
-    console: Console, study: StudyOfRuns, options: WorkerOptions, stop: threading.Event
-) -> Iterator[Progress]:
+    console: Console, study: StudyOfRuns, options: WorkerOptions, stop: threading.Event,
+    counter: RunCounter | None = None,
+) -> Iterator[Progress]:  # fmt: skip
     """Show the progress of a study, and handle requests to stop it."""
     scheduler = options.scheduler
     if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
         warning = _OPEN_SCHEDULER.format(scheduler)
         Console(stderr=True).print(warning, markup=False, soft_wrap=True)
     on_stop(stop.set)
-    with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:
+    if counter is not None:
+        yield counter.done
+        return
+    with CommandProgress(console, study.definition.name, study.at_most, "runs") as shown:
         yield RunCounter(shown).done

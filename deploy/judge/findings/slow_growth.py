@@ -76,9 +76,12 @@ def slow_oscillation(
     mean, floor = _means(errors / size), floor / size
     step_s = (len(errors) // len(mean)) / rate_hz
     duration_s, ends = len(mean) * step_s, round(_PART * len(mean))
-    whole, first, last = (_model(part, step_s) for part in (mean, mean[:ends], mean[-ends:]))
-    if whole is None or first is None or last is None:
-        return None
+    models = list[_Model]()
+    for part in (mean, mean[:ends], mean[-ends:]):
+        if (model := _model(part, step_s)) is None:
+            return None  # before the others, which take as long
+        models.append(model)
+    whole, first, last = models
     found = [
         Oscillation(exponent, amplitude)
         for exponent, amplitude in zip(

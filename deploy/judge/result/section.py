@@ -50,7 +50,7 @@ class Section(BaseModel):
         only_sometimes: figures that ``summary.json`` has only where they are not None.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     only_sometimes: ClassVar[frozenset[str]] = frozenset()
 
     @model_serializer(mode="wrap")

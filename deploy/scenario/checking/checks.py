@@ -48,8 +48,13 @@ _HIDDEN_SHARE = 0.25
 _SIZED_BY = 100
 
 
-def check(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
+def check(scenario: ScenarioConfiguration, origin: Origin, *, creates_sides: bool = True) -> Setup:
     """Check a scenario against the files and the robot it refers to.
+
+    Args:
+        scenario: the scenario.
+        origin: where its values are from.
+        creates_sides: whether to create its controller, link and plant once, which most loads need.
 
     Raises:
         ScenarioError: something does not fit.
@@ -57,7 +62,8 @@ def check(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     with naming(origin):
         try:
             setup = _set_up(scenario, origin)
-            _check_sides(setup)
+            if creates_sides:
+                _check_sides(setup)
         except JointNameError as error:
             raise ConfigurationError("robot.joints", scenario.robot.joints, str(error)) from error
         except RobotDescriptionError as error:

@@ -20,7 +20,7 @@ from deploy.cli.parts.options import (
     taking,
 )
 from deploy.cli.parts.progress import CommandProgress
-from deploy.cli.parts.study_command import SharedWorkers, carried_out
+from deploy.cli.parts.study_command import RunCounter, SharedWorkers, carried_out
 from deploy.cli.parts.study_options import WorkerOptions
 from deploy.judge.run_rows import Row
 from deploy.reports.results import Results
@@ -80,14 +80,20 @@ def datasheet(options: DatasheetOptions) -> None:
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(*margin.bases, *(() if windows is None else windows.bases))
-    with SharedWorkers() as workers:
-        parts, window = sheet_parts(
-            sheet,
-            margin,
-            windows,
-            out,
-            lambda study, folder: _made(study, options, folder, console, stop, workers),
-        )
+    of_network = 0 if windows is None else windows.at_most
+    later = {margin.kind: of_network + sheet.plants_at_most}
+    later |= {} if windows is None else {windows.kind: sheet.plants_at_most}
+    with (
+        SharedWorkers() as workers,
+        CommandProgress(console, "data sheet", margin.at_most + later[margin.kind], "runs") as line,
+    ):
+        counter = RunCounter(line)
+
+        def make(study: StudyOfRuns, folder: Path) -> tuple[dict[str, Any], list[Row]]:
+            counter.begin(later.get(study.kind, 0))
+            return _made(study, options, folder, console, stop, workers, counter)
+
+        parts, window = sheet_parts(sheet, margin, windows, out, make)
     _leave_if_stopped(stop, console)
     _written(out, gate, console, lambda folder: write_data_sheet(folder, sheet, parts, window))
 
@@ -137,10 +143,11 @@ def _written(
 def _made(
     study: StudyOfRuns, options: DatasheetOptions, out: Path, console: Console,
     stop: threading.Event, workers: SharedWorkers | None = None,
+    counter: RunCounter | None = None,
 ) -> tuple[dict[str, Any], list[Row]]:  # fmt: skip
     """Do a part of the data sheet; return its summary, and its rows."""
     own = replace(options, out=out, overwrite=False)
-    with carried_out(study, own, console, stop, workers) as done:
+    with carried_out(study, own, console, stop, workers, counter) as done:
         summary, rows = write_study(study, done.folder).summary, done.folder.rows
     _leave_if_stopped(stop, console)
     if summary["runs_failed"] == summary["runs"]:

@@ -115,6 +115,11 @@ class DataSheet(Sheet):
         del grid[DRIVE_FEEDBACK]
         return Sweep(values, _SOURCE)
 
+    @property
+    def plants_at_most(self) -> int:
+        """Largest number of runs of uncertain plants."""
+        return self.plants * len(_SHARES_OF_MARGIN)
+
     def of_plants(self, margin_ms: float) -> StudyOfRuns | None:
         """Return runs of uncertain plants at parts of a margin; None without plants or margin."""
         values_ms = sorted({round(2.0 * part * margin_ms) / 2.0 for part in _SHARES_OF_MARGIN})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +25,7 @@ from deploy.study.follow_ups.disturbances import DisturbanceSizes
 from deploy.study.follow_ups.expected_loss import first_loss, theory_beside
 from deploy.study.follow_ups.pattern_trace import write_worst_traces
 from deploy.study.follow_ups.patterns import HANDFUL, PatternSearch, shaped
+from deploy.study.follow_ups.patterns import variants_at_most as patterns_at_most
 from deploy.study.follow_ups.trials import COLUMN, Changes, Trials, changed, trials
 from deploy.study.margin_search import PARTS, MarginSearch, Steps
 from deploy.study.planned_run import PlannedRun
@@ -39,6 +41,7 @@ _OF_PATTERNS = (
 )  # fmt: skip
 """Keys of the findings about patterns of delays."""
 _FEW_PARTS = 3
+_DISTURBED_VALUES = 3
 _MOST_VARIANTS = 200
 """Of a follow-up, for each start; their numbers do not depend on what is tried before them."""
 
@@ -159,6 +162,43 @@ class Margin(StudyOfCases):
             left += (search.probes_left - is_begun) * len(search.variants)
         begun = sum(trial.expected for trial in self.all_trials)
         return begun + left * self.runs_per_variant
+
+    @property
+    def at_most(self) -> int:
+        begun = sum(trial.at_most for trial in self.all_trials)
+        left = sum(map(self._variants_at_most, range(len(self.cases))))
+        is_known = bool(begun) and any(trial.rows for trial in self.all_trials)
+        return begun + left * (self.runs_per_variant if is_known else len(self.definition.seeds))
+
+    def _variants_at_most(self, index: int) -> int:
+        """Return the largest number of variants that are left to begin of a case."""
+        search, starts = self.searches[index], len(self.cases[index].variants)
+        if (others := self.follow_ups.get(index)) is not None:
+            return search.variants_at_most + sum(each.variants_at_most for each in others.values())
+        found = search.variants_at_most + starts * self._trials_at_most[index]
+        if search.margin is None and search.first_failure is not None:
+            return search.variants_at_most
+        last = search.steps.limit if search.first_failure is None else search.first_failure - 1
+        limited = replace(search.steps, first=last, limit=last)
+        parts = PARTS if self.definition.thorough else _FEW_PARTS
+        unknown = MarginSearch(limited, hints=[last], parts=parts).probes_at_most
+        found += starts * unknown * len(self._unknowns(self.cases[index].setting))
+        if self.definition.pattern is None:
+            return found
+        tick_ms = 1e-6 * self.cases[index].setting.base.grid.period_ns
+        each = patterns_at_most(tick_ms, is_thorough=self.definition.thorough)
+        return found + starts * each * MarginSearch(limited, {0: True}, parts=1).probes_at_most
+
+    @cached_property
+    def _trials_at_most(self) -> list[int]:
+        """Largest number of remedies and disturbances from each start, by case."""
+        wanted, found = self.definition, []
+        for setting in (case.setting for case in self.cases):
+            tried = len(remedies.changes(setting.base)) if wanted.what_helps else 0
+            if wanted.pattern is not None and wanted.disturbances is not None:
+                tried += _DISTURBED_VALUES * len(disturbances.changes(wanted.disturbances, setting))
+            found.append(tried)
+        return found
 
     def first(self) -> Iterable[PlannedRun]:
         return [

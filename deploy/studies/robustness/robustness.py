@@ -85,6 +85,12 @@ class Robustness(cases.StudyOfCases):
             return len(self.cases) * len(self.definition.values) * self.definition.plants
         return sum(trial.expected for trial in self.all_trials)
 
+    @property
+    def at_most(self) -> int:
+        if not self.trials:
+            return self.expected * len(self.definition.seeds)
+        return sum(trial.at_most for trial in self.all_trials)
+
     def case_findings(self, _rows: list[Row]) -> dict[str, Any]:
         wanted, trials = self.definition, self.all_trials
         is_begun = len(trials) == len(self.cases) * len(wanted.values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import io
 import logging
 import os
@@ -165,7 +166,7 @@ def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
             dashboard_address=None,
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any free port
             silence_logs=logging.CRITICAL,
-            preload=[__name__],  # see `dask_setup`; and no first run waits for imports
+            preload=[f"{__package__}.worker_start", __name__],  # no first run waits for imports
         )
 
 
@@ -202,6 +203,8 @@ def dask_setup(worker: Worker) -> None:
 
     The errors of a run are in its row, cause first; a log here would not show whose they are.
     """
+    gc.freeze()  # modules last as long as the process
+    gc.enable()
     restore_path()
     compiled.logger.addHandler(_ForwardingHandler(worker))
     compiled.logger.propagate = False

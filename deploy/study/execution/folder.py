@@ -254,7 +254,8 @@ class StudyFolder(run_folder.ResultFolder):
         if run.recording is not None or file.exists():
             return
         self.scenarios.mkdir(exist_ok=True)
-        setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
+        overrides = [*run.overrides, f"seed={self._seed}"]
+        setup = load_setup(run.scenario, overrides, creates_sides=False)  # its worker has done that
         write_scenario(setup, file)
 
 

@@ -48,7 +48,7 @@ class Workers(Protocol):
 
 
 Progress = Callable[[Row, int, bool], None]
-"""Called with each row, the expected number of runs, and whether the row existed before."""
+"""Called with each row, the largest number of runs, and whether the row existed before."""
 
 
 def carry_out(
@@ -56,7 +56,7 @@ def carry_out(
     workers: Workers,
     folder: StudyFolder,
     stop: threading.Event,
-    progress: Progress = lambda _row, _expected, _before: None,
+    progress: Progress = lambda _row, _at_most, _before: None,
 ) -> bool:
     """Execute all runs of a study that its folder lacks; return whether all were done.
 
@@ -73,7 +73,7 @@ def carry_out(
 
     def take(run: PlannedRun, values: Row, *, was_known: bool) -> None:
         wanted.extend(study.follow(run, values))
-        progress(values, study.expected, was_known)
+        progress(values, study.at_most, was_known)
 
     try:
         while (wanted or crew.needed) and not stop.is_set():

@@ -55,6 +55,13 @@ def catalogue(tick_ms: float) -> list[Pattern]:
     return [*periodic, *_BURSTS]
 
 
+def variants_at_most(tick_ms: float, *, is_thorough: bool) -> int:
+    """Return the largest number of patterns and splits that are tried from a start at a value."""
+    if is_thorough:
+        return len(catalogue(tick_ms)) + _NEIGHBOURS
+    return len(HANDFUL) + len(bursts(tick_ms))
+
+
 def neighbours(pattern: Pattern, seed: str, tick_ms: float) -> list[Pattern]:
     """Return patterns of half to twice the period, with other phases and duties.
 
@@ -160,11 +167,19 @@ class PatternSearch(MarginSearch):
             found = splits(setting, self.steps.value(self.steps.limit))
             self._add(divided(start, split, setting) for split in found for start in starts)
 
+    @property
+    def variants_at_most(self) -> int:
+        near = 0 if self._is_refined else _NEIGHBOURS * len(self.case.variants)
+        return super().variants_at_most + near
+
+    @property
+    def _is_refined(self) -> bool:
+        return self.is_levelled or not self.is_thorough or self.margin in self._refined
+
     def next(self) -> int | None:
         """Return the value to try next, with more variants if it is the last one that held."""
         steps = super().next()
-        is_refined = self.is_levelled or not self.is_thorough or self.margin in self._refined
-        if steps is None and self.margin and not is_refined:
+        if steps is None and self.margin and not self._is_refined:
             steps = self.margin
             self._refined.add(steps)
             worst = worst_of(self.rows[steps])["pattern"]

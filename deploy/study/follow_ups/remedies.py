@@ -60,6 +60,10 @@ class RemedyTrials(Trials):
 
     others: list[Variant] = field(default_factory=list)
 
+    @property
+    def variants_at_most(self) -> int:
+        return super().variants_at_most + len(self.others)
+
     def next(self) -> int | None:
         steps = super().next()
         if steps is None and self.others:

@@ -37,6 +37,10 @@ class Trials(MarginSearch):
 
     values: list[int]
 
+    @property
+    def probes_at_most(self) -> int:
+        return sum(steps not in self.outcomes for steps in self.values)
+
     def next(self) -> int | None:
         return next((steps for steps in self.values if steps not in self.outcomes), None)
 

@@ -72,6 +72,13 @@ class Trial:
         """Number of its runs, as far as known: those until its decision, or all."""
         return self.planned if self.known.outcome is None else len(self.rows)
 
+    @property
+    def at_most(self) -> int:
+        """Largest number of its runs: those until its decision, or all that may be needed."""
+        if self.known.outcome is not None:
+            return len(self.rows)
+        return self.planned if self.rows else sum(len(self.seeds[run.point]) for run in self.runs)
+
     def request(self) -> list[PlannedRun]:
         """Return the runs that are needed now, and that were not requested before."""
         missing = self.known.missing

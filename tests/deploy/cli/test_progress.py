@@ -45,24 +45,44 @@ def test_runs_of_earlier_commands_are_counted_apart_and_have_no_speed(console):
     assert lines(console) == ["2 of 4 runs, 2 runs were there from before, 1 failed"]
 
 
-def test_a_total_that_moves_is_a_share_that_never_falls(console, monkeypatch):
-    """A search asks for more runs after some, and for fewer after others; each takes 2 s."""
+def test_a_total_of_a_search_never_rises_and_its_time_left_counts_down(console, monkeypatch):
+    """Searches end early; each run takes 2 s, later ones 1 or 6 s; the first waits for 30 s."""
     now_s = [0.0]
     monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
-    with CommandProgress(console, "search", 40, "runs") as progress:
+    with CommandProgress(console, "search", 60, "runs") as progress:
         counter = RunCounter(progress)
-        for done, expected in enumerate([40] * 5 + [60] * 10 + [30] * 15, start=1):
-            now_s[0] = 2.0 * done
-            counter.done({"error": None}, expected, False)
+        for done, most in enumerate([60] * 5 + [50] * 10 + [55] * 5 + [40] * 20, start=1):
+            usual_s = 2.0 if done <= 20 else 1.0 if done <= 25 else 6.0
+            now_s[0] += 30.0 if done == 1 else usual_s
+            counter.done({"error": None}, most, False)
     shown = lines(console)
-    assert shown[0] == "2 of 40 runs, 0.5 runs/s"
-    moved = [line for line in shown if " of " not in line]
-    assert len(moved) > 10
-    shares = [int(re.search(r" runs, (\d+) %, ", line)[1]) for line in moved]
-    assert shares == sorted(shares)
-    assert moved[-1] == "30 runs, 100 %, 0.5 runs/s"
-    assert "20 runs, 67 %, 0.5 runs/s, about 20 s left" in moved
-    assert sum("about" in line for line in moved) > len(moved) - 3
+    assert shown[0] == "1 of 60 runs, 0.0333 runs/s"
+    assert any(re.match("9 of at most 50 runs, .*, at most 82 s left", line) for line in shown)
+    totals = [int(re.search(r" of (?:at most )?(\d+) runs", line)[1]) for line in shown]
+    assert totals == sorted(totals, reverse=True)
+    assert {60, 50, 40} == set(totals)
+    left = {
+        int(line.split()[0]): int(found[1])
+        for line in shown
+        if (found := re.search(r"at most (\d+) s left", line))
+    }
+    until_slower = [left_s for done, left_s in left.items() if done <= 25]
+    assert until_slower == sorted(until_slower, reverse=True)
+    assert left[35] > 5 * 2  # each of the last five takes 6 s, which raises the mean
+    assert shown[-1].startswith("40 of at most 40 runs, ")
+    assert "left" not in shown[-1]
+
+
+def test_studies_in_turn_have_one_total(console):
+    with CommandProgress(console, "data sheet", 4 + 3, "runs") as progress:
+        counter = RunCounter(progress)
+        counter.begin(3)
+        counter.done({"error": None}, 4, False)
+        counter.done({"error": None}, 2, False)  # it ends early
+        counter.begin(0)
+        counter.done({"error": None}, 3, False)
+    (line,) = lines(console)
+    assert line.startswith("3 of at most 5 runs, ")
 
 
 def test_the_speed_of_runs_is_that_of_all_that_this_command_did(console, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import signal
@@ -226,7 +227,9 @@ def test_workers_of_our_own_leave_interrupts_to_the_command(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     with DaskWorkers(1) as team:
         ignoring = team.client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN)
+        collecting = team.client.run(gc.isenabled)  # which it is not while modules are loaded
     assert list(ignoring.values()) == [True]
+    assert list(collecting.values()) == [True]
 
 
 def test_next_study_gets_no_run_of_the_one_before():
