@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from controller.control_law import Diagnostics
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from tests.joint_laws import Policy
 
 _URDF = """<robot name="one"><link name="l0"/>
 <joint name="j0" type="continuous"><parent link="l0"/><child link="l1"/><axis xyz="{axis}"/>
@@ -39,42 +39,6 @@ WAVE = {
     "terms": [{"amplitude_rad": [-0.5], "frequency_rad_s": [1.0], "phase_rad": [np.pi / 2]}],
 }
 """The reference -0.5 cos(t) rad, which starts at rest."""
-
-
-class Feedback:
-    """A PD law whose gains may have any sign."""
-
-    def __init__(self, model, stiffness=0.0, damping=0.0):
-        self.diagnostics = Diagnostics(model.joints)
-        self._stiffness, self._damping = stiffness, damping
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        return -self._stiffness * tracking.error - self._damping * tracking.error_rate
-
-
-class Policy:
-    """A policy that sends positions along `WAVE`, with a row for each millisecond or `spacing_s`.
-
-    Without their velocities, the drives' own loop follows them two of its time constants behind.
-    """
-
-    def __init__(self, model, rows=1, spacing_s=1e-3, knows_velocity=False):
-        self.diagnostics, self._knows_velocity = Diagnostics(model.joints), knows_velocity
-        self._later_s = spacing_s * np.arange(rows)
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        return np.zeros_like(tracking.error)
-
-    def target(self, tracking):
-        times_s = tracking.time_s + self._later_s
-        velocities = 0.5 * np.sin(times_s) if self._knows_velocity else np.zeros_like(times_s)
-        return np.stack([-0.5 * np.cos(times_s), velocities], axis=1)[:, :, None]
 
 
 class BadPolicy(Policy):
@@ -108,7 +72,7 @@ def policy_setup(
     """Return a scenario with `Policy` along `WAVE`, and a loop at the drives of 100 rad/s."""
     drive = {"enabled": True, "bandwidth_rad_s": 100.0}
     controller = {
-        "law": "tests.one_joint:Policy", "gains": {"custom": {"rows": rows, **gains}},
+        "law": "tests.joint_laws:Policy", "gains": {"custom": {"rows": rows, **gains}},
         "every": every, "drive_feedback": drive,
     }  # fmt: skip
     more = {"controller": controller, "reference": WAVE, "duration_s": 4.0}
@@ -143,7 +107,7 @@ def pd_setup(
             "final_rad": funnel_rad, "overshoot_margin_rad": funnel_rad,
             "convergence_margin_rad": funnel_rad, "widest_rad": 10.0,
         },
-        "controller": {"law": "tests.one_joint:Feedback", "gains": {"custom": gains}},
+        "controller": {"law": "tests.joint_laws:Feedback", "gains": {"custom": gains}},
         "link": {"kind": "in_process"},
         **sections,
     }  # fmt: skip

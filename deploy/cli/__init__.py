@@ -21,7 +21,8 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _stop_loading)
-    # Matrices are small: threads of a BLAS would only wait for each other, which takes CPU time.
+    # Matrices are small: threads of a BLAS that wait for each other cost a verdict a second of CPU
+    # time, and more beside other work. NumPy reads it when it is loaded; processes inherit it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from deploy.cli.commands import main  # takes a quarter of a second
 

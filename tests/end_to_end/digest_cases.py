@@ -16,7 +16,7 @@ from deploy.run.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.uncertainty import Draw
 
-SHORT = ("duration_s=0.3", "metrics.from_s=0")
+SHORT = ("duration_s=0.15", "metrics.from_s=0")
 LAWS = ("fixed_time_neural", "fixed_time_model_based", "smc")
 COMPENSATED = "controller.delay_compensation.enabled=true"
 DELAYED = tuple(

@@ -17,7 +17,7 @@ from bus_schema.recording.mcap_log import read_log
 from tests.plant_emulator.drives.dialects import DIALECTS
 
 MUTATIONS = 20_000
-FRAMES = 5_000
+FRAMES = 3_500
 
 
 def test_mutations_crash_nothing_and_no_wrong_command_comes_through(tmp_path):

@@ -168,9 +168,14 @@ def _files_named(texts: Iterable[str], folder: Path) -> Iterator[str]:
                 yield from (str(path.absolute()) for path in found if is_file(path))
 
 
+@cache  # it reads the list of files of every installed package: a second or two
+def _packages_distributions() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()
+
+
 def _distributions(packages: Iterable[str]) -> set[str]:
     """Return the distributions of installed packages; not Python's own, nor ours."""
     found = set(packages) - sys.stdlib_module_names - set(OURS)
     unlike = {name for name in found if _version(name) == ABSENT}
-    named = metadata.packages_distributions() if unlike else {}  # takes time
+    named = _packages_distributions() if unlike else {}
     return (found - unlike) | {each for name in unlike for each in named.get(name, ())}

@@ -37,17 +37,6 @@ def test_help_and_wrong_words_import_nothing_heavy(words):
     assert imported(program, *heavy) == []
 
 
-def test_commands_compute_with_one_thread_of_a_blas(monkeypatch):
-    """Last bits of a result do not depend on the number of cores."""
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
-    program = "\n".join([
-        "import sys; sys.argv = ['funnel-hil', 'robot', 'paper_arm']",
-        "from deploy.cli import main", "try:", "    main()", "except SystemExit:", "    pass",
-        "import os; print(os.environ['OPENBLAS_NUM_THREADS'])",
-    ])  # fmt: skip
-    assert cold_python("-c", program).stdout.splitlines()[-1] == "1"
-
-
 def test_run_and_its_processes_load_nothing_that_only_others_need():
     program = "from deploy.cli.commands import LazyCommand; LazyCommand('plant').load()"
     assert imported(program, "plotly", "dask", "pyarrow", "can", "canopen", "cryptography") == []

@@ -39,6 +39,21 @@ def test_pinocchio_that_cannot_be_imported_is_one_sentence_and_help_and_doctor_g
     assert "liburdfdom_sensor" in doctor.stdout
 
 
+@pytest.mark.parametrize(("chosen", "threads"), [("", "1"), ("3", "3")])
+def test_blas_has_one_thread_unless_the_user_chooses(chosen, threads):
+    """Threads of a BLAS wait for each other: a verdict took ten times the CPU time with two."""
+    told = (
+        "import os, sys; os.environ.pop('OPENBLAS_NUM_THREADS')\n"
+        f"if '{chosen}': os.environ['OPENBLAS_NUM_THREADS'] = '{chosen}'\n"
+        "import deploy.cli; assert 'numpy' not in sys.modules  # it reads this when it is loaded\n"
+        "sys.argv[1:] = ['--version']\n"
+        "try: deploy.cli.main()\n"
+        "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    done = cold_python("-c", told)
+    assert done.stdout.split()[-1] == threads, done.stderr
+
+
 LIKE_OURS = ("bus_schema", "controller", "plant_emulator", "deploy")
 RUN = (
     "import runpy, sys; sys.path.pop(0); "

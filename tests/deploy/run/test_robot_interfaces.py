@@ -70,9 +70,9 @@ def test_sampled_margin_of_the_velocity_loop_is_that_of_the_continuous_one_withi
     assert 1e-3 * stable[-1] == pytest.approx(np.pi / (2.0 * K_P), abs=1.5e-3)
 
 
-@pytest.mark.parametrize("delay_ms", [145, 155, 158, 170])
+@pytest.mark.parametrize("delay_ms", [145, 158])
 def test_velocity_loop_grows_and_decays_as_its_roots(file, delay_ms):
-    """π / 20 s = 157.1 ms is between the second delay and the third."""
+    """π / 20 s = 157.1 ms is between the two delays."""
     more = (*IDEAL, *PROPORTIONAL, *constant(delay_ms), "plant.command_timeout_ms=1000")
     errors = run(file, *more, "duration_s=12").true_errors_rad[2000:, 0]
     peaks = [np.abs(part).max() for part in np.array_split(errors, 10)]

