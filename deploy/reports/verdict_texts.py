@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from deploy.judge.bounds import plant_count
 from deploy.judge.chunks import Chunks
 from deploy.judge.findings.loss_reason import LossReason, Reason
+from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
@@ -50,6 +51,7 @@ def verdict_on_run(
         f"The true error was {_bounds_text(run, result, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
+        *remedy_sentences(judged),
         *sentences_on_the_host(judged, manifest),
         *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
         *_sentences_on_the_robot(run, result),
@@ -226,6 +228,8 @@ def _bounds_text(run: RunData, result: RunResult, known: KnownTicks) -> str:
 def loss_words(loss: LossReason) -> str:
     """Return how a joint's error left its funnel, in words."""
     words, hertz, lag_ms = loss.reason.words, loss.frequency_hz, loss.lag_ms
+    if (own_ms := loss.own_lag_ms) is not None:
+        return f"{words} of {own_ms:.0f} ms"
     words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
     if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:
@@ -233,6 +237,15 @@ def loss_words(loss: LossReason) -> str:
     if loss.reason in (Reason.UNSTABLE, Reason.GROWING) and loss.without_delay:
         words += ", already without a delay"
     return words
+
+
+def remedy_sentences(run: JudgedRun) -> list[str]:
+    """Return what helps a lost run, where that is known."""
+    loss = run.result.loss
+    remedy = (
+        None if loss is None else remedy_of(loss.reason, run.data.setup.scenario.controller.law)
+    )
+    return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
 
 
 def _loss_text(loss: LossReason | None) -> str:
