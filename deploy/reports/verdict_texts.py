@@ -18,6 +18,7 @@ from deploy.reports.page import ReportHead, level_of
 from deploy.reports.runs.host_sentences import sentences_on_the_host
 from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
 from deploy.reports.tables import margin_text, number
+from deploy.scenario.robot_interface import own_lag_s
 from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
@@ -139,9 +140,14 @@ def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
         joint = run.setup.robot.joint_names[lags.index(lag)]
         way = "behind" if lag >= 0.0 else "ahead of"
+        own_ms = 1e3 * own_lag_s(run.setup)
+        own = lag > 0.5 * own_ms > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
         sentences.append(
-            f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})."
+            f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})"
+            f"{own or ''}."
         )
+        if own and result.loss is None:
+            sentences += _helps(Reason.OWN_LAG, run)
     return sentences
 
 
@@ -239,13 +245,16 @@ def loss_words(loss: LossReason) -> str:
     return words
 
 
+def _helps(reason: Reason, run: RunData) -> list[str]:
+    """Return what helps against a reason, as a sentence, where that is known."""
+    remedy = remedy_of(reason, run.setup.scenario.controller.law)
+    return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
+
+
 def remedy_sentences(run: JudgedRun) -> list[str]:
     """Return what helps a lost run, where that is known."""
     loss = run.result.loss
-    remedy = (
-        None if loss is None else remedy_of(loss.reason, run.data.setup.scenario.controller.law)
-    )
-    return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
+    return [] if loss is None else _helps(loss.reason, run.data)
 
 
 def _loss_text(loss: LossReason | None) -> str:

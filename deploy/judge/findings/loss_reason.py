@@ -19,11 +19,11 @@ from deploy.judge.findings.divergence import divergence
 from deploy.judge.findings.gravity import sags
 from deploy.judge.findings.growing import Growth, growing_swings
 from deploy.judge.findings.lag import lag_s
-from deploy.judge.findings.own_lag import moves_model, own_lag_s
 from deploy.judge.findings.vibration import at_limits
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import RunData, Table
+from deploy.scenario.robot_interface import moves_model, own_lag_s
 
 _BEFORE_S = 1.0
 """Time before the loss that is looked at."""
