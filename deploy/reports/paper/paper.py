@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bus_schema.errors import InputError
+from bus_schema.errors import InputError, needs_extra
 from deploy.judge.conditions import conditions_line
 from deploy.reports.page import Page
 from deploy.reports.results import Results
@@ -24,11 +24,12 @@ _ESCAPES = {
     "Σ": r"$\Sigma$", "Δ": r"$\Delta$",
     "τ": r"$\tau$", "µ": r"$\mu$", "≤": r"$\leq$", "≥": r"$\geq$", "°": r"$^\circ$",
     "α": r"$\alpha$", "ε": r"$\varepsilon$",
-    "⁻": "$^{-}$", "²": "$^{2}$", "³": "$^{3}$", "¹": "$^{1}$", "→": r"$\rightarrow$",
+    "→": r"$\rightarrow$", "∫": r"$\int$", "√": r"$\surd$", "′": r"$'$", "·": r"$\cdot$",
+    "⁻": "$^{-}$", "±": r"$\pm$",
+    **{raised: f"$^{{{digit}}}$" for digit, raised in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")},
 }  # fmt: skip
 _MOST_COLUMNS, _MOST_ROWS_OF_A_FLOAT = 6, 40
 """A wider table is split; a longer one may break over pages, which needs a page of one column."""
-_NEEDS = "--figures: needs matplotlib: pip install matplotlib"
 
 
 def write_figures(
@@ -42,7 +43,7 @@ def write_figures(
     try:
         from deploy.reports.paper.paper_figures import can_be_drawn, write_figure  # an extra
     except ImportError as error:
-        raise InputError(_NEEDS) from error
+        raise InputError(f"--figures: {needs_extra('matplotlib', 'papers')}") from error
     for panel in page.panels():
         drawn: Any = panel.draw(page.subject)
         figure = drawn() if callable(drawn) else drawn
@@ -64,7 +65,11 @@ def write_latex(page: Page[Any], file: Path) -> Path:
 
 
 def narrow_parts(table: Table) -> Iterator[Table]:
-    """Yield a table as parts with few columns; each repeats the first ones, which name rows."""
+    """Yield a table as parts with few columns; each repeats the first ones, which name rows.
+
+    Columns of commands are left out.
+    """
+    table = _without(table, [column.is_command for column in table.columns])
     heads = _naming_columns(table)
     step = _MOST_COLUMNS - heads
     for first in range(heads, max(heads + 1, len(table.columns)), step):
@@ -72,6 +77,13 @@ def narrow_parts(table: Table) -> Iterator[Table]:
         columns = [table.columns[index] for index in chosen if index < len(table.columns)]
         rows = [[row[index] for index in chosen if index < len(row)] for row in table.rows]
         yield replace(table, columns=columns, rows=rows)
+
+
+def _without(table: Table, is_left_out: Sequence[bool]) -> Table:
+    def kept(row: Sequence[Any]) -> list[Any]:
+        return [each for each, out in zip(row, is_left_out, strict=True) if not out]
+
+    return replace(table, columns=kept(table.columns), rows=[*map(kept, table.rows)])
 
 
 def _naming_columns(table: Table) -> int:

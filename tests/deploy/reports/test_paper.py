@@ -14,6 +14,9 @@ from deploy.reports.figures.style import new_figure, palette
 from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text, narrow_parts
 from deploy.reports.results import Results
 from deploy.reports.tables import Cell, Column, Table
+from deploy.reports.tables import number as number_text
+from deploy.studies.margin.result import MarginResult
+from deploy.studies.margin.tables import help_tables
 from tests.warm_process import here
 
 pytest.importorskip("matplotlib", reason="the extra papers is not installed")
@@ -251,6 +254,28 @@ def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
         ["c0", "c1", "c2", "c3", "c4", "c5"], ["c0", "c1", "c6", "c7", "c8"],
     ]  # fmt: skip
     assert parts[1].rows[1] == ["smc", "smith", 3, 4, 5]
+
+
+def test_papers_print_no_commands_of_a_shell():
+    columns = [Column("Change", is_text=True), Column("Command", is_text=True, is_command=True),
+               Column("Kept")]  # fmt: skip
+    (part,) = narrow_parts(Table("Help", columns, [["drive loop", "funnel-hil simulate a", 1.0]]))
+    assert [column.heading for column in part.columns] == ["Change", "Kept"]
+    assert part.rows == [["drive loop", 1.0]]
+
+
+def test_commands_that_help_are_in_the_report_alone():
+    tried = [{"change": "drive loop", "held": True, "point": "0001", "seed": 1}]
+    case = {"arm": "a", "law": "pid", "compensation": None, "drive_feedback": None,
+            "running": False, "what_helps": {"value": 8.0, "tried": tried}}  # fmt: skip
+    (table,) = help_tables(MarginResult.model_validate({"unit": "ms", "cases": [case]}))
+    assert "funnel-hil simulate" in str(table.rows)
+    assert "funnel-hil" not in str([part.rows for part in narrow_parts(table)])
+
+
+@pytest.mark.parametrize("value", [1.5e-5, 6.7e-10, 1234567.0, 2e-300])
+def test_numbers_of_a_table_are_letters_that_latex_knows(value):
+    assert latex_text(number_text(value)).isascii()
 
 
 def test_edges_of_bands_are_no_lines(tmp_path, monkeypatch):
