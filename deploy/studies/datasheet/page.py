@@ -191,7 +191,7 @@ def _network_table(result: DataSheetResult, network: SweepResult) -> Table:
         (Column("95 % interval"),
          lambda one: interval_text(one)),
         (Column("Lost by", is_text=True), lambda one: losses_text(one) or ABSENT),
-        (Column("The worst, in the folder of this page", brief=None, is_text=True, is_command=True),
+        (Column("The worst, in the folder of this page", brief=None, is_text=True),
          lambda one: f"funnel-hil simulate network/scenarios/{one.worst_point}.yaml"),
     ]  # fmt: skip
     note = (

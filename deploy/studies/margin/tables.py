@@ -108,7 +108,7 @@ def help_tables(summary: MarginResult, folder: str = "") -> list[Table]:
         (Column("Bound left", "%"), lambda each: scaled(each.margin_min, 100.0)),
         (Column("RMS error of the worst joint", "mrad", "RMS error"),
          lambda each: scaled(each.worst_rms_rad, 1e3)),
-        (Column("Command, in the folder of this page", brief=None, is_text=True, is_command=True),
+        (Column("Command, in the folder of this page", brief=None, is_text=True),
          lambda each: repeat.format(folder=folder, point=each.point, seed=each.seed)),
     ]  # fmt: skip
     return [

@@ -11,7 +11,8 @@ import pytest
 ROOT = Path(__file__).parents[3]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 NAMED = re.compile(
-    r"needs_extra\([^)]*?['\"](\w+)['\"]\)|funnel-hil\[([\w,]+)\]|extra=\"(?!forbid|allow|ignore)(\w+)\""
+    r"needs_extra\([^)]*?['\"](\w+)['\"]\)|funnel-hil\[([\w,]+)\]"
+    r"|extra=\"(?!forbid|allow|ignore)(\w+)\""
 )
 SOURCES = [
     file

@@ -256,12 +256,20 @@ def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
     assert parts[1].rows[1] == ["smc", "smith", 3, 4, 5]
 
 
-def test_papers_print_no_commands_of_a_shell():
-    columns = [Column("Change", is_text=True), Column("Command", is_text=True, is_command=True),
-               Column("Kept")]  # fmt: skip
-    (part,) = narrow_parts(Table("Help", columns, [["drive loop", "funnel-hil simulate a", 1.0]]))
-    assert [column.heading for column in part.columns] == ["Change", "Kept"]
-    assert part.rows == [["drive loop", 1.0]]
+def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
+    columns = [Column("Law", is_text=True), Column("Point", brief=None, is_text=True),
+               Column("Kept"), Column("Held"), Column("Ticks outside", "%", "Out-\nside")]  # fmt: skip
+    (part,) = narrow_parts(Table("Laws", columns, [["pid", "0001", 1.0, None, 5.0]]))
+    assert [column.heading for column in part.columns] == ["Law", "Kept", "Ticks outside"]
+    assert r"Law & Kept & Outside (\%) \\" in as_latex(part)
+
+
+@pytest.mark.parametrize(("letters", "kind"), [(20, "table"), (80, "table*")])
+def test_a_table_wider_than_a_column_stands_over_two(letters, kind):
+    """88 mm have some 58 letters of 8 pt, of which a mean one is half as wide as it is high."""
+    text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]))
+    assert rf"\begin{{{kind}}}" in text
+    assert pytest.approx(WIDTHS_MM[1] / (0.5 * 8.0 * 25.4 / 72.0), abs=5) == 58
 
 
 def test_commands_that_help_are_in_the_report_alone():
@@ -270,7 +278,7 @@ def test_commands_that_help_are_in_the_report_alone():
             "running": False, "what_helps": {"value": 8.0, "tried": tried}}  # fmt: skip
     (table,) = help_tables(MarginResult.model_validate({"unit": "ms", "cases": [case]}))
     assert "funnel-hil simulate" in str(table.rows)
-    assert "funnel-hil" not in str([part.rows for part in narrow_parts(table)])
+    assert "funnel-hil" not in str([part.rows for part in narrow_parts(table)])  # nor commands
 
 
 @pytest.mark.parametrize("value", [1.5e-5, 6.7e-10, 1234567.0, 2e-300])
