@@ -125,9 +125,8 @@ def as_latex(table: Table) -> str:
 
 def _heading(column: Column) -> str:
     """Return the short heading of a column, where it has one, with its unit."""
-    brief = " ".join(
-        (column.brief or column.heading).replace("-\n", "").replace(".\n", ".").split()
-    )
+    broken = (column.brief or column.heading).replace("-\n", "").replace(".\n", ".")
+    brief = " ".join(broken.split())
     return f"{brief} ({column.unit})" if column.unit else brief
 
 

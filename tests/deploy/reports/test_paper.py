@@ -175,6 +175,22 @@ def test_lines_and_bars_of_equal_colour_in_grey_differ(tmp_path, monkeypatch):
     assert len({bar.patches[0].get_hatch() for bar in bars}) == 3
 
 
+def test_lines_with_points_of_laws_differ_in_grey_and_where_they_coincide(tmp_path, monkeypatch):
+    """All points but those of one law are hollow, of shapes of their own, so none hides another."""
+    figure = new_figure(300)
+    for place, name in enumerate(("pid", "smc", "sliding")):
+        figure.add_scatter(x=[1, 2], y=[1, 2], name=name, mode="lines+markers", showlegend=False,
+                           line={"color": palette(place)}, marker={"symbol": "circle"})  # fmt: skip
+        figure.add_scatter(x=[None], y=[None], name=f"{name} alone", mode="lines",
+                           line={"color": palette(place)})  # fmt: skip
+    found = written(figure, tmp_path, monkeypatch)
+    shown = [line for line in found.axes[0].lines if len(line.get_xdata()) == 2]
+    assert len({line.get_marker() for line in shown}) == 3
+    assert sum(line.get_fillstyle() != "none" for line in shown) == 1
+    names = [text.get_text() for text in found.legends[0].get_texts()]
+    assert names == ["pid alone", "smc alone", "sliding alone"]  # as the report's legend
+
+
 @pytest.mark.parametrize("symbols", [None, ["circle", "diamond"]])
 def test_points_of_laws_differ_in_grey(tmp_path, monkeypatch, symbols):
     """By their shape, or where that says something else, by how they are filled."""
@@ -257,8 +273,8 @@ def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
 
 
 def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
-    columns = [Column("Law", is_text=True), Column("Point", brief=None, is_text=True),
-               Column("Kept"), Column("Held"), Column("Ticks outside", "%", "Out-\nside")]  # fmt: skip
+    point, outside = Column("Point", brief=None), Column("Ticks outside", "%", "Out-\nside")
+    columns = [Column("Law", is_text=True), point, Column("Kept"), Column("Held"), outside]
     (part,) = narrow_parts(Table("Laws", columns, [["pid", "0001", 1.0, None, 5.0]]))
     assert [column.heading for column in part.columns] == ["Law", "Kept", "Ticks outside"]
     assert r"Law & Kept & Outside (\%) \\" in as_latex(part)
