@@ -10,6 +10,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import Positive
+from bus_schema.errors import needs_extra
 from controller.chunks.answer import Answer
 from controller.chunks.merge import ChunkMerge, ChunkTiming, MergeSettings
 
@@ -108,7 +109,7 @@ class SplineSettings(MergeSettings):
     jerk_rad_s3: Positive = 500.0
 
     def problem(self, timing: ChunkTiming) -> str:  # noqa: ARG002
-        return "" if find_spec("ruckig") else "needs ruckig: pip install 'funnel-hil[policies]'"
+        return "" if find_spec("ruckig") else needs_extra("ruckig", "policies")
 
     def build(self, timing: ChunkTiming) -> Spline:
         return Spline(timing, self.acceleration_rad_s2, self.jerk_rad_s3)

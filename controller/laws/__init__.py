@@ -44,6 +44,7 @@ class LawEntry:
         settling_bound_s: bound on the settling time, s; only for laws that have one.
         gives: ``torque``, or what else its commands contain for robots that take no torque:
             ``position``, ``velocity`` or ``motion``, which is both.
+        with_gravity: the same law with a gravity term; only for laws that lack one.
 
     Raises:
         TypeError: the gains are no such type.
@@ -53,6 +54,7 @@ class LawEntry:
     gains: Any
     settling_bound_s: Callable[[Any, LargestInertia], float] | None = None
     gives: str = "torque"
+    with_gravity: str | None = None
 
     def __post_init__(self) -> None:
         if not (hasattr(self.gains, "_fields") and hasattr(self.gains, "from_inertia")):
@@ -65,7 +67,7 @@ _SHIPPED = {
         FixedTimeModelBased, FixedTimeModelBasedGains, settling_bound_s
     ),
     "fixed_time_adaptive": LawEntry(FixedTimeAdaptive, FixedTimeAdaptiveGains, settling_bound_s),
-    "pid": LawEntry(Pid, PidGains),
+    "pid": LawEntry(Pid, PidGains, with_gravity="pid_gravity"),
     "pid_gravity": LawEntry(PidGravity, PidGravityGains),
     "smc": LawEntry(SlidingMode, SmcGains),
     "tsmc": LawEntry(SlidingMode, TsmcGains),

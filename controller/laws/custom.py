@@ -16,6 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
@@ -106,6 +108,34 @@ class LeftOut:
         raise RuntimeError("the law was left out")
 
 
+class TargetsAlone:
+    """A custom law of targets without a method ``torque``: its torques are zero.
+
+    Args:
+        law: the law, with a method ``target``.
+        joints: number of joints.
+    """
+
+    diagnostics: Diagnostics
+
+    def __init__(self, law: Any, joints: int) -> None:
+        self._law: Any = law
+        self._torque: Vector = np.zeros(joints)
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_law":  # not set yet, as in a copy
+            raise AttributeError(name)
+        return getattr(self._law, name)
+
+    def torque(self, _tracking: Tracking) -> Vector:
+        """Return zeros: a loop at the drives or the robot's own controller finds its torques."""
+        return self._torque
+
+    def reset(self) -> None:
+        """Have the law forget everything."""
+        self._law.reset()
+
+
 def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLaw:
     """Return a new ``Class(model, **gains)``, or a placeholder within `custom_laws_left_out`.
 
@@ -124,14 +154,20 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         raise ConfigurationError(
             _GAINS_KEY, gains, f"{name} cannot be created with these: {_described(error)}"
         ) from error
-    missing = [method for method in ("torque", "reset") if not callable(getattr(law, method, None))]
+
+    def has(method: str) -> bool:
+        return callable(getattr(law, method, None))
+
+    gives = has("torque") or has("target")
+    missing = [*([] if gives else ["torque"]), *([] if has("reset") else ["reset"])]
     if not isinstance(getattr(law, "diagnostics", None), Diagnostics):
         missing.append("diagnostics, a controller.control_law.Diagnostics")
     if missing:
+        hint = "" if gives else "; a law of positions or velocities has target instead of torque"
         raise ConfigurationError(
-            _LAW_KEY, name, f"is not a control law: it lacks {', '.join(missing)}"
+            _LAW_KEY, name, f"is not a control law: it lacks {', '.join(missing)}{hint}"
         )
-    built: ControlLaw = law
+    built: ControlLaw = law if has("torque") else TargetsAlone(law, model.joints)
     return built
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive, StrictModel, Whole
+from bus_schema.errors import needs_extra
 from controller.policies.client import PolicyClient, Robot, Text
 from controller.policies.lerobot_client import LeRobotClient, LeRobotSettings
 from controller.policies.openpi_client import OpenPiClient, OpenPiSettings
@@ -76,7 +77,7 @@ class PolicyServerConfiguration(StrictModel):
         """
         scheme, place = parts_of(address)
         if missing := [each for each in self.needs[scheme] if find_spec(each) is None]:
-            allowed = f"needs {missing[0]}: pip install 'funnel-hil[policies]'"
+            allowed = needs_extra(missing[0], "policies")
             raise ConfigurationError("controller.law", address, allowed)
         if scheme == "openpi":
             return OpenPiClient(place, self.openpi, robot)

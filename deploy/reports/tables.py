@@ -94,8 +94,8 @@ class Column:
     Attributes:
         heading: in a report.
         unit: of its numbers; it stands in the heading.
-        brief: heading in a terminal, where there is little room; the same if empty, and None for a
-            column that only reports have.
+        brief: heading in a terminal and a paper, where there is little room; the same if empty, and
+            None for a column that only reports have.
         is_text: whether it is read as text, from the left, rather than compared as numbers.
     """
 

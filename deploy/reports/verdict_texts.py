@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from deploy.judge.bounds import plant_count
 from deploy.judge.chunks import Chunks
 from deploy.judge.findings.loss_reason import LossReason, Reason
+from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
@@ -17,6 +18,7 @@ from deploy.reports.page import ReportHead, level_of
 from deploy.reports.runs.host_sentences import sentences_on_the_host
 from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
 from deploy.reports.tables import margin_text, number
+from deploy.scenario.robot_interface import own_lag_s
 from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ def verdict_on_run(
         f"The true error was {_bounds_text(run, result, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
+        *remedy_sentences(judged),
         *sentences_on_the_host(judged, manifest),
         *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
         *_sentences_on_the_robot(run, result),
@@ -137,9 +140,14 @@ def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
         joint = run.setup.robot.joint_names[lags.index(lag)]
         way = "behind" if lag >= 0.0 else "ahead of"
+        own_ms = 1e3 * own_lag_s(run.setup)
+        own = lag > 0.5 * own_ms > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
         sentences.append(
-            f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})."
+            f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})"
+            f"{own or ''}."
         )
+        if own and result.loss is None:
+            sentences += _helps(Reason.OWN_LAG, run)
     return sentences
 
 
@@ -226,6 +234,8 @@ def _bounds_text(run: RunData, result: RunResult, known: KnownTicks) -> str:
 def loss_words(loss: LossReason) -> str:
     """Return how a joint's error left its funnel, in words."""
     words, hertz, lag_ms = loss.reason.words, loss.frequency_hz, loss.lag_ms
+    if (own_ms := loss.own_lag_ms) is not None:
+        return f"{words} of {own_ms:.0f} ms"
     words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
     if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:
@@ -233,6 +243,18 @@ def loss_words(loss: LossReason) -> str:
     if loss.reason in (Reason.UNSTABLE, Reason.GROWING) and loss.without_delay:
         words += ", already without a delay"
     return words
+
+
+def _helps(reason: Reason, run: RunData) -> list[str]:
+    """Return what helps against a reason, as a sentence, where that is known."""
+    remedy = remedy_of(reason, run.setup.scenario.controller.law)
+    return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
+
+
+def remedy_sentences(run: JudgedRun) -> list[str]:
+    """Return what helps a lost run, where that is known."""
+    loss = run.result.loss
+    return [] if loss is None else _helps(loss.reason, run.data)
 
 
 def _loss_text(loss: LossReason | None) -> str:

@@ -62,8 +62,8 @@ def check_confirmable(setup: Setup) -> None:
             raise ScenarioError(f"--confirm: {name} cannot load this arm: {error}") from error
     if not others:
         raise ScenarioError(
-            "--confirm: no other physics engine is installed: pip install "
-            + " ".join(engine.distribution for engine in ENGINES.usable(()).values())
+            "--confirm: no other physics engine is installed: "
+            + " or ".join(engine.installed_by for engine in ENGINES.usable(()).values())
         )
 
 

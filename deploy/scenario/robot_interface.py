@@ -12,7 +12,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
-from controller.laws.custom import EXTERNAL, LeftOut
+from controller.laws.custom import EXTERNAL, LeftOut, TargetsAlone
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from controller.policies.configuration import is_address
@@ -25,6 +25,9 @@ from plant_emulator.interfaces.settings import TORQUE
 _SECTION = "plant.interface"
 _KEY = f"{_SECTION}.kind"
 _LAW, _PREVIEW = "controller.law", "controller.preview_ms"
+_UNLESS = (
+    "unless controller.drive_feedback.enabled is true or a robot takes positions or velocities"
+)
 _OF_ITS_CONTROLLER = ("rate_hz", "clock_ppm", "phase_ms", "bandwidth_rad_s")
 """Keys of the section that only robots with a controller of their own have."""
 
@@ -33,19 +36,25 @@ def law_for_robot(setup: CheckedScenario, link: LinkConfiguration, law: ControlL
     """Return a law whose commands are what the robot takes.
 
     A law of positions or velocities reads the reference ahead; the torque of another one moves the
-    nominal model, at every state even if the law is slower.
+    nominal model, at every state even if the law is slower. A custom law with a method
+    ``make_up_for`` receives the lag of the robot's own controller, s.
     """
     scenario = setup.scenario
     controller, takes = scenario.controller, scenario.plant.interface.takes
+    if isinstance(law, TargetsAlone) and takes == TORQUE and not controller.drive_feedback.enabled:
+        allowed = f"must have a method torque beside target, {_UNLESS}"
+        raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
     if isinstance(law, OuterLaw):
         law.follow(setup.reference.copied(), preview_s(setup, link))
     else:
         _check_no_preview(setup)
-    moves_model = takes != TORQUE and not (hasattr(law, "target") or isinstance(law, LeftOut))
+    if callable(make_up_for := getattr(law, "make_up_for", None)):
+        make_up_for(own_lag_s(setup))
+    moves_nominal = takes != TORQUE and not (hasattr(law, "target") or isinstance(law, LeftOut))
     period_s, fastest_rad_s = 1e-9 * setup.grid.period_ns, setup.robot.velocity_limits_rad_s
-    takes = TORQUE if moves_model else takes
+    takes = TORQUE if moves_nominal else takes
     paced = controller.paced(law, period_s, scenario.seed, takes, fastest_rad_s)
-    if not moves_model:
+    if not moves_nominal:
         return paced
     rotors = scenario.plant.actuator.rotor_inertia(setup.robot.joints)
     model = controller.nominal_model(setup.nominal, rotors)
@@ -105,6 +114,30 @@ def robot_lag_s(setup: CheckedScenario) -> float:
         return lag_s
     drive = setup.drive  # which takes no velocities
     return lag_s + float((drive.damping_nm_s / drive.stiffness_nm_rad).mean())
+
+
+def own_lag_s(setup: CheckedScenario) -> float:
+    """Return `robot_lag_s` of a robot with a controller of its own that takes targets.
+
+    It is 0 for others, and where it is unknown.
+    """
+    interface = setup.scenario.plant.interface
+    if not interface.has_controller or interface.takes == TORQUE:
+        return 0.0
+    try:
+        return robot_lag_s(setup)
+    except ConfigurationError:
+        return 0.0
+
+
+def moves_model(scenario: ScenarioConfiguration) -> bool:
+    """Whether a shipped law of torques drives a robot that takes targets.
+
+    Its torque moves a nominal model, which the robot follows, so that friction is not in the loop.
+    """
+    law = scenario.controller.law
+    gives_torque = law in LAWS and LAWS[law].gives == TORQUE
+    return scenario.plant.interface.takes != TORQUE and gives_torque
 
 
 def check_interface(setup: CheckedScenario) -> None:
@@ -167,16 +200,10 @@ def _check_targets_arrive(scenario: ScenarioConfiguration) -> None:
     if controller.drive_feedback.enabled or scenario.plant.interface.takes != TORQUE:
         return
     if is_address(controller.law):
-        allowed = (
-            "must not be a policy server, unless controller.drive_feedback.enabled is true or a"
-            " robot takes positions or velocities"
-        )
+        allowed = f"must not be a policy server, {_UNLESS}"
         raise ConfigurationError(_LAW, controller.law, allowed, [_KEY])
     if controller.law == EXTERNAL and controller.external and controller.external.targets:
-        allowed = (
-            "must be false, unless controller.drive_feedback.enabled is true or a robot takes"
-            " positions or velocities"
-        )
+        allowed = f"must be false, {_UNLESS}"
         raise ConfigurationError("controller.external.targets", True, allowed, [_KEY])
 
 

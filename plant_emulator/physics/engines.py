@@ -26,6 +26,7 @@ class PhysicsEngine:
         distribution: its Python package; the module has the same name.
         place: its class of arms, as ``module:class``.
         integrators: its rules of integration.
+        extra: the extra of funnel-hil that installs it; empty for none.
         has_window: whether it can show the moving arm in a window.
         has_rotors: whether it models motors: their inertia, elastic gears and cogging.
     """
@@ -34,6 +35,7 @@ class PhysicsEngine:
     distribution: str
     place: str
     integrators: tuple[Integrator, ...]
+    extra: str = ""
     has_window: bool = False
     has_rotors: bool = False
 
@@ -41,6 +43,12 @@ class PhysicsEngine:
     def is_installed(self) -> bool:
         """Whether this Python has the engine; it is not imported for that."""
         return find_spec(self.distribution) is not None
+
+    @property
+    def installed_by(self) -> str:
+        """The command that installs it."""
+        package = f"'funnel-hil[{self.extra}]'" if self.extra else self.distribution
+        return f"pip install {package}"
 
     @property
     def version(self) -> str:
@@ -63,7 +71,7 @@ class PhysicsEngine:
 _SHIPPED = {
     "bullet": PhysicsEngine(
         "Bullet", "pybullet", "plant_emulator.physics.bullet.arm:BulletArm",
-        ("semi_implicit_euler",), has_window=True,
+        ("semi_implicit_euler",), extra="bullet", has_window=True,
     ),
     "mujoco": PhysicsEngine(
         "MuJoCo", "mujoco", "plant_emulator.physics.mujoco_arm:MujocoArm",
@@ -117,7 +125,7 @@ def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
     if not engine.is_installed:
         installed = [other for other, each in ENGINES.usable().items() if each.is_installed]
         allowed = (
-            f"{engine.title} is not installed (pip install {engine.distribution}); installed:"
+            f"{engine.title} is not installed ({engine.installed_by}); installed:"
             f" {', '.join(installed) or 'no engine'}"
         )
         raise ConfigurationError(_KEY, name, allowed)

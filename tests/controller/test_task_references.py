@@ -76,3 +76,14 @@ def test_demonstrator_answers_with_the_reference_and_returns_to_it():
         left = offset * np.exp(-np.arange(8) * 0.05 / 0.2)
         np.testing.assert_allclose(actions[:, 0], wanted[0] + left[:, None], atol=1e-12)
         np.testing.assert_allclose(actions[:, 1], wanted[1] - left[:, None] / 0.2, atol=1e-12)
+
+
+def test_demonstrator_acts_ahead_by_the_lag_of_the_robot_unless_a_lead_is_given():
+    reference = built(ReachConfiguration)
+    for given, lag_s, ahead_s in ((None, 0.034, 0.034), (0.01, 0.034, 0.01), (0.0, 0.034, 0.0)):
+        tracking, law = Tracking(3), Demonstrator(PAPER_ARM, actions=8, lead_s=given)
+        law.make_up_for(lag_s)
+        wanted = sample_motion(reference, 0.7 + ahead_s + 0.04 * np.arange(8), 3)
+        tracking.position[:] = sample_motion(reference, np.array([0.7]), 3)[0, 0]
+        tracking.update(0.7, 0.0, reference, WIDE)
+        np.testing.assert_allclose(law.target(tracking)[:, 0], wanted[0], atol=1e-12)

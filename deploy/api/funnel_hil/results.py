@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import plotly.graph_objects as go
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.errors import InputError, did_you_mean
+from bus_schema.errors import InputError, did_you_mean, needs_extra
 from bus_schema.messages import topics
 from deploy.judge.run_data import RunData, Table
 from deploy.judge.run_rows import Row, row
@@ -262,5 +262,5 @@ def _frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
     try:
         import pandas as pd
     except ImportError as error:
-        raise ImportError("data frames need pandas: pip install pandas") from error
+        raise ImportError(f"a data frame {needs_extra('pandas', 'frames')}") from error
     return pd.DataFrame(columns)

@@ -16,12 +16,14 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.bounds import bound_usage
 from deploy.judge.findings.divergence import divergence
+from deploy.judge.findings.gravity import sags
 from deploy.judge.findings.growing import Growth, growing_swings
 from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.vibration import at_limits
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import RunData, Table
+from deploy.scenario.robot_interface import moves_model, own_lag_s
 
 _BEFORE_S = 1.0
 """Time before the loss that is looked at."""
@@ -35,6 +37,10 @@ _SWUNG_BACK = 2
 """Changes from one torque limit to the other; a braked motion has one."""
 _PERIODS_WITHOUT_DELAY = 1.5
 """A command acts one period after the measurement where nothing delays it."""
+_LAGS_OF_A_SWING = 4.0
+"""An integrator behind a delay of L is lost with swings of 4 L, and a double one with longer ones:
+a loss before that shows none."""
+_A_LITTLE_MORE = 1.2
 
 
 class Reason(StrEnum):
@@ -95,8 +101,20 @@ class Reason(StrEnum):
     )  # fmt: skip
     LAG = (
         "lag", "behind the reference, in proportion to its speed",
-        "the error was proportional to the reference's speed: the arm follows a constant time"
-        " behind",
+        "the arm moved as its reference did a constant time before: the error is proportional to"
+        " the reference's speed",
+    )  # fmt: skip
+    OWN_LAG = (
+        "robot's lag", "by the robot's own lag",
+        "the same, and the lag of the robot's own controller is half of that time or more; or a"
+        " law of torques drives such a robot, whose lag is a delay of its loop, and lost it within"
+        " four times that lag, before an oscillation shows: read the reference ahead by the lag"
+        " (`controller.preview_ms`), or make the robot's own loop faster",
+    )  # fmt: skip
+    GRAVITY = (
+        "no gravity term", "under its weight, for which the law has no term",
+        "a slow error in the direction of the joint's weight, which the law does not know and which"
+        " exceeds friction and disturbance: compare the same law with a gravity term",
     )  # fmt: skip
     SLOW = (
         "friction or model", "slowly, as by friction or an error of the model",
@@ -114,7 +132,10 @@ class LossReason(Section):
         rate_per_s: of an error that grew as e^(rate t); null for none
         frequency_hz: of an oscillation; null for none
         lag_ms: the time by which the arm followed its reference late; null for no constant time
-        without_delay: whether commands acted without a delay, so that none is the cause
+        own_lag_ms: of it, the lag of the robot's own controller at a constant speed; null unless it
+            is the reason
+        without_delay: whether commands acted without a delay, also of the robot's own controller,
+            so that none is the cause
     """
 
     reason: Annotated[Reason, Column(of_any_part=True)]
@@ -123,6 +144,7 @@ class LossReason(Section):
     rate_per_s: float | None = None
     frequency_hz: float | None = None
     lag_ms: float | None = None
+    own_lag_ms: float | None = None
     without_delay: bool = False
 
 
@@ -184,20 +206,46 @@ class _Loss:
     @cached_property
     def is_without_delay(self) -> bool:
         """Whether commands acted as soon as they can, and the law was asked at every state."""
-        ages_ns = self.truth["command_age_ns"][self.acting : self.tick + 1]
         controller = self.run.setup.scenario.controller
-        longest_ns = _PERIODS_WITHOUT_DELAY * self.run.setup.grid.period_ns
+        longest_s = 1e-9 * _PERIODS_WITHOUT_DELAY * self.run.setup.grid.period_ns
         is_asked_always = controller.every == 1 and not controller.inference_ms
-        return bool(is_asked_always and np.median(ages_ns) <= longest_ns)
+        return bool(is_asked_always and self.usual_age_s + self.own_lag_s <= longest_s)
+
+    @cached_property
+    def usual_age_s(self) -> float:
+        """Median time from a state until its command is in force."""
+        return 1e-9 * float(np.median(self.truth["command_age_ns"][self.acting : self.tick + 1]))
+
+    @cached_property
+    def own_lag_s(self) -> float:
+        return own_lag_s(self.run.setup)
 
     def reason(self) -> LossReason:
         """Return the first reason that fits, the most certain ones first."""
         found = (
             self._ran_out() or self._of_chunks() or self._lag() or self._divergence()
             or self._oscillation() or self._late() or self._at_limits()
-            or self._because(Reason.SLOW)
+            or self._sag() or self._because(Reason.SLOW)
         )  # fmt: skip
+        if self._is_lost_by_own_lag(found):
+            own = {"reason": Reason.OWN_LAG, "rate_per_s": None, "own_lag_ms": 1e3 * self.own_lag_s}
+            found = found.model_copy(update=own)
         return found.model_copy(update={"without_delay": self.is_without_delay})
+
+    def _is_lost_by_own_lag(self, found: LossReason) -> bool:
+        """Whether the lag of the robot's own controller explains a loss."""
+        if found.lag_ms is not None:
+            return 1e3 * self.own_lag_s >= _MOSTLY * found.lag_ms
+        if not moves_model(self.run.setup.scenario):
+            return False
+        if found.reason == Reason.GROWING:
+            return bool(self.own_lag_s >= self.usual_age_s)
+        lasted_s = self.times_s[self.tick] - self.times_s[self.acting]
+        is_open = found.reason in (Reason.UNSTABLE, Reason.SLOW)
+        return bool(is_open and lasted_s <= _LAGS_OF_A_SWING * self.own_lag_s)
+
+    def _sag(self) -> LossReason | None:
+        return self._because(Reason.GRAVITY) if sags(self.run, self.joint, self.tick) else None
 
     def _because(
         self, reason: Reason, growth: Growth | None = None, hertz: float | None = None,
@@ -298,6 +346,7 @@ class _Loss:
         is_known = len(errors) > 1 and bool(np.isfinite(errors).all())
         if not is_known or len(self._swings_s(before)) >= _SWUNG_BACK:
             return None
-        wanted = self.truth["position"][before, self.joint] - errors
-        lag = lag_s(errors, np.gradient(wanted, period_s), len(errors) * period_s)
+        until = slice(self.tick + 1)
+        wanted = self.truth["position"][until, self.joint] - self.errors_rad[until]
+        lag = lag_s(errors, wanted, period_s, _A_LITTLE_MORE * self.own_lag_s)
         return None if lag is None else self._because(Reason.LAG, lag_ms=1e3 * lag)

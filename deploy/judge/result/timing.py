@@ -24,7 +24,10 @@ class Timing(Section):
         wakeup_lateness_us: lateness of the plant's wake-ups, wall time (p50, p99, p99_9, max)
         deadline_misses: ticks whose command answers a state older than ``link.deadline_ms``
         deadline_miss_longest_run: most such ticks in a row
-        success_rate: share of deadlines met
+        success_rate: share of deadlines met, by the age of the command alone
+        late_ticks: ticks that missed their deadline or were skipped by a late plant
+        late_longest_run: most such ticks in a row
+        on_time_rate: share of the other ticks; reports show it as deadlines met
         stolen_ms: CPU time that the hypervisor took away; null except in real time
         longest_stall_ms: longest time for which a loop was kept from running; null except in real
             time
@@ -38,6 +41,9 @@ class Timing(Section):
     deadline_misses: Annotated[int, Column()]
     deadline_miss_longest_run: int
     success_rate: Annotated[float | None, Column()]
+    late_ticks: int
+    late_longest_run: int
+    on_time_rate: float | None
     stolen_ms: float | None
     longest_stall_ms: float | None
 
@@ -52,12 +58,17 @@ def timing(run: RunData, known: KnownTicks, stolen_ms: float | None) -> Timing:
     """
     truth = run.tables[topics.PLANT_TRUTH.name]
     missed = truth["deadline_met"] == 0
-    misses = int(missed.sum())
+    late = missed | (truth["timing.lateness_ns"] < 0)  # so a skipped tick says
+    misses, late_ticks = int(missed.sum()), int(late.sum())
+    after_gaps = rows_after_gaps(run, stamps_s(truth))
     return Timing(
         **{name: percentiles(values_us) for name, values_us in times_us(run).items()},
         deadline_misses=misses,
-        deadline_miss_longest_run=longest_run(missed, rows_after_gaps(run, stamps_s(truth))),
+        deadline_miss_longest_run=longest_run(missed, after_gaps),
         success_rate=1.0 - misses / known.known if known.known else None,
+        late_ticks=late_ticks,
+        late_longest_run=longest_run(late, after_gaps),
+        on_time_rate=1.0 - late_ticks / known.known if known.known else None,
         stolen_ms=stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
         longest_stall_ms=longest_stall_ms(run),
     )

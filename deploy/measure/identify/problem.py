@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.errors import InputError
+from bus_schema.errors import InputError, needs_extra
 from controller.manipulator_model import body_from_log_cholesky
 from deploy.measure.identify.noise import covariance_of_sums
 from deploy.measure.identify.regression import Columns
@@ -120,5 +120,5 @@ def _scipy() -> Any:
         from scipy.linalg import qr  # an extra, needed by this command alone
         from scipy.optimize import least_squares
     except ImportError as error:
-        raise InputError(f"identify needs scipy ({error}): pip install scipy") from error
+        raise InputError(f"identify {needs_extra('scipy', 'identify')} ({error})") from error
     return least_squares, qr

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import InputError
+from bus_schema.errors import InputError, needs_extra
 from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
@@ -69,7 +69,7 @@ def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
         InputError: Bullet, which draws it, is not installed, or cannot draw it.
     """
     if not ENGINES["bullet"].is_installed:
-        raise InputError("--picture: Bullet draws it and is not installed: pip install pybullet")
+        raise InputError(f"--picture: {needs_extra('pybullet', 'bullet')}, which draws it")
     from plant_emulator.physics.bullet.render import RenderError, Rendering
 
     try:

@@ -169,10 +169,10 @@ def _percentiles(series: Sequence[tuple[str, Vector, str]], height_px: float) ->
 
 
 def deadline_misses(run: RunData) -> go.Figure | None:
-    """Ticks that missed their deadline, over time; None if none did."""
+    """Ticks that missed their deadline or were skipped, over time; None if none did."""
     truth = run.tables[topics.PLANT_TRUTH.name]
     times_s = run.times_s(topics.PLANT_TRUTH)
-    missed = truth["deadline_met"] == 0
+    missed = (truth["deadline_met"] == 0) | (truth["timing.lateness_ns"] < 0)
     if not missed.any():
         return None
     edges = np.linspace(0.0, times_s[-1] + run.setup.grid.period_ns * 1e-9, _BARS + 1)

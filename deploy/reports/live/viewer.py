@@ -9,6 +9,7 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any, Protocol
 
+from bus_schema.errors import needs_extra
 from deploy.reports.live.figures import WINDOW_S, live_figures
 from deploy.reports.live.foxglove_layout import foxglove_layout
 from deploy.reports.live.frames import Frames, RunState
@@ -81,7 +82,7 @@ class Viewer:
     def places(self) -> str:
         """Return the addresses of the views, a line each."""
         if self._foxglove is None:
-            return f"live view: {self.page.url}\nFoxglove:  needs pip install -e '.[live]'"
+            return f"live view: {self.page.url}\nFoxglove:  {needs_extra('foxglove-sdk', 'live')}"
         return f"live view: {self.page.url}\nFoxglove:  {self._foxglove.url}"
 
     def run(self, source: Source, is_over: Callable[[], bool]) -> None:

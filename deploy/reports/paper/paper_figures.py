@@ -46,6 +46,8 @@ _MARKERS = {"circle": "o", "diamond": "D", "square": "s", "cross": "P", "x": "X"
 """Those of matplotlib for those of plotly; others are circles."""
 _OWN_MARKERS = ("", "s", "^", "D", "v", "P", "X", "<", ">")
 _SCATTER_MARKERS = ("o", *_OWN_MARKERS[1:])
+_ROUND = (None, "circle", "circle-open")
+"""Markers that say nothing; hollow ones of several shapes are seen where lines coincide."""
 _FILLS = ("full", "none", "left", "right", "top", "bottom")
 """Of points whose shapes say something else than their colours."""
 _HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "++++", "oo", "**")
@@ -250,7 +252,8 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     colour = _line_colour(trace)
     symbols = trace.marker.symbol
     by_point = isinstance(symbols, list | tuple)
-    style: dict[str, Any] = {"label": _text(trace.name), "color": colour}
+    label = "_nolegend_" if trace.showlegend is False else _text(trace.name)
+    style: dict[str, Any] = {"label": label, "color": colour}
     if trace.fill == "tonexty" and before is not None:
         at.fill_between(trace.x, before.y, trace.y, color=_colour(trace.fillcolor), linewidth=0)
     if mode == "lines" and trace.line.width == 0:  # the edge of a band
@@ -264,8 +267,11 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     marker = _MARKERS.get(symbols, "o") if "markers" in mode else ""
     if mode == "markers" and symbols is None and place:
         marker = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
-    if "lines" in mode and symbols is None and place:
+    if mode == "lines" and symbols is None and place:
         marker = _OWN_MARKERS[place]
+    if mode == "lines+markers" and symbols in _ROUND:
+        marker = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
+        style["fillstyle"] = "none" if place or symbols == "circle-open" else "full"
     if trace.error_x.array is not None:
         lower = (
             trace.error_x.array if trace.error_x.arrayminus is None else trace.error_x.arrayminus

@@ -12,6 +12,7 @@ from deploy.judge.conditions import lacked_grants
 from deploy.judge.findings.stalls import STALL_MS
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import known_ticks
+from deploy.judge.run_data import ROBOT_SERVER
 from deploy.reports.tables import number
 from deploy.run.run_folder import RunFolder
 from deploy.scenario.setup import Setup
@@ -32,16 +33,16 @@ def sentences_on_the_host(judged: JudgedRun, manifest: Mapping[str, Any]) -> lis
     if judged.data.clock != "realtime":
         return []
     stalled = _sentences_on_a_stall(timing.longest_stall_ms, manifest)
-    if not (misses := timing.deadline_misses):
+    if not (misses := timing.late_ticks):
         return stalled
-    ticks = known_ticks(judged.data).known
-    in_a_row = timing.deadline_miss_longest_run
+    ticks, skipped = known_ticks(judged.data).known, misses > timing.deadline_misses
+    in_a_row = timing.late_longest_run
     longest_ms = in_a_row * judged.data.setup.grid.period_ns * 1e-6
     stolen_ms = timing.stolen_ms
     stolen = f"; a hypervisor took {stolen_ms:.0f} ms of CPU time away" if stolen_ms else ""
     late = (
         f"{_who_was_late(judged)} late: {misses:,} of {ticks:,} ticks"
-        f" ({number(misses / ticks, 100)} %) missed their deadline,"
+        f" ({number(misses / ticks, 100)} %) {'were skipped or ' * skipped}missed their deadline,"
         f" at most {in_a_row:,} in a row ({number(longest_ms)} ms){stolen}."
     )
     return [late, *stalled, *_repetition(judged, manifest)]
@@ -74,7 +75,8 @@ def _link_is_steady(setup: Setup, result: RunResult) -> bool:
 
 def _repetition(judged: JudgedRun, manifest: Mapping[str, Any]) -> list[str]:
     """Name the command that repeats a run in lockstep; a real delay has no place there."""
-    if judged.path is None or "real_delay" in manifest:
+    is_served = judged.data.link == ROBOT_SERVER  # to a client, which has a clock of its own
+    if judged.path is None or "real_delay" in manifest or is_served:
         return []
     scenario = RunFolder(judged.path).scenario
     if not scenario.exists():

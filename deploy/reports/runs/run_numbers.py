@@ -118,9 +118,9 @@ RUN_COUNTS: dict[str, Callable[[RunResult], Value]] = {
     "Reflexes of the robot": lambda s: (
         ", ".join(f"{each.kind} at {each.time_s:.3f} s" for each in s.reflexes) or None
     ),
-    DEADLINES_MET: lambda s: percent(s.timing.success_rate),
-    "Deadlines missed": lambda s: s.timing.deadline_misses,
-    "Longest run of misses (ticks)": lambda s: s.timing.deadline_miss_longest_run,
+    DEADLINES_MET: lambda s: percent(s.timing.on_time_rate),
+    "Deadlines missed": lambda s: s.timing.late_ticks,
+    "Longest run of misses (ticks)": lambda s: s.timing.late_longest_run,
     "Saturated ticks (%)": lambda s: scaled(s.torque.saturated_fraction, 100.0),
     "Real-time factor": lambda s: s.real_time_factor,
     "CPU time taken by a hypervisor (ms)": lambda s: s.timing.stolen_ms,

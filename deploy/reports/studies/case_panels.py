@@ -15,9 +15,6 @@ from deploy.reports.studies.case_result import (
 )
 from deploy.reports.studies.study_texts import value_text, value_title
 
-_MOST_NAMED = 8
-"""Lines of which each has its entry in the legend; of more, colours and patterns have."""
-
 
 def curves_panel(
     summary: CasesResult[Case], arm: str, own: list[Case], name: str, quantity: StudyQuantity,
@@ -29,8 +26,8 @@ def curves_panel(
     of loops that already run are hollow.
     """
     laws = list(dict.fromkeys(case.law for case in summary.cases))
-    has_key = len(own) > _MOST_NAMED and len(laws) > 1
     settings = list(dict.fromkeys(map(setting_text, summary.cases)))
+    has_key = min(len(laws), len(settings)) > 1 and len(own) >= len(laws) + len(settings)
     lines = []
     for case in own:
         law, setting = laws.index(case.law), settings.index(setting_text(case))

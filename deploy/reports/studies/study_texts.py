@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.studies.case_result import Case, CaseResult, CasesResult
 from deploy.reports.studies.study_result import Runs, Share
 from deploy.reports.tables import ABSENT, Column
@@ -48,3 +49,14 @@ def losses_text(runs: Runs) -> str:
     """Explain why runs left their funnel, the most frequent reason first, with their joint."""
     losses, joints = Counter(runs.losses), Counter(runs.loss_joints)
     return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
+
+
+def remedy_text(losses: Mapping[str, int], law: str) -> str | None:
+    """Return what helps a law after the most frequent of its losses; None where nothing is known.
+
+    Args:
+        losses: number of runs by the reason why they were lost.
+        law: name of the law.
+    """
+    reasons = (reason for reason, _ in Counter(losses).most_common(1))
+    return next((remedy_of(reason, law) for reason in reasons), None)

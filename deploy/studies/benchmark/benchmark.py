@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 from bus_schema.configuration import ConfigurationError, shown
 from deploy.judge.conditions import Conditions
-from deploy.judge.run_rows import Row, held, tolerated
+from deploy.judge.run_rows import Row, held, reason_of, tolerated
 from deploy.reports.studies.study_result import Share
 from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
@@ -204,6 +205,7 @@ class Benchmark(StudyOfRuns):
             any_pattern_ms=min([margin_ms, *map(self._kept_up_to, patterns.values())]),
             rms_rad=_mean_of(first, "rms_rad"),
             travel_nm_per_s=_mean_of(first, "total_variation_nm_per_s"),
+            losses=dict(Counter(filter(None, map(reason_of, first)))),
             networks={
                 name: Share(**share_kept(sum(map(held, networks[name])), len(networks[name])))
                 for name in self.definition.networks if name in networks

@@ -12,6 +12,7 @@ from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
 from deploy.reports.studies.study_result import Share
 from deploy.reports.studies.study_tables import TableColumn, shown_columns
+from deploy.reports.studies.study_texts import listed, remedy_text
 from deploy.reports.tables import Cell, Column, Status, Table, scaled, table_of
 from deploy.studies.benchmark.result import BenchmarkResult, CellResult
 from deploy.study.study import rows_by
@@ -37,7 +38,9 @@ def benchmark_page(study: DrawnStudy) -> Page[DrawnStudy]:
     return Page(
         "benchmark",
         result.name,
-        verdict=ReportHead("mixed", headline.rstrip("."), [*reasons, limits]),
+        verdict=ReportHead(
+            "mixed", headline.rstrip("."), [*reasons, *_lost_at_once(result), limits]
+        ),
         facts=[
             Fact("Arms", str(len(result.names("scenario")))),
             Fact("Uncertain plants", str(result.plants or "none")),
@@ -85,6 +88,20 @@ def _ranked(result: BenchmarkResult) -> list[Cells]:
         )  # fmt: skip
 
     return sorted(rows_by(result.cells, lambda cell: cell.entry).values(), key=rank)
+
+
+def _lost_at_once(result: BenchmarkResult) -> list[str]:
+    """Name what helps each law that is lost at the smallest delay, where that is known."""
+    arms: dict[tuple[str, str], list[str]] = {}
+    for cell in result.cells:
+        remedy = None if cell.margin_ms else remedy_text(cell.losses, cell.law)
+        if remedy:
+            arms.setdefault((cell.law, remedy), []).append(cell.scenario)
+    return [
+        f"{law} is lost already at {result.delays_ms[0]:g} ms on"
+        f" {listed([*dict.fromkeys(names)])}: {remedy}."
+        for (law, remedy), names in arms.items()
+    ]
 
 
 def _least(cells: Cells) -> float:

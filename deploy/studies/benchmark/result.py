@@ -30,6 +30,7 @@ class CellResult(Cell):
         rms_rad: at the smallest delay, of each joint.
         travel_nm_per_s: total variation of the torque there.
         networks: kept windows of each network.
+        losses: runs lost at the smallest delay, by reason.
     """
 
     margin_ms: Annotated[float, Shown("Constant", "ms")] = 0.0
@@ -38,6 +39,7 @@ class CellResult(Cell):
     travel_nm_per_s: PerJoint | None = None
     networks: dict[str, Share] = Field(default={})
     plants_kept: list[PlantsKept] = Field(default=[])
+    losses: dict[str, int] = Field(default={})
 
     @property
     def entry(self) -> tuple[str, str, str]:

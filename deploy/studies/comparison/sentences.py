@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.result.section import PerJoint
 from deploy.reports.page import ReportHead
 from deploy.reports.tables import number
@@ -12,6 +13,7 @@ from deploy.reports.verdict_texts import (
     bounds_sentence,
     head_of_runs,
     is_sound,
+    loss_words,
     recording_sentences,
 )
 
@@ -32,9 +34,19 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
     if all(is_sound(run) for run in runs) and kept in (0, len(runs)):
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
     unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
-    head = head_of_runs(runs, headline, [*unread, *_ranking(comparison), *settled])
+    helped = [text for run in runs for text in _remedy_sentences(run)]
+    head = head_of_runs(runs, headline, [*unread, *helped, *_ranking(comparison), *settled])
     faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
-    return replace(head, printed=[*unread, *settled, *faulted])
+    return replace(head, printed=[*unread, *helped, *settled, *faulted])
+
+
+def _remedy_sentences(run: JudgedRun) -> list[str]:
+    """Say how a law was lost for which something helps, and what."""
+    loss = run.result.loss
+    if loss is None or not (remedy := remedy_of(loss.reason, run.law)):
+        return []
+    at_once = " without a delay" if loss.without_delay else ""
+    return [f"{run.law} is lost{at_once}, {loss_words(loss)} ({loss.joint}): {remedy}."]
 
 
 def settling_sentence(test: SettlingTest) -> str:

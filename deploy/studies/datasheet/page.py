@@ -21,7 +21,7 @@ from deploy.run.execute import JudgedRun
 from deploy.studies.datasheet.result import DataSheetResult
 from deploy.studies.margin import texts
 from deploy.studies.margin.result import MarginCase, MarginResult
-from deploy.studies.margin.sentences import model_text
+from deploy.studies.margin.sentences import lost_at_once, model_text
 from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
 from deploy.studies.margin.theory_sentences import theory_sentences
 from deploy.studies.robustness.sentences import robustness_sentences
@@ -87,7 +87,11 @@ def headline(result: DataSheetResult) -> list[str]:
     sentences = []
     if parts.network is not None:
         sentences += _network_sentences(result, parts.network)
-    sentences += [*_quoted_sentences(result), _best_case_sentence(margin, cases[True])]
+    sentences += [
+        *_quoted_sentences(result),
+        *lost_at_once(margin),
+        _best_case_sentence(margin, cases[True]),
+    ]
     doubts = dict.fromkeys(each for case in cases.values() for each in case.doubts)
     sentences += [f"Not tested: {each}" for each in doubts]
     if parts.plants is not None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from deploy.reports.studies.case_result import case_title, equipment_text, setting_text
 from deploy.reports.studies.case_sentences import doubts, saved_runs
-from deploy.reports.studies.study_texts import listed, value_text
+from deploy.reports.studies.study_texts import listed, losses_text, remedy_text, value_text
 from deploy.scenario.playout import EXPECTED
 from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.texts import (
@@ -87,7 +87,13 @@ def model_text(cases: Sequence[MarginCase]) -> str:
 def margin_sentences(summary: MarginResult) -> list[str]:
     """Return margins in words, the best first."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
-    found = [*_headlines(summary), *patterns, *_held_again(summary), *_flawed(summary)]
+    found = [
+        *_headlines(summary),
+        *lost_at_once(summary),
+        *patterns,
+        *_held_again(summary),
+        *_flawed(summary),
+    ]
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
         f" {smaller} if the rotors are a tenth."
@@ -101,7 +107,7 @@ def margin_sentences(summary: MarginResult) -> list[str]:
 def brief_margin_sentences(summary: MarginResult) -> list[str]:
     """Return margins in words, without what a table beside them says."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
-    found = [*doubts(summary.cases), *patterns]
+    found = [*doubts(summary.cases), *lost_at_once(summary), *patterns]
     limits = [*_gaps(summary), *_too_slow(summary)]
     return [*found, *_held_again(summary), *in_theory(summary), *limits]
 
@@ -135,6 +141,18 @@ def _best(summary: MarginResult, cases: list[MarginCase], arm: str) -> str:
     return f"{where}: the {margin}, of {'; of '.join(whose)}." + "".join(
         f" {text}" for text in doubts(cases)
     )
+
+
+def lost_at_once(summary: MarginResult) -> list[str]:
+    """Name what helps each case that has no margin, where that is known."""
+    return [
+        f"{case_title(case)} is lost already at {value_text(probe.value, summary)}"
+        f" ({losses_text(probe)}): {remedy}."
+        for case in summary.cases
+        if case.completed and case.margin is None
+        if (probe := case.probe_at(case.first_failure))
+        if (remedy := remedy_text(probe.losses, case.law))
+    ]
 
 
 def _held_again(summary: MarginResult) -> list[str]:

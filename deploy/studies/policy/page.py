@@ -5,6 +5,7 @@ from __future__ import annotations
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
@@ -48,7 +49,10 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
         return [f"{arm}: not complete."]
     best = recommended(cases)
     if best is None or best.at is None:
-        return [f"{arm}: {_none_holds(cases)}."]
+        reasons = _first_ends(cases)
+        remedies = (remedy_of(reason, result.policy) for reason in reasons)
+        helps = [f"{each[0].upper()}{each[1:]}." for each in remedies if each]
+        return [f"{arm}: {_none_holds(cases, reasons)}.", *helps]
     key, last = jump_column(cases), longest(cases)
     jump = _jump(best.at, key)
     most = [_jump(case.at, key) for case in cases if case.at and case is not best]
@@ -61,13 +65,19 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
     ]
 
 
-def _none_holds(cases: list[Merge]) -> str:
+def _first_ends(cases: list[Merge]) -> list[str]:
+    """Return why runs at the shortest inference time do not hold, by all their reasons."""
+    points = [point for case in cases for point in case.points]
+    shortest_ms = min(point.inference_ms for point in points)
+    return sorted({p.ends for p in points if p.inference_ms == shortest_ms and p.ends})
+
+
+def _none_holds(cases: list[Merge], reasons: list[str]) -> str:
     """Return what becomes of the shortest inference time, which no merge tolerates."""
     points = [point for case in cases for point in case.points]
     shortest_ms = min(point.inference_ms for point in points)
     kept_ms = sorted({point.inference_ms for point in points if point.runs_kept == point.runs})
-    reasons = {p.ends for p in points if p.inference_ms == shortest_ms and p.ends}
-    why = f" ({', '.join(sorted(reasons))})" if reasons else ""
+    why = f" ({', '.join(reasons)})" if reasons else ""
     if not kept_ms:
         return f"no merge keeps the bounds, even at an inference time of {shortest_ms:g} ms{why}"
     flaw = "bounds are kept but it does not hold" if kept_ms[0] == shortest_ms else "it is lost"

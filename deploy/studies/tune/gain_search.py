@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import InputError
+from bus_schema.errors import InputError, needs_extra
 
 Gains = dict[str, Any]
 """Numbers, and lists of them by joint, by name."""
@@ -66,7 +66,7 @@ class GainSearch:
                 warnings.simplefilter("ignore")
                 import cma  # of the extra `tuning`, which nothing else needs
         except ImportError as error:
-            raise InputError("the search needs the package cma: pip install cma") from error
+            raise InputError(f"the search {needs_extra('cma', 'tuning')}") from error
         start = _within(start, ranges)
         self._entries = list(_entries(start, ranges, fixed))
         if not self._entries:

@@ -8,12 +8,13 @@ import pytest
 from controller.control_law import Diagnostics
 from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.loss_reason import LossReason, Reason, loss_reason
+from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import summarise
 from deploy.reports.verdict_texts import loss_words
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.theory.theory import theory_of
-from tests.one_joint import pd_setup, policy_setup
+from tests.one_joint import pd_setup, policy_setup, write_arm
 
 ON = "controller.delay_compensation.enabled=true"
 INERTIA_KG_M2 = 0.5
@@ -158,9 +159,83 @@ NO_LAGS = {
 
 @pytest.mark.parametrize("name", NO_LAGS)
 def test_other_errors_are_no_lag(name):
-    speeds = np.sin(2.0 * TIMES_S)
-    assert lag_s(NO_LAGS[name](speeds, TIMES_S), speeds, 1.0) is None
-    assert lag_s(-0.05 * speeds, speeds, 1.0) == pytest.approx(0.05)
+    wanted, speeds = -0.5 * np.cos(2.0 * TIMES_S), np.sin(2.0 * TIMES_S)
+    assert lag_s(NO_LAGS[name](speeds, TIMES_S), wanted, 1e-3) is None
+    assert lag_s(-0.05 * speeds, wanted, 1e-3) == pytest.approx(0.05, rel=0.02)
+
+
+@pytest.mark.parametrize("duration_s", [0.3, 1.0, 3.0])
+def test_a_first_order_lag_is_its_time_constant_at_constant_speed(duration_s):
+    """τ ẏ + y = v t follows y = v (t - τ) + v τ e^(-t/τ): e = -v τ once that has decayed."""
+    tau_s, speed, period_s = 0.04, 0.7, 1e-3
+    times_s = np.arange(round(duration_s / period_s) + 1) * period_s
+    errors = -speed * tau_s * (1.0 - np.exp(-times_s / tau_s))
+    late_s = lag_s(errors[-250:], speed * times_s, period_s)
+    assert late_s == pytest.approx(tau_s, rel=0.1 if duration_s < 1.0 else 1e-6)
+
+
+@pytest.mark.parametrize("late_s", [0.02, 0.0507, 0.11])
+def test_an_arm_that_has_just_started_late_has_its_delay_as_lag(late_s):
+    """The error of a delay at a start with a speed rises first, with the speed alone."""
+    times_s = np.arange(301) * 1e-3
+    late = -np.cos(np.maximum(times_s - late_s + 0.5, 0.5)) + np.cos(times_s + 0.5)
+    assert lag_s(late, -np.cos(times_s + 0.5), 1e-3) == pytest.approx(late_s, rel=1e-3)
+    at_rest = -np.cos(0.5) + np.cos(times_s + 0.5)
+    assert lag_s(at_rest, -np.cos(times_s + 0.5), 1e-3) is None  # it never moved
+
+
+SERVOJ = ("plant.interface.kind=servoj", "robot.initial_offset_rad=0")
+
+
+@pytest.mark.parametrize(("gain", "lookahead_s"), [(300, 0.1), (800, 0.2)])
+@pytest.mark.parametrize("arm", ["paper_arm", "ur5e_motors"])
+def test_the_lag_of_a_position_interface_is_no_friction(arm, gain, lookahead_s):
+    """It is behind by 4 ms, two thirds of the lookahead, its growth 200/gain, and half a cycle."""
+    settings = (f"plant.interface.servoj.gain={gain}",
+                f"plant.interface.servoj.lookahead_time_s={lookahead_s}")  # fmt: skip
+    streaming = (*SERVOJ, *settings, "controller.law=streaming")
+    found = loss(*streaming, "controller.preview_ms=0", arm=arm, duration_s=1.0)
+    own_ms = 4.0 + 1e3 * lookahead_s * (2.0 / 3.0 + 200.0 / gain) + 1.0
+    assert (found["reason"], found["without_delay"]) == ("robot's lag", False)
+    assert found["own_lag_ms"] == pytest.approx(own_ms)
+    assert 0.6 * own_ms < found["lag_ms"] < 1.05 * own_ms  # as it starts, less than at the end
+    assert loss_words(LossReason(**found)) == f"by the robot's own lag of {own_ms:.0f} ms"
+    assert "controller.preview_ms" in remedy_of(found["reason"], "streaming")
+    assert loss(*streaming, arm=arm, duration_s=1.0) is None  # which reads ahead
+
+
+@pytest.mark.parametrize("law", ["computed_torque", "fixed_time_adaptive"])
+def test_a_law_of_torques_is_lost_by_the_lag_of_the_robot_it_drives(law):
+    found = loss(*SERVOJ, f"controller.law={law}")
+    assert (found["reason"], found["without_delay"]) == ("robot's lag", False)
+    assert "position_correction" in remedy_of(found["reason"], law)
+    quick = "plant.interface.servoj={dead_time_ms: 0, lag_ms: 0}"
+    held = loss(*SERVOJ, quick, f"controller.law={law}")
+    assert held is None or held["reason"] != "robot's lag"
+
+
+SAG_RAD = 1.0 * 9.81 * 0.3 / 100.0
+
+
+@pytest.mark.parametrize(("law", "funnel_rad", "reason"), [
+    ("pid", 0.97 * SAG_RAD, "no gravity term"),
+    ("pid", 1.03 * SAG_RAD, None),
+    ("pid_gravity", 0.05 * SAG_RAD, None),
+])  # fmt: skip
+def test_a_law_without_gravity_sags_by_weight_over_stiffness(tmp_path, law, funnel_rad, reason):
+    """1 kg at 0.3 m and 100 N m/rad, critically damped: m g l / K."""
+    (tmp_path / "level").mkdir()
+    write_arm(tmp_path / "level", INERTIA_KG_M2, lever_m=0.3, axis="0 1 0")
+    gains = {"proportional": 100.0, "integral": 0.0, "derivative": 2.0 * (100.0 * 0.5) ** 0.5}
+    setup = pd_setup(
+        tmp_path, INERTIA_KG_M2, 0.0, 0.0, funnel_rad=funnel_rad,
+        robot={"urdf": "level/arm.urdf", "initial_offset_rad": 0.0},
+        controller={"law": law, "gains": {law: gains}},
+    )  # fmt: skip
+    found = loss_of(setup)
+    assert (found and found["reason"]) == reason
+    assert remedy_of("no gravity term", "pid") == "compare pid_gravity, which has a gravity term"
+    assert remedy_of("no gravity term", "smc") is None
 
 
 def test_a_chunk_that_ran_out_has_nothing_left_to_send(tmp_path):

@@ -232,3 +232,12 @@ def test_the_largest_of_all_joints_is_unknown_if_one_is(comparison, values, larg
     tracking = comparison.runs[0].result.tracking.model_copy(update={"settling_time_s": values})
     result = comparison.runs[0].result.replaced(tracking=tracking)
     assert SETTLING_TIME.of_worst_joint(result) == largest
+
+
+def test_a_law_that_sags_without_a_delay_is_set_beside_one_with_gravity(comparison):
+    head = verdict_on_laws(comparison)
+    sentence = "pid is lost without a delay, under its weight, for which the law has no term"
+    for told in (head.reasons, head.printed):
+        (found,) = [each for each in told if each.startswith(sentence)]
+        assert found.endswith(": compare pid_gravity, which has a gravity term.")
+    assert not any("fixed_time_neural is lost" in each for each in head.reasons)

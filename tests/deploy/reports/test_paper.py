@@ -14,6 +14,9 @@ from deploy.reports.figures.style import new_figure, palette
 from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text, narrow_parts
 from deploy.reports.results import Results
 from deploy.reports.tables import Cell, Column, Table
+from deploy.reports.tables import number as number_text
+from deploy.studies.margin.result import MarginResult
+from deploy.studies.margin.tables import help_tables
 from tests.warm_process import here
 
 pytest.importorskip("matplotlib", reason="the extra papers is not installed")
@@ -172,6 +175,22 @@ def test_lines_and_bars_of_equal_colour_in_grey_differ(tmp_path, monkeypatch):
     assert len({bar.patches[0].get_hatch() for bar in bars}) == 3
 
 
+def test_lines_with_points_of_laws_differ_in_grey_and_where_they_coincide(tmp_path, monkeypatch):
+    """All points but those of one law are hollow, of shapes of their own, so none hides another."""
+    figure = new_figure(300)
+    for place, name in enumerate(("pid", "smc", "sliding")):
+        figure.add_scatter(x=[1, 2], y=[1, 2], name=name, mode="lines+markers", showlegend=False,
+                           line={"color": palette(place)}, marker={"symbol": "circle"})  # fmt: skip
+        figure.add_scatter(x=[None], y=[None], name=f"{name} alone", mode="lines",
+                           line={"color": palette(place)})  # fmt: skip
+    found = written(figure, tmp_path, monkeypatch)
+    shown = [line for line in found.axes[0].lines if len(line.get_xdata()) == 2]
+    assert len({line.get_marker() for line in shown}) == 3
+    assert sum(line.get_fillstyle() != "none" for line in shown) == 1
+    names = [text.get_text() for text in found.legends[0].get_texts()]
+    assert names == ["pid alone", "smc alone", "sliding alone"]  # as the report's legend
+
+
 @pytest.mark.parametrize("symbols", [None, ["circle", "diamond"]])
 def test_points_of_laws_differ_in_grey(tmp_path, monkeypatch, symbols):
     """By their shape, or where that says something else, by how they are filled."""
@@ -251,6 +270,36 @@ def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
         ["c0", "c1", "c2", "c3", "c4", "c5"], ["c0", "c1", "c6", "c7", "c8"],
     ]  # fmt: skip
     assert parts[1].rows[1] == ["smc", "smith", 3, 4, 5]
+
+
+def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
+    point, outside = Column("Point", brief=None), Column("Ticks outside", "%", "Out-\nside")
+    columns = [Column("Law", is_text=True), point, Column("Kept"), Column("Held"), outside]
+    (part,) = narrow_parts(Table("Laws", columns, [["pid", "0001", 1.0, None, 5.0]]))
+    assert [column.heading for column in part.columns] == ["Law", "Kept", "Ticks outside"]
+    assert r"Law & Kept & Outside (\%) \\" in as_latex(part)
+
+
+@pytest.mark.parametrize(("letters", "kind"), [(20, "table"), (80, "table*")])
+def test_a_table_wider_than_a_column_stands_over_two(letters, kind):
+    """88 mm have some 58 letters of 8 pt, of which a mean one is half as wide as it is high."""
+    text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]))
+    assert rf"\begin{{{kind}}}" in text
+    assert pytest.approx(WIDTHS_MM[1] / (0.5 * 8.0 * 25.4 / 72.0), abs=5) == 58
+
+
+def test_commands_that_help_are_in_the_report_alone():
+    tried = [{"change": "drive loop", "held": True, "point": "0001", "seed": 1}]
+    case = {"arm": "a", "law": "pid", "compensation": None, "drive_feedback": None,
+            "running": False, "what_helps": {"value": 8.0, "tried": tried}}  # fmt: skip
+    (table,) = help_tables(MarginResult.model_validate({"unit": "ms", "cases": [case]}))
+    assert "funnel-hil simulate" in str(table.rows)
+    assert "funnel-hil" not in str([part.rows for part in narrow_parts(table)])  # nor commands
+
+
+@pytest.mark.parametrize("value", [1.5e-5, 6.7e-10, 1234567.0, 2e-300])
+def test_numbers_of_a_table_are_letters_that_latex_knows(value):
+    assert latex_text(number_text(value)).isascii()
 
 
 def test_edges_of_bands_are_no_lines(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import io
 import shlex
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -147,13 +148,39 @@ def test_ticks_skipped_by_a_late_plant_are_shown(run):
     truth["timing.skipped"][60:] = 7
     skipped = replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
     assert summarise(skipped)["recording"]["ticks_skipped"] == 7
-    assert "7 ticks skipped because the plant was late; states sent: 100" in shown(skipped)
+    assert (
+        "7 ticks skipped because the plant was late, and counted as missed deadlines; states sent:"
+        " 100"
+    ) in shown(skipped)
     truth["timing.skipped"][60:] = 1
     assert "1 tick skipped because the plant" in shown(skipped)
     rows = dict(health_table(judge(skipped)).rows)
     assert (rows["Ticks"], rows["Ticks skipped by a late plant"]) == (100, 1)
     assert "skipped" not in shown(run)
     assert not any("skipped" in name for name, _ in health_table(judge(run)).rows)
+
+
+def test_skipped_ticks_are_missed_deadlines_of_a_late_host(run):
+    """20 skipped and 5 late ticks of 100, of which 2 are both: 77 % on time."""
+    late = missing(run, slice(28, 33))
+    truth = late.tables[topics.PLANT_TRUTH.name]
+    truth["timing.lateness_ns"][10:30] = -1
+    truth["timing.skipped"][10:] = np.minimum(np.arange(1, len(truth) - 9), 20)
+    timing = summarise(late)["timing"]
+    assert (timing["deadline_misses"], timing["success_rate"]) == (5, pytest.approx(0.95))
+    assert (timing["late_ticks"], timing["late_longest_run"]) == (23, 23)
+    assert timing["on_time_rate"] == pytest.approx(0.77)
+    text = " ".join(shown(late).split())
+    assert "deadlines met 77 %" in text
+    assert "The host was late: 23 of 100 ticks (23 %) were skipped or missed their deadline" in text
+
+
+def test_a_host_that_only_skips_ticks_is_late_too(run):
+    late = missing(run, slice(0, 0))
+    late.tables[topics.PLANT_TRUTH.name]["timing.lateness_ns"][10:30] = -1
+    text = shown(late)
+    assert "The host was late: 20 of 100 ticks (20 %) were skipped" in text
+    assert "deadlines met 100 %" not in text
 
 
 def test_timing_messages_and_events_are_folded_and_marked_where_something_is_odd(run):

@@ -214,3 +214,23 @@ def test_a_long_sweep_is_cut_in_the_terminal_only_which_warns(sweep, page_of):
     assert "warning" not in shown(sweep)
     assert "warning: a.key, b.key: none" in shown({**sweep, "without_effect": ["a.key, b.key"]})
     assert page_of(sweep).count('href="scenarios/') == 43
+
+
+REMEDIES = {
+    "no gravity term": "compare pid_gravity, which has a gravity term.",
+    "robot's lag": "reads the reference ahead by that lag",
+}
+
+
+@pytest.mark.parametrize(("margin_ms", "reason"), [
+    (None, "no gravity term"), (None, "robot's lag"), (None, "growing"), (4.0, "no gravity term"),
+])  # fmt: skip
+def test_what_helps_a_case_that_is_lost_at_once_is_beside_its_row(margin, margin_ms, reason):
+    (case,) = margin["cases"]
+    lost = runs(0.25, value=0.0, points=["b"], losses={reason: 2}, loss_joints={"shoulder": 2})
+    case |= {"margin": margin_ms, "first_failure": 0.0, "probes": [lost]}
+    told = " ".join(shown(margin).split())
+    begins = f"is lost already at 0 ms ({reason}, shoulder): "
+    assert (begins in told) == (margin_ms is None and reason in REMEDIES)
+    if begins in told:
+        assert REMEDIES[reason] in told.partition(begins)[2]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import controller
+from controller.control_law import Diagnostics
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
@@ -74,6 +75,7 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
         ("my_laws:Missing", "{}", "my_laws has no class Missing"),
         ("my_laws:number", "{}", "my_laws has no class number"),
         ("my_laws:NoLaw", "{}", "is not a control law: it lacks torque, reset, diagnostics"),
+        ("my_laws:NoLaw", "{}", "a law of positions or velocities has target instead of torque"),
         ("my_laws:ComputedTorque", "{stifness: 1}", "cannot be created with these: TypeError"),
         ("not a law", "{}", "must be one of fixed_time_neural"),
     ],
@@ -82,6 +84,49 @@ def test_unusable_law_is_refused_before_the_run(law, gains, message):
     with pytest.raises(ScenarioError, match=r"--set controller\.") as refused:
         setup_of(law, f"controller.gains.custom={gains}")
     assert message in str(refused.value)
+
+
+class TargetsAlone:
+    """The reference as targets, and no method ``torque``."""
+
+    def __init__(self, model, share=1.0):
+        self.diagnostics, self._share, self.resets = Diagnostics(model.joints), share, 0
+
+    def reset(self):
+        self.resets += 1
+
+    def target(self, tracking):
+        return np.stack([tracking.reference_position, self._share * tracking.reference_velocity])
+
+
+class TargetsWithZeroTorque(TargetsAlone):
+    def torque(self, tracking):
+        return np.zeros_like(tracking.error)
+
+
+ROBOT = ("plant.interface.kind=servoj", "robot.initial_offset_rad=0", "duration_s=0.3")
+
+
+def law_of_targets(name, *overrides):
+    law = f"controller.law=tests.deploy.run.test_custom_law:{name}"
+    return load_setup("paper_arm", [law, *overrides])
+
+
+@pytest.mark.parametrize("more", [(), ("controller.chunks={horizon: 1}",)])
+def test_a_law_of_targets_needs_no_torque(more):
+    """It drives a robot with the bits of the same law that returns zero torques."""
+    alone, both = (
+        simulate(law_of_targets(name, *ROBOT, *more)).data()
+        for name in ("TargetsAlone", "TargetsWithZeroTorque")
+    )
+    assert alone.motion == both.motion
+    assert np.ptp(alone.tables["plant_truth"]["position"], axis=0).max() > 0.01
+
+
+def test_a_law_of_targets_is_refused_where_only_torques_are_taken():
+    with pytest.raises(ScenarioError, match="must have a method torque beside target, unless"):
+        law_of_targets("TargetsAlone")
+    law_of_targets("TargetsAlone", "controller.drive_feedback.enabled=true")
 
 
 def test_law_of_the_tutorial_runs_as_shown(folder):

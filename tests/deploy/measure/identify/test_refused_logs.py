@@ -157,7 +157,7 @@ def test_missing_scipy_is_named_with_the_command_that_installs_it(tmp_path):
         code, output = here("identify", tmp_path / "log.csv", "--robot", "paper_arm", "--out",
                             tmp_path / "found")  # fmt: skip
     assert code == 2
-    assert "pip install scipy" in output
+    assert "identify needs scipy: pip install 'funnel-hil[identify]'" in output
 
 
 def test_degrees_are_converted_where_the_option_says_so(tmp_path):

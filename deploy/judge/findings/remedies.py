@@ -1,0 +1,29 @@
+"""What to change, or to compare instead, after a loss for a reason."""
+
+from __future__ import annotations
+
+from controller.laws import LAWS
+from deploy.judge.findings.gravity import with_gravity
+from deploy.judge.findings.loss_reason import Reason
+from plant_emulator.interfaces.settings import TORQUE
+
+_FASTER = "make the robot faster (servoj: a larger gain, a shorter lookahead_time_s)"
+
+
+def remedy_of(reason: str, law: str) -> str | None:
+    """Return what helps a law that was lost for a reason, as part of a sentence; None if unknown.
+
+    Args:
+        reason: a `Reason`, as summaries and rows have it.
+        law: the law's name.
+    """
+    if reason == Reason.GRAVITY and (sibling := with_gravity(law)):
+        return f"compare {sibling}, which has a gravity term"
+    if reason != Reason.OWN_LAG:
+        return None
+    if law not in LAWS:
+        return f"send targets for that much later, or {_FASTER}"
+    if LAWS[law].gives == TORQUE:
+        ahead = "use a law of targets, such as position_correction or proportional_velocity, which"
+        return f"{ahead} reads the reference ahead by that lag, or {_FASTER}"
+    return f"read the reference ahead by it (controller.preview_ms: auto), or {_FASTER}"
