@@ -241,7 +241,7 @@ def loss_words(loss: LossReason) -> str:
     if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:
         words += f" by e^({rate:.3g} t)"
     if loss.reason in (Reason.UNSTABLE, Reason.GROWING) and loss.without_delay:
-        words += ", already without a delay"
+        words += ", even without a delay"
     return words
 
 

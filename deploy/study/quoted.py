@@ -1,4 +1,4 @@
-"""The one number to quote of a case: the smallest of all that is known about it."""
+"""The one number to quote of a case: the smallest of the margins found for it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Because(StrEnum):
 
 
 def quoted(case: Found, *, is_over: bool = True) -> dict[str, Any]:
-    """Return the smallest margin that is known of a case, and why, for a summary.
+    """Return the smallest margin found for a case, and why, for a summary.
 
     Args:
         case: what was found of it.

@@ -195,8 +195,8 @@ def _too_slow(summary: MarginResult) -> list[str]:
     if not most_hz:
         return []
     return [
-        f"Not tested below {most_hz:.2g} Hz: runs at the margins are too short to show whether so"
-        " slow an oscillation grows inside its bounds."
+        "Not tested: runs at the margins are too short to show an oscillation below"
+        f" {most_hz:.2g} Hz that grows inside its bounds. A longer --duration shows slower ones."
     ]
 
 

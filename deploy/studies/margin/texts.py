@@ -37,7 +37,7 @@ def because_text(case: MarginCase) -> str:
         return "unstable without a delay, in theory"
     words: dict[str, str] = {
         Because.THEORY: "unstable beyond it, in theory",
-        Because.PATTERN: "a pattern of delays is lost beyond it",
+        Because.PATTERN: "a varying delay loses the bounds beyond it",
         Because.ROTORS: "with a tenth of the estimated rotors",
         Because.MODEL: f"with {_worst_model(case)}",
     }
@@ -106,7 +106,8 @@ def loss_text(case: MarginCase) -> str:
     """Explain why runs at the first failure left their funnel, and most often which joint."""
     failed = case.probe_at(case.first_failure)
     named = "" if failed is None else losses_text(failed)
-    return f"{named}, already without it" if named and case.margin is None else named or ABSENT
+    at_once = ", even at the smallest value tried" if case.margin is None else ""
+    return f"{named}{at_once}" if named else ABSENT
 
 
 def furthest(result: MarginResult) -> str:

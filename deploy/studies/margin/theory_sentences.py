@@ -15,7 +15,7 @@ def theory_sentences(summary: MarginResult) -> list[str]:
         if case.theory is not None and case.theory.reason is not None:
             reasons.setdefault(case.theory.reason, []).append(case.law)
     return in_theory(summary) + [
-        f"No theoretical margin, because {reason}: {listed([*dict.fromkeys(names)])}."
+        f"No theoretical margin for {listed([*dict.fromkeys(names)])}: {reason}."
         for reason, names in reasons.items()
     ]
 

@@ -50,7 +50,7 @@ class PolicyDefinition(StudyDefinition):
 
     Attributes:
         scenarios: scenarios, or files of arms: those get ``servoj`` and chunks of 16 actions at
-            25 Hz, asked for at every sixth, unless `fixed` has others.
+            25 Hz, a new one asked for every 6 actions, unless `fixed` has others.
         law: the policy; null for that of each scenario.
         merges: names of the merges to try; those that ship and do not wait by default.
         network: a file of delays, or the name of a shipped trace; null for the scenario's link.

@@ -15,7 +15,7 @@ from controller.control_law import ControlLaw, Tracking
 from deploy.scenario.setup import Setup
 from deploy.study.theory.linear_law import ENDED, LinearLaw, filtered, fitted
 
-_SWITCHES = "it has no slope at zero error: it switches, or its gain depends on the error"
+_SWITCHES = "the law switches or its gain depends on the error, so it has no slope at zero error"
 _VARIES = "its answers to several errors do not add up, or they depend on when it is asked"
 _IDLE = "its torque does not depend on errors"
 _SMALL, _LARGER = 1e-3, 10.0

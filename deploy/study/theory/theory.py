@@ -53,7 +53,7 @@ def theory_of(setup: Setup) -> dict[str, Any]:
     try:
         law = _law(setup)
     except Exception as error:  # noqa: BLE001 (a user's law may raise any exception)
-        law = f"it raised {type(error).__name__}: {error}"
+        law = f"the law raised {type(error).__name__}: {error}"
     if isinstance(law, str):
         return {"reason": law}
     robot = _robot(setup)
@@ -72,16 +72,16 @@ def _law(setup: Setup) -> LinearLaw | str:
     """Return the law as a linear one, or why a scenario has no linear loop."""
     controller = setup.scenario.controller
     if controller.process or controller.law == EXTERNAL:
-        return "it is a program of its own"
+        return "the law is a separate program"
     if controller.delay_compensation.enabled:
         return "delay compensation predicts and learns"
     law = setup.control_task().law
     if isinstance(law, SlowLaw):
-        return "it is slower than the control loop"
+        return "the law is slower than the control loop"
     if (interface := setup.scenario.plant.interface).has_controller:
         return _OWN_TORQUES if interface.takes == TORQUE else _outer_law(law, setup)
     if controller.drive_feedback.enabled and hasattr(law, "target"):
-        return "its own targets close the loops of the drives"
+        return "the drives follow the law's own targets"
     found = linear_law(law, setup)
     if isinstance(found, LinearLaw) and found.states > _MOST_STATES:
         return f"its torque depends on errors of {len(found.taps) - 1} ticks before: it filters"

@@ -82,7 +82,7 @@ def test_a_wrong_sign_is_unstable_with_the_pole_of_the_loop(tmp_path, stiffness,
     assert found["frequency_hz"] == (
         pytest.approx(abs(pole.imag) / (2.0 * np.pi), rel=0.01) if pole.imag else None
     )
-    assert "already without a delay" in loss_words(LossReason(**found))
+    assert "even without a delay" in loss_words(LossReason(**found))
     assert theory_of(setup)["unstable_without_delay"]["rate_per_s"] == pytest.approx(
         found["rate_per_s"], rel=0.02
     )

@@ -135,7 +135,7 @@ REASONS = {
     SQUARES: "depend on when it is asked",
     CHIRP: "not ended after 1 s: it filters or learns",
     LONG: "errors of 509 ticks before: it filters",
-    "raise ValueError('broken')": "it raised ValueError: broken",
+    "raise ValueError('broken')": "the law raised ValueError: broken",
 }
 
 
@@ -182,4 +182,4 @@ def test_a_law_whose_targets_close_the_loops_of_drives_has_a_reason(tmp_path, im
     file = ARM.write(tmp_path)
     overrides = ["controller.law=with_targets:Own", "controller.drive_feedback.enabled=true"]
     found = theory_of(load_setup(str(file), overrides))
-    assert found == {"reason": "its own targets close the loops of the drives"}
+    assert found == {"reason": "the drives follow the law's own targets"}
