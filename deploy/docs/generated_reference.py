@@ -180,6 +180,26 @@ def topics() -> str:
     return "\n".join(lines + [heading.format(file.stem, file.read_text()) for file in files])
 
 
+def python() -> str:
+    """The functions of the Python API, with their parameters."""
+    import funnel_hil
+
+    functions = {name: getattr(funnel_hil, name) for name in funnel_hil.__all__}
+    rows = [[f"`{name}({_parameters(each)})`", inspect.cleandoc(each.__doc__).partition("\n")[0]]
+            for name, each in functions.items() if inspect.isfunction(each)]  # fmt: skip
+    return table(["call", "does"], rows)
+
+
+def _parameters(function: Any) -> str:
+    """Return the parameters by name, without those that the page explains for all calls."""
+    parameters = inspect.signature(function).parameters.values()
+    return ", ".join(
+        {each.VAR_POSITIONAL: "*", each.VAR_KEYWORD: "**"}.get(each.kind, "") + each.name
+        for each in parameters
+        if each.name not in {"workers", "scheduler", "out", "overwrite", "progress", "more"}
+    )
+
+
 TABLES = {
     each.__name__: each
     for each in (
@@ -190,6 +210,7 @@ TABLES = {
         loss_reasons,
         exit_codes,
         topics,
+        python,
     )
 }
 

@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+import funnel_hil
 from deploy.docs import generated_reference
 from deploy.scenario.definition import ScenarioConfiguration
 from tests.deploy.docs.pages import DOCS, PAGES
@@ -54,6 +55,7 @@ def test_reference_has_each_key_of_a_scenario():
         ("topics", "float64[] sliding_variable"),
         ("topics", "robot_description"),
         ("scenario", "log_uniform"),
+        ("python", "simulate(scenario, changes, law)"),
     ],
 )
 def test_reference_is_readable_in_the_repository(page, content):
@@ -99,3 +101,9 @@ def test_links_to_sections_of_the_same_page_lead_to_headings():
         text = page.read_text()
         anchors = set(headings(text))
         assert set(re.findall(r"\]\(#([^)]+)\)", text)) <= anchors, page.name
+
+
+def test_page_of_the_python_api_documents_each_public_name():
+    text = (DOCS / "reference" / "python.md").read_text()
+    (members,) = re.findall(r":members: (.*)", text)
+    assert set(members.split(", ")) == set(funnel_hil.__all__)
