@@ -192,12 +192,9 @@ def python() -> str:
 
 def _parameters(function: Any) -> str:
     """Return the parameters by name, without those that the page explains for all calls."""
-    parameters = inspect.signature(function).parameters.values()
-    return ", ".join(
-        {each.VAR_POSITIONAL: "*", each.VAR_KEYWORD: "**"}.get(each.kind, "") + each.name
-        for each in parameters
-        if each.name not in {"workers", "scheduler", "out", "overwrite", "progress", "more"}
-    )
+    explained = {"workers", "scheduler", "out", "overwrite", "progress", "more", "definition"}
+    names = [each for each in inspect.signature(function).parameters if each not in explained]
+    return ", ".join(names)
 
 
 TABLES = {
