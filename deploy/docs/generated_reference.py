@@ -185,7 +185,7 @@ def python() -> str:
     import funnel_hil
 
     functions = {name: getattr(funnel_hil, name) for name in funnel_hil.__all__}
-    rows = [[f"`{name}({_parameters(each)})`", inspect.cleandoc(each.__doc__).partition("\n")[0]]
+    rows = [[f"`{name}({_parameters(each)})`", (inspect.getdoc(each) or "").partition("\n")[0]]
             for name, each in functions.items() if inspect.isfunction(each)]  # fmt: skip
     return table(["call", "does"], rows)
 
