@@ -93,8 +93,13 @@ def to_safe_state_ms(run: RunData) -> float | None:
 
 
 def table() -> str:
-    """The table as Markdown, from new runs."""
-    return _HEADER + "".join(_row(name, measure(name)) for name in fault_scenarios())
+    """The table as Markdown, from new runs: a row for all scenarios of one outcome."""
+    found: dict[str, list[str]] = {}
+    for name in fault_scenarios():
+        found.setdefault(_cells(measure(name)), []).append(f"`{name}`")
+    return _HEADER + "".join(
+        f"| {', '.join(names)} | {cells} |\n" for cells, names in found.items()
+    )
 
 
 def _run(name: str) -> Outcome:
@@ -109,16 +114,10 @@ def _run(name: str) -> Outcome:
         return Outcome(data, summary, ended.returncode, to_safe_state_ms(data), recorded_anew)
 
 
-def _row(name: str, outcome: Outcome) -> str:
+def _cells(outcome: Outcome) -> str:
     time_ms = outcome.to_safe_state_ms
-    cells = [
-        f"`{name}`",
-        _reaction(outcome),
-        "—" if time_ms is None else f"{time_ms:g} ms",
-        str(outcome.code),
-        _lost(outcome),
-    ]
-    return f"| {' | '.join(cells)} |\n"
+    time = "—" if time_ms is None else f"{time_ms:g} ms"
+    return " | ".join([_reaction(outcome), time, str(outcome.code), _lost(outcome)])
 
 
 def _reaction(outcome: Outcome) -> str:
