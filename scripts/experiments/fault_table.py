@@ -125,11 +125,11 @@ def _reaction(outcome: Outcome) -> str:
     if outcome.to_safe_state_ms is not None:
         return f"safe stop ({run.setup.scenario.plant.safe_stop})"
     if outcome.recorded_anew:
-        return "goes on, a second recording begins"
+        return "continues, a second recording begins"
     if outcome.code:
         return "the run ends"
     lost_at = f" at {bounds['first_violation_s']:g} s" if bounds["violation_fraction"] else ""
-    return f"goes on, bounds {outcome.summary['verdict']}{lost_at}"
+    return f"continues, bounds {outcome.summary['verdict']}{lost_at}"
 
 
 def _lost(outcome: Outcome) -> str:
