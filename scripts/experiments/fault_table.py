@@ -30,8 +30,8 @@ from plant_emulator.faults.process_faults import process_faults
 BEGIN = "<!-- fault table: python -m scripts.experiments.fault_table -->\n"
 END = "<!-- end of fault table -->\n"
 _HEADER = """\
-| scenario | reaction | to safe state | exit code | lost |
-|---|---|---|---|---|
+| scenarios | reaction | to safe state | exit code |
+|---|---|---|---|
 """
 PAGE = Path(__file__).resolve().parents[2] / "deploy" / "docs" / "how-to" / "faults.md"
 _TICKS_OF_GRACE = 2
@@ -117,7 +117,7 @@ def _run(name: str) -> Outcome:
 def _cells(outcome: Outcome) -> str:
     time_ms = outcome.to_safe_state_ms
     time = "—" if time_ms is None else f"{time_ms:g} ms"
-    return " | ".join([_reaction(outcome), time, str(outcome.code), _lost(outcome)])
+    return f"{_reaction(outcome)} | {time} | {outcome.code}"
 
 
 def _reaction(outcome: Outcome) -> str:
@@ -130,22 +130,6 @@ def _reaction(outcome: Outcome) -> str:
         return "the run ends"
     lost_at = f" at {bounds['first_violation_s']:g} s" if bounds["violation_fraction"] else ""
     return f"continues, bounds {outcome.summary['verdict']}{lost_at}"
-
-
-def _lost(outcome: Outcome) -> str:
-    summary, run = outcome.summary, outcome.run
-    words = []
-    for direction, what in (("uplink", "states"), ("downlink", "commands")):
-        counts = summary["transport"][direction]
-        if counts["lost"]:
-            words.append(f"{counts['lost']} {what}")
-        for reason, count in (counts["rejected"] or {}).items():
-            words.append(f"{count} {what} ({reason.replace('_', ' ')})")
-    if misses := summary["timing"]["deadline_misses"]:
-        words.append(f"{misses} deadlines")
-    if not run.complete:
-        words.append("the end of the recording")
-    return ", ".join(words) or "nothing"
 
 
 def main() -> None:
