@@ -30,8 +30,8 @@ from plant_emulator.faults.process_faults import process_faults
 BEGIN = "<!-- fault table: python -m scripts.experiments.fault_table -->\n"
 END = "<!-- end of fault table -->\n"
 _HEADER = """\
-| scenario | reaction | to safe state | exit code | lost |
-|---|---|---|---|---|
+| scenarios | reaction | to safe state | exit code |
+|---|---|---|---|
 """
 PAGE = Path(__file__).resolve().parents[2] / "deploy" / "docs" / "how-to" / "faults.md"
 _TICKS_OF_GRACE = 2
@@ -93,8 +93,13 @@ def to_safe_state_ms(run: RunData) -> float | None:
 
 
 def table() -> str:
-    """The table as Markdown, from new runs."""
-    return _HEADER + "".join(_row(name, measure(name)) for name in fault_scenarios())
+    """The table as Markdown, from new runs: a row for all scenarios of one outcome."""
+    found: dict[str, list[str]] = {}
+    for name in fault_scenarios():
+        found.setdefault(_cells(measure(name)), []).append(f"`{name}`")
+    return _HEADER + "".join(
+        f"| {', '.join(names)} | {cells} |\n" for cells, names in found.items()
+    )
 
 
 def _run(name: str) -> Outcome:
@@ -109,16 +114,10 @@ def _run(name: str) -> Outcome:
         return Outcome(data, summary, ended.returncode, to_safe_state_ms(data), recorded_anew)
 
 
-def _row(name: str, outcome: Outcome) -> str:
+def _cells(outcome: Outcome) -> str:
     time_ms = outcome.to_safe_state_ms
-    cells = [
-        f"`{name}`",
-        _reaction(outcome),
-        "—" if time_ms is None else f"{time_ms:g} ms",
-        str(outcome.code),
-        _lost(outcome),
-    ]
-    return f"| {' | '.join(cells)} |\n"
+    time = "—" if time_ms is None else f"{time_ms:g} ms"
+    return f"{_reaction(outcome)} | {time} | {outcome.code}"
 
 
 def _reaction(outcome: Outcome) -> str:
@@ -126,27 +125,11 @@ def _reaction(outcome: Outcome) -> str:
     if outcome.to_safe_state_ms is not None:
         return f"safe stop ({run.setup.scenario.plant.safe_stop})"
     if outcome.recorded_anew:
-        return "goes on, a second recording begins"
+        return "continues, a second recording begins"
     if outcome.code:
         return "the run ends"
     lost_at = f" at {bounds['first_violation_s']:g} s" if bounds["violation_fraction"] else ""
-    return f"goes on, bounds {outcome.summary['verdict']}{lost_at}"
-
-
-def _lost(outcome: Outcome) -> str:
-    summary, run = outcome.summary, outcome.run
-    words = []
-    for direction, what in (("uplink", "states"), ("downlink", "commands")):
-        counts = summary["transport"][direction]
-        if counts["lost"]:
-            words.append(f"{counts['lost']} {what}")
-        for reason, count in (counts["rejected"] or {}).items():
-            words.append(f"{count} {what} ({reason.replace('_', ' ')})")
-    if misses := summary["timing"]["deadline_misses"]:
-        words.append(f"{misses} deadlines")
-    if not run.complete:
-        words.append("the end of the recording")
-    return ", ".join(words) or "nothing"
+    return f"continues, bounds {outcome.summary['verdict']}{lost_at}"
 
 
 def main() -> None:

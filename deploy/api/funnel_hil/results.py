@@ -202,7 +202,7 @@ class Comparison(_SideBySide):
 
 
 class Diff(_SideBySide):
-    """Recorded runs side by side; the first is what the others are held against.
+    """Recorded runs, compared with the first of them.
 
     Attributes:
         runs: by label, the shortest ends of their paths that tell them apart.

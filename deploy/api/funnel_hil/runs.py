@@ -108,7 +108,7 @@ def load_run(path: str | Path) -> Run:
 
 
 def diff(*runs: Run | str | Path, out: str | Path | None = None, overwrite: bool = False) -> Diff:
-    """Set recorded runs side by side, the first as what the others are held against.
+    """Compare recorded runs with the first of them.
 
     Args:
         runs: two or more folders or MCAP files, or runs that were written or loaded; they may

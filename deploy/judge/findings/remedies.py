@@ -1,4 +1,4 @@
-"""What to change, or to compare instead, after a loss for a reason."""
+"""Changes, or laws to compare instead, after a loss for a reason."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from bus_schema.messages.types import PACKAGE, type_hash
 from bus_schema.robot_description import load_robot
 from deploy.scenario.scenario import load_setup
 
-PAGE = Path("deploy/docs/how-to/ros2-control.md")
+PAGE = Path("deploy/docs/how-to/ros2.md")
 DOCUMENTED = {
     "joint_commands_topic", "joint_states_topic", "trigger_joint_command_threshold",
     "sum_wrapped_joint_states",

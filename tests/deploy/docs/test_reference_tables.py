@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+import funnel_hil
 from deploy.docs import generated_reference
 from deploy.scenario.definition import ScenarioConfiguration
 from tests.deploy.docs.pages import DOCS, PAGES
@@ -40,7 +41,8 @@ def test_changed_table_is_noticed():
 def test_reference_has_each_key_of_a_scenario():
     text = (DOCS / "reference" / "scenario.md").read_text()
     for key in keys_of(ScenarioConfiguration):
-        assert f"| `{key.rpartition('.')[2]}` |" in text, key
+        name = key.rpartition(".")[2]
+        assert f"| `{name}` |" in text or f"[`{name}`](#" in text, key
 
 
 @pytest.mark.parametrize(
@@ -52,7 +54,8 @@ def test_reference_has_each_key_of_a_scenario():
         ("results", "uplink_delay_p99_9_ms"),
         ("topics", "float64[] sliding_variable"),
         ("topics", "robot_description"),
-        ("uncertainty", "log_uniform"),
+        ("scenario", "log_uniform"),
+        ("python", "simulate(scenario, changes, law)"),
     ],
 )
 def test_reference_is_readable_in_the_repository(page, content):
@@ -77,3 +80,30 @@ def test_links_lead_to_headings_of_the_reference(page):
         file = (page.parent / target).resolve() if target else page
         if file in REFERENCE:
             assert anchor in headings(file.read_text()), f"{target}#{anchor}"
+
+
+def test_reference_describes_what_sections_share_only_once():
+    text = (DOCS / "reference" / "scenario.md").read_text()
+    for key in ("adaptation_rate", "delayed_node_width", "hold_on"):
+        assert text.count(f"| `{key}` |") == 1, key
+    (adaptive,) = re.findall(
+        r"## controller.gains.fixed_time_adaptive\n(.*?)\n## ", text, re.DOTALL
+    )
+    assert "`adaptation_rate`" in adaptive
+    text = (DOCS / "reference" / "commands.md").read_text()
+    assert text.count("| `--set KEY=VALUE` |") == 1
+    (margin,) = re.findall(r"## funnel-hil margin\n(.*?)\n## ", text, re.DOTALL)
+    assert "`--set`" in margin
+
+
+def test_links_to_sections_of_the_same_page_lead_to_headings():
+    for page in REFERENCE:
+        text = page.read_text()
+        anchors = set(headings(text))
+        assert set(re.findall(r"\]\(#([^)]+)\)", text)) <= anchors, page.name
+
+
+def test_page_of_the_python_api_documents_each_public_name():
+    text = (DOCS / "reference" / "python.md").read_text()
+    (members,) = re.findall(r":members: (.*)", text)
+    assert set(members.split(", ")) == set(funnel_hil.__all__)
