@@ -1,6 +1,7 @@
 """Choice of the folder for the machine code of kernels: the user's cache, or a substitute.
 
-The folder is named by a hash of all sources that have kernels, see `compiled`.
+The folder is named by a hash of all sources that have kernels, see `compiled`, and of those that
+have them compiled.
 """
 
 from __future__ import annotations
@@ -113,6 +114,6 @@ def _digest_of_sources() -> str:
     for package in _PACKAGES:
         for source in sorted((_SOURCES / package).rglob("*.py")):
             text = source.read_bytes()
-            if b"\n@compiled" in text:
+            if b"\n@compiled" in text or source.parent == Path(__file__).resolve().parent:
                 digest.update(text)
     return digest.hexdigest()[:16]
