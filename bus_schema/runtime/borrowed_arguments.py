@@ -16,6 +16,7 @@ from numba.core.compiler_machinery import register_pass
 
 _Lower: Any = lowering.Lower
 _NativeLowering: Any = typed_passes.NativeLowering
+_Passes: Any = compiler.DefaultPassBuilder
 _register: Any = register_pass
 _PARTS = "getattr", "static_getitem", "exhaust_iter"
 """Expressions that are a part of a tuple, or all of it, if applied to one."""
@@ -23,6 +24,8 @@ _PARTS = "getattr", "static_getitem", "exhaust_iter"
 
 class _BorrowingLower(_Lower):  # type: ignore[misc]
     """Lowers a function, with borrowed variables as values that are neither stored nor counted."""
+
+    context: Any
 
     def lower_normal_function(self, descriptor: Any) -> None:
         self._values: dict[str, Any] = {}
@@ -95,7 +98,7 @@ class _BorrowingLowering(_NativeLowering):  # type: ignore[misc]
 
 def pipelines(state: Any) -> list[Any]:
     """Return numba's passes for a kernel, but for this lowering."""
-    passes: Any = compiler.DefaultPassBuilder.define_nopython_pipeline(state)
+    passes = _Passes.define_nopython_pipeline(state)
     passes.passes = [
         (_BorrowingLowering if each is _NativeLowering else each, name)
         for each, name in passes.passes

@@ -48,6 +48,7 @@ class _LinkedLibrary(_JITCodeLibrary):  # type: ignore[misc]
     """Intermediate code of one kernel, or of a function of numba's that kernels call."""
 
     codegen = _NoMachineCode()
+    _shared_module: Any
 
     def _optimize_functions(self, module: Any) -> None:
         """Leave that to the callers."""
@@ -74,6 +75,8 @@ class _LinkedLibrary(_JITCodeLibrary):  # type: ignore[misc]
 
 class _EntryLibrary(_JITCodeLibrary):  # type: ignore[misc]
     """Machine code of a kernel that Python calls, with all that it calls."""
+
+    _linking_libraries: list[Any]
 
     def _optimize_functions(self, module: Any) -> None:
         """Leave that to the passes over the whole, which include these."""
