@@ -60,7 +60,7 @@ class SettingsError(ConfigurationError):
 class StrictModel(BaseModel):
     """A configuration section: unknown keys are refused, values never change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,11 @@ class JointNameError(RobotDescriptionError):
     """The name of a joint to drive matches no joint that can be driven."""
 
 
+def needs_extra(package: str, extra: str) -> str:
+    """Say that a package is missing, and which extra of funnel-hil installs it."""
+    return f"needs {package}: pip install 'funnel-hil[{extra}]'"
+
+
 def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
     """Return ``; did you mean …?`` if a name resembles an allowed one; else nothing.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -43,6 +44,9 @@ from bus_schema.urdf.xacro_files import expanded, is_xacro
 from bus_schema.user_files import read_text
 
 Shapes = Literal["named", "drawable", "none"]
+
+_Wanted = tuple[tuple[str, ...] | None, bool, tuple[tuple[str, float], ...]]
+"""Joints to drive, whether to hold grippers, and positions of joints that are held."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +205,8 @@ def load_robot(
 
             root, left_out = urdf_from_mjcf(root, path, driven, hold, include)
             text = ET.tostring(root, encoding="unicode")
-        wanted = (driven, hold_grippers, hold)
+        names = None if driven is None else tuple(driven)
+        wanted = (names, hold_grippers, tuple(hold.items()))
         robot = _described(
             path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg
         )
@@ -223,7 +228,39 @@ def load_robot(
 def _described(
     path: Path,
     root: ET.Element,
-    wanted: tuple[Sequence[str] | None, bool, Mapping[str, float]],
+    wanted: _Wanted,
+    text: str,
+    *,
+    repair: bool,
+    include: Sequence[Path],
+    mass_kg: float | None,
+) -> RobotDescription:
+    if root.find(".//mesh") is None:  # studies read the same arm hundreds of times
+        known = _of_text(path, text, *wanted, repair=repair, mass_kg=mass_kg)
+        return deepcopy(known)  # a user's law may write into the arrays of a run
+    return _as_read(path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg)
+
+
+@lru_cache(maxsize=32)
+def _of_text(
+    path: Path,
+    text: str,
+    driven: tuple[str, ...] | None,
+    hold_grippers: bool,
+    hold: tuple[tuple[str, float], ...],
+    *,
+    repair: bool,
+    mass_kg: float | None,
+) -> RobotDescription:
+    """Return an arm without meshes, which follows from its text alone."""
+    wanted, root = (driven, hold_grippers, hold), ET.fromstring(text)
+    return _as_read(path, root, wanted, text, repair=repair, include=(), mass_kg=mass_kg)
+
+
+def _as_read(
+    path: Path,
+    root: ET.Element,
+    wanted: _Wanted,
     text: str,
     *,
     repair: bool,
@@ -236,7 +273,8 @@ def _described(
     check_urdf(root)
     mended = [*too_many, *drop_empty_ranges(root)]
     text = ET.tostring(root, encoding="unicode") if mended else text
-    roles = joint_roles(root, *wanted)
+    driven, hold_grippers, hold = wanted
+    roles = joint_roles(root, driven, hold_grippers, dict(hold))
     moving = {*roles.driven, *(each.name for each in roles.followers)}
     is_posed = fix_held(root, roles.held)
     estimate_inertias(root, path.parent, moving, include, mass_kg)
@@ -245,7 +283,7 @@ def _described(
         text = ET.tostring(root, encoding="unicode")
     warnings += judge_inertias(root, moving, repair=repair) + _warnings_of(path, root, moving)
     warnings += [*mended, *mass_warnings(root, moving)]
-    if wanted[0] is None:
+    if driven is None:
         warnings += chain_warnings(root, roles.driven)
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)

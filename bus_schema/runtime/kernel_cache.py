@@ -1,7 +1,6 @@
 """Choice of the folder for the machine code of kernels: the user's cache, or a substitute.
 
-The folder is named by a hash of all sources that have kernels, see `compiled`, and of those that
-have them compiled.
+The folder is named by a hash of all sources that have kernels, see `compiled`.
 """
 
 from __future__ import annotations
@@ -114,6 +113,6 @@ def _digest_of_sources() -> str:
     for package in _PACKAGES:
         for source in sorted((_SOURCES / package).rglob("*.py")):
             text = source.read_bytes()
-            if b"\n@compiled" in text or source.parent == Path(__file__).resolve().parent:
+            if b"\n@compiled" in text:
                 digest.update(text)
     return digest.hexdigest()[:16]
