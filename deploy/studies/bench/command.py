@@ -20,6 +20,7 @@ from deploy.reports.terminal import print_table
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import provenance
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.studies.bench.first_runs import measure_first_runs
 from deploy.studies.bench.loop import (
     measure_control_steps,
     measure_loop_costs,
@@ -113,6 +114,7 @@ def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
         "control step": lambda: measure_control_steps(round(2000 * seconds), repetitions),
         "ticks": lambda: measure_loop_costs(_SCENARIO, seconds, repetitions),
         "real time": lambda: measure_real_time(_SCENARIO, seconds, repetitions),
+        "first runs": lambda: measure_first_runs(_SCENARIO),
         "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 30, 1)),
     }
 

@@ -13,6 +13,7 @@ from bus_schema.errors import Stopped
 from deploy.run.stop_signals import stop_at_once
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.bench import command as bench
+from deploy.studies.bench import first_runs
 from deploy.studies.bench.loop import measure_control_steps
 from deploy.studies.bench.measure import Section, Spread, cost_us, interleave, ratio
 
@@ -149,3 +150,16 @@ def test_request_to_stop_that_python_ignored_ends_the_measurement():
     StoppedInDestructor()
     with pytest.raises(Stopped):
         interleave({"a": lambda: pytest.fail("measured")}, 1)
+
+
+def test_the_first_run_fills_the_folder_of_kernels_and_the_next_compiles_none(tmp_path):
+    def written():
+        return {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.nbc")}
+
+    first_runs.cpu_s("paper_arm", [], str(tmp_path))
+    after_first = written()
+    first_runs.cpu_s("paper_arm", [], str(tmp_path))
+    assert after_first
+    assert written() == after_first
+    with pytest.raises(RuntimeError, match="no_such_arm"):
+        first_runs.cpu_s("no_such_arm", [], str(tmp_path))
