@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Records, Vector
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.runtime.compiled import assign, bind, compiled, copying
 from controller.compensation.arm_belief import ArmBelief
 from controller.compensation.delay_compensation import DelayCompensation

@@ -6,7 +6,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from controller.control_law import Tracking
 
 

@@ -14,7 +14,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError, Rejections
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.runtime.compiled import all_finite, bind
 
 _REMEMBERED = 1000
@@ -219,13 +219,19 @@ class CommandGate:
         )
 
     def _rows(self, later: NDArray[np.void], target: Matrix | None) -> Rows:
-        torques_nm = np.vstack((self._torque_nm, later["effort"]))
+        torques_nm = np.empty((1 + len(later), self._torque_nm.size))
+        torques_nm[0], torques_nm[1:] = self._torque_nm, later["effort"]
         if not np.isfinite(torques_nm).all():
             raise InvalidMessageError("not_finite", "a torque of a later row is not finite")
         targets = None
         if target is not None:
-            following = np.stack((later["position"], later["velocity"]), axis=1)
-            targets = _given(np.concatenate((target[np.newaxis], following)))
+            targets = np.empty((len(torques_nm), *target.shape))
+            targets[0], targets[1:, 0], targets[1:, 1] = (
+                target,
+                later["position"],
+                later["velocity"],
+            )
+            targets = _given(targets)
         return Rows(torques_nm, targets, self._record.row_ticks)
 
     def _require_commander(self, arrival: CommandArrival) -> None:
@@ -245,10 +251,10 @@ class CommandGate:
             raise InvalidMessageError("other_commander", "another session is the commander")
 
 
-def _given(target: Matrix) -> Matrix | None:
+def _given(target: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return a copy of one or more targets for the drives; None if the sender gave none."""
+    if np.isfinite(target).all():
+        return target.copy()
     if np.isnan(target).all():
         return None
-    if not np.isfinite(target).all():
-        raise InvalidMessageError("not_finite", "a target for the drives is not finite")
-    return target.copy()
+    raise InvalidMessageError("not_finite", "a target for the drives is not finite")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.runtime.compiled import copying
 from plant_emulator.arm_plant import ArmPlant
 

@@ -9,7 +9,7 @@ import time
 
 from bus_schema.link.interface import PlantLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.compiled import copying

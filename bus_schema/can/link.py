@@ -21,7 +21,7 @@ from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, never
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock, HostLateness, TickGrid

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.types import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS, TYPESTORE
+from bus_schema.messages.record import DIGITS, KnownRows, Record
+from bus_schema.messages.types import NANOSEC, NANOSECONDS, TYPESTORE
 
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Limit far above all our messages; larger payloads are refused before they are parsed."""
@@ -32,93 +33,12 @@ MOST_ROWS = 1000
 """Of one message, if it may have several."""
 
 _ACTS_AFTER = "acts_after_ns="
-"""A command's frame_id, if it says when it acts: this and ten digits."""
-_DIGITS = 10
+"""A command's frame_id, if it says when it acts: this and `DIGITS` digits."""
 _ROW_TICKS = " row_ticks="
 """What follows if it has rows that lie several ticks apart: this and their number."""
 _MOST_KEPT = 4
 """Layouts with rows that a layout keeps; a sender uses one."""
-_TIMES = re.compile(f"{_ACTS_AFTER}([0-9]{{1,{_DIGITS}}})(?:{_ROW_TICKS}([1-9][0-9]{{0,3}}))?")
-
-
-class Record:
-    """One message with fields by name; its memory is the wire format.
-
-    Attributes:
-        scalars: all single values, as attributes named as in the ``.msg`` file, with ``_`` for the
-            dots of nested types: ``record.scalars.timing_cycle = 3``. An unknown name raises; a
-                number out of range wraps around.
-        fields: one writable view per numeric field, by dotted name; single values as shape (1,).
-        memory: the message's bytes, writable.
-        stamp: bytes of the header's stamp; copying them costs half as much as writing `stamp_ns`.
-        sec: first part of the stamp, shape (1,), writable; nanosec: the other part.
-        payload: returns the message as wire bytes.
-        later: of a message with several rows, those after the first, as a table with the columns of
-            `MessageLayout.dtype`; None for one row.
-        row_ticks: ticks from one of these rows to the next.
-    """
-
-    def __init__(self, layout: MessageLayout) -> None:
-        # The payload starts 4 bytes off an 8-byte boundary, so that the doubles behind the
-        # 4-byte encapsulation header are aligned in memory.
-        storage = np.zeros(ENCAPSULATION_BYTES + layout.size, dtype=np.uint8)
-        self.memory = storage.data[ENCAPSULATION_BYTES:]
-        self.memory[:] = layout.template
-        payload: NDArray[np.void] = np.ndarray(
-            (1,), layout.dtype, storage.data, ENCAPSULATION_BYTES
-        )
-        self.fields: dict[str, NDArray[Any]] = {
-            name: payload[name][0] if payload[name].ndim == 2 else payload[name]
-            for name in layout.dtype.names or ()
-        }
-        self.scalars: Any = layout.scalars.from_buffer(self.memory)
-        self.payload = self.memory.tobytes  # no method around it: saves five frames a tick
-        self.stamp = self.memory[ENCAPSULATION_BYTES : ENCAPSULATION_BYTES + 8]
-        # Used in each tick: these views take a third of the time of the above.
-        self.sec, self.nanosec = self.stamp[:4].cast("i"), self.stamp[4:].cast("I")
-        self.later: NDArray[np.void] | None = None
-        self.row_ticks = 1
-        begin = layout.acts_after_at
-        self._digits = None if begin is None else self.memory[begin : begin + _DIGITS]
-
-    @property
-    def acts_after_ns(self) -> int:
-        """Time from the stamp until a command acts; 0 for on arrival."""
-        digits = b"" if self._digits is None else self._digits.tobytes()
-        return int(digits) if digits.isdigit() else 0
-
-    @acts_after_ns.setter
-    def acts_after_ns(self, acts_after_ns: int) -> None:
-        assert self._digits is not None  # of a command that says when it acts
-        self._digits[:] = b"%0*d" % (_DIGITS, acts_after_ns)
-
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the header, which every message begins with."""
-        return self.sec[0] * NANOSECONDS + self.nanosec[0]
-
-    @stamp_ns.setter
-    def stamp_ns(self, stamp_ns: int) -> None:
-        self.sec[0], self.nanosec[0] = divmod(stamp_ns, NANOSECONDS)
-
-    def rows(self, *names: str) -> NDArray[np.float64]:
-        """Return consecutive arrays as the rows of one writable view, shape (arrays, length).
-
-        Raises:
-            ValueError: the arrays differ in length or are not adjacent in this order.
-        """
-        all_names = list(self.fields)
-        first = all_names.index(names[0])
-        if tuple(all_names[first : first + len(names)]) != names:
-            raise ValueError(f"{', '.join(names)} do not follow one another in the message")
-        views = [self.fields[name] for name in names]
-        strides = set(np.diff([view.ctypes.data for view in views]).tolist())
-        kinds = {(view.dtype, view.shape) for view in views}
-        if len(strides) != 1 or len(kinds) != 1 or views[0].dtype != np.float64:
-            raise ValueError(f"{', '.join(names)} are not arrays of doubles of one length")
-        return np.lib.stride_tricks.as_strided(
-            views[0], (len(views), views[0].size), (strides.pop(), views[0].itemsize)
-        )
+_TIMES = re.compile(f"{_ACTS_AFTER}([0-9]{{1,{DIGITS}}})(?:{_ROW_TICKS}([1-9][0-9]{{0,3}}))?")
 
 
 class MessageLayout:
@@ -136,6 +56,7 @@ class MessageLayout:
 
     Attributes:
         acts_after_at: place of the digits of that time; None without them.
+        length, row_ticks: as given.
     """
 
     def __init__(
@@ -150,14 +71,14 @@ class MessageLayout:
         row_ticks: int = 1,
     ) -> None:
         self.type_name, self._may_have_rows = type_name, may_have_rows
-        self._length, self._given, self._row_ticks = length, dict(lengths or {}), row_ticks
-        self._of_rows: dict[int, MessageLayout] = {}
+        self.length, self._given, self.row_ticks = length, dict(lengths or {}), row_ticks
+        self._of_rows: dict[int, KnownRows] = {}
         self._lengths = defaultdict(lambda: length, lengths or {})
         self._strings = {name: list(values) for name, values in (strings or {}).items()}
         message = _zero_message(type_name, self._lengths, self._strings)
         if has_acting_time:
             apart = f"{_ROW_TICKS}{row_ticks}" if row_ticks > 1 else ""
-            message.header.frame_id = f"{_ACTS_AFTER}{0:0{_DIGITS}}{apart}"
+            message.header.frame_id = f"{_ACTS_AFTER}{0:0{DIGITS}}{apart}"
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         place = self.template.find(_ACTS_AFTER.encode()) + len(_ACTS_AFTER)
         self.acts_after_at = place if has_acting_time else None
@@ -178,8 +99,9 @@ class MessageLayout:
         of_rows = self._of_rows.get(len(payload))
         if self._is_ours(payload):
             into.memory[:], into.later = payload, None
-        elif of_rows is not None and of_rows._is_ours(payload):
-            self._take_rows(of_rows, payload, into)
+        elif of_rows is not None and of_rows.layout._is_ours(payload):
+            if not of_rows.take(payload, into):
+                raise InvalidMessageError("malformed", "its acting time is not a number")
         else:
             self._decode_foreign(payload, into)
             self._remember_rows(payload, into)
@@ -199,27 +121,12 @@ class MessageLayout:
         if into.later is None or self.acts_after_at is None or len(self._of_rows) == _MOST_KEPT:
             return
         of_rows = MessageLayout(
-            self.type_name, self._length * (1 + len(into.later)),
+            self.type_name, self.length * (1 + len(into.later)),
             lengths=self._given, strings=self._strings,
             has_acting_time=True, row_ticks=into.row_ticks,
         )  # fmt: skip
         if of_rows._is_ours(payload):
-            self._of_rows[of_rows.size] = of_rows
-
-    def _take_rows(self, of_rows: MessageLayout, payload: bytes, into: Record) -> None:
-        """Load a message with rows whose layout is known."""
-        rows = of_rows._length // self._length
-        message = np.frombuffer(payload, of_rows.dtype)[0]
-        table = np.frombuffer(bytearray(self.template * rows), self.dtype)
-        for name in self.dtype.names or ():
-            value = message[name]
-            table[name] = value.reshape(rows, -1) if value.ndim else value
-        into.memory[:], into.later = table[:1].tobytes(), table[1:]
-        begin = of_rows.acts_after_at or 0
-        into.acts_after_ns, into.row_ticks = (
-            _times(f"{_ACTS_AFTER}{payload[begin : begin + _DIGITS].decode('latin-1')}")[0],
-            of_rows._row_ticks,
-        )
+            self._of_rows[of_rows.size] = KnownRows(of_rows, self)
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
         """Return messages as rows of a table, shape (messages,); skip what `decode` rejects.
@@ -324,7 +231,7 @@ class MessageLayout:
         for kind, offset, *_ in fields.values():
             is_fixed[offset : offset + kind.itemsize] = False
         if self.acts_after_at is not None:
-            is_fixed[self.acts_after_at : self.acts_after_at + _DIGITS] = False
+            is_fixed[self.acts_after_at : self.acts_after_at + DIGITS] = False
         return is_fixed
 
 
@@ -360,7 +267,7 @@ def _times(frame_id: str) -> tuple[int, int]:
     """
     found = _TIMES.fullmatch(frame_id)
     if found is None and frame_id.startswith(_ACTS_AFTER):
-        allowed = f"{_ACTS_AFTER}, 1 to {_DIGITS} digits, and perhaps{_ROW_TICKS}1 to 9999"
+        allowed = f"{_ACTS_AFTER}, 1 to {DIGITS} digits, and perhaps{_ROW_TICKS}1 to 9999"
         raise InvalidMessageError("malformed", f"frame_id is {frame_id[:80]!r}, expected {allowed}")
     return (int(found[1]), int(found[2] or 1)) if found else (0, 1)
 

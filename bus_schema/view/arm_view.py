@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import (
     JOINT_COMMANDS,
     JOINT_STATES,

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.layout import MessageLayout, Record
+from bus_schema.messages.layout import MessageLayout
+from bus_schema.messages.record import Record
 from bus_schema.messages.types import with_stamp
 
 

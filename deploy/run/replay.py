@@ -14,7 +14,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.recording.mcap_log import LogContents

@@ -22,7 +22,7 @@ from bus_schema.can.link import CanRun
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.interface import SCENARIO_WAIT_S, CommandArrival, PlantLink, Telemetry, never
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock, HostLateness
 from plant_emulator.drives.drives_on_bus import DrivesOnBus

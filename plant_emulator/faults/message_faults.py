@@ -12,7 +12,8 @@ from pydantic import Field
 from bus_schema.configuration import ConfigurationError, Number, Positive
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.interface import CommandArrival
-from bus_schema.messages.layout import MessageLayout, Record
+from bus_schema.messages.layout import MessageLayout
+from bus_schema.messages.record import Record
 from bus_schema.messages.types import stamp_of, with_stamp
 from plant_emulator.channel.conditions import Conditions
 from plant_emulator.faults.fault import Fault, FaultContext, Share

@@ -5,7 +5,7 @@ import numpy as np
 from bus_schema.limits import JointLimits
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.runtime.clock import VirtualClock
 from controller.configuration import ControllerConfiguration
 from controller.control_law import Diagnostics

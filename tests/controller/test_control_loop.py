@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from loop_bench import MS, NAMES, OFFSET, ROBOT, SWING, Bench, Spectator, state, status
 
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from tests.joint_states import joint_state
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from running import PAPER_ARM_JOINTS, Running
 
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.zenoh.access import bundle_key_expression, recorded_key_expression

@@ -15,7 +15,7 @@ from mutation import Mutator
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE, stamp_of

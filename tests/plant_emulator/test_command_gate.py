@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.link.interface import CommandArrival
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import JOINT_COMMANDS, layout
 from bus_schema.messages.types import TYPESTORE
 from plant_emulator.command_gate import CommandGate

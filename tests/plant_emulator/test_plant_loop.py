@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bus_schema.link.interface import CommandArrival, CommandSessions, PlantLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.runtime.clock import VirtualClock
 from deploy.scenario.scenario import load_setup
 from plant_emulator.commands import Watchdog

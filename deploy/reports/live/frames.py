@@ -12,7 +12,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from bus_schema.link.interface import PlantLink
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.types import ENCAPSULATION_BYTES, stamp_of
 from controller.reference import Reference
 

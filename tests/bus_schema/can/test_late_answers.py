@@ -15,7 +15,7 @@ from bus_schema.can.link import CanControllerLink, CanRun
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessNode
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, Role, layout
 from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import TickGrid, VirtualClock

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import PLANT_TRUTH, layout
 from bus_schema.messages.types import join_stamp, split_stamp, stamp_of, stamps_ns, with_stamp
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, Record, parse
+from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, parse
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import (
     CONTROL_STATUS,
     JOINT_COMMANDS,

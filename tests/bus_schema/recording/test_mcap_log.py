@@ -9,7 +9,7 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
 
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import CONTROL_STATUS, JOINT_STATES, RUN_EVENTS, TOPICS, layout
 from bus_schema.recording import mcap_log

@@ -10,7 +10,7 @@ import pinocchio
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import JOINT_STATES, VIEW_TOPICS, layout
 from bus_schema.messages.types import STRING, TF_MESSAGE, type_hash
 from bus_schema.robot_description import RobotDescription, load_robot

@@ -11,7 +11,7 @@ from typing import Any
 import zenoh
 
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, layout
 from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import Topic, layout
 
 JOINTS = ("base_yaw", "shoulder", "elbow")

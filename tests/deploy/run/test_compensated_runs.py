@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.recording.mcap_log import read_log
 from controller.laws import COMPARED_LAWS, TORQUE_LAWS
 from deploy.judge.metrics import summarise

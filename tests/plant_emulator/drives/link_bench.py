@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus_schema.link.in_process import InProcessBus, InProcessNode
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, Role, layout
 from bus_schema.runtime.clock import VirtualClock
 from deploy.scenario.link_kinds import can as can_kind

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from deploy.run.network.live_feed import FeedReceiver, LiveFeed, clear_left_behind
 from deploy.run.network.snapshot import Message, Sampler, Snapshot
 

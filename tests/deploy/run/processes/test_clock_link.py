@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rosbags.typesys import Stores, get_typestore
 
-from bus_schema.messages.layout import Record
+from bus_schema.messages.record import Record
 from bus_schema.messages.topics import CLOCK, JOINT_COMMANDS, JOINT_STATES, layout
 from bus_schema.messages.types import CLOCK as CLOCK_TYPE
 from bus_schema.messages.types import type_hash
