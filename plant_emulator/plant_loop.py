@@ -229,9 +229,11 @@ class PlantLoop:
             if watchdog.expires_ns < now_ns and self._arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._supervisor.stop_safely(f"no valid command for {timeout_ms:g} ms")
-            stays_so = downlink.next_due_ns > last_ns and watchdog.expires_ns >= last_ns
-            # If nothing can change in between, one call computes all substeps.
-            following = end if stays_so else first + 1
+            # As long as nothing can change in between, one call computes all substeps.
+            changes_ns = min(downlink.next_due_ns, watchdog.expires_ns + 1)
+            following = end if changes_ns > last_ns else first + 1
+            while following < end and grid.substep_ns(following) < changes_ns:
+                following += 1
             self._arm.advance(first, following)
             first = following
         self._telemetry.physics_ns += time.perf_counter_ns() - started_ns
