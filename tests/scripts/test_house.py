@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -81,3 +82,9 @@ def test_docstrings_begin_with_a_noun_or_a_verb_and_not_with_a_question_word() -
         and (text := ast.get_docstring(node) or "").split(" ")[0] in QUESTION_WORDS
     }
     assert {name: text for name, text in found.items() if not text.endswith("?")} == {}
+
+
+def test_modules_of_tests_have_names_of_their_own():
+    """Pytest imports them by their last name: of two alike it leaves one out, with an error."""
+    names = [file.name for file in (ROOT / "tests").rglob("test_*.py")]
+    assert [name for name, count in Counter(names).items() if count > 1] == []
