@@ -136,6 +136,24 @@ class TargetsAlone:
         self._law.reset()
 
 
+def tell_lag(name: str, law: object, lag_s: float) -> None:
+    """Give a custom law with a method ``make_up_for`` the lag of the robot's own controller.
+
+    Raises:
+        ConfigurationError: the method raises.
+    """
+    make_up_for = getattr(law, "make_up_for", None)
+    if not callable(make_up_for):
+        return
+    try:
+        make_up_for(lag_s)
+    except BaseException as error:  # user code may raise any exception, or exit
+        if not is_of_the_law(error):
+            raise
+        failed = f"its make_up_for({lag_s:g}) must not fail: {_described(error)}"
+        raise ConfigurationError("controller.law", name, failed) from error
+
+
 def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLaw:
     """Return a new ``Class(model, **gains)``, or a placeholder within `custom_laws_left_out`.
 

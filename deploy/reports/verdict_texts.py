@@ -18,7 +18,7 @@ from deploy.reports.page import ReportHead, level_of
 from deploy.reports.runs.host_sentences import sentences_on_the_host
 from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
 from deploy.reports.tables import margin_text, number
-from deploy.scenario.robot_interface import own_lag_s
+from deploy.scenario.robot_interface import uncovered_lag_s
 from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
@@ -140,8 +140,8 @@ def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
         joint = run.setup.robot.joint_names[lags.index(lag)]
         way = "behind" if lag >= 0.0 else "ahead of"
-        own_ms = 1e3 * own_lag_s(run.setup)
-        own = lag > 0.5 * own_ms > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
+        own_ms = 1e3 * uncovered_lag_s(run.setup)
+        own = own_ms >= 0.5 * lag > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
         sentences.append(
             f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})"
             f"{own or ''}."

@@ -12,7 +12,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
-from controller.laws.custom import EXTERNAL, LeftOut, TargetsAlone
+from controller.laws.custom import EXTERNAL, LeftOut, TargetsAlone, tell_lag
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from controller.policies.configuration import is_address
@@ -25,6 +25,7 @@ from plant_emulator.interfaces.settings import TORQUE
 _SECTION = "plant.interface"
 _KEY = f"{_SECTION}.kind"
 _LAW, _PREVIEW = "controller.law", "controller.preview_ms"
+_DEMONSTRATOR = "funnel_hil:Demonstrator"
 _UNLESS = (
     "unless controller.drive_feedback.enabled is true or a robot takes positions or velocities"
 )
@@ -48,8 +49,7 @@ def law_for_robot(setup: CheckedScenario, link: LinkConfiguration, law: ControlL
         law.follow(setup.reference.copied(), preview_s(setup, link))
     else:
         _check_no_preview(setup)
-    if callable(make_up_for := getattr(law, "make_up_for", None)):
-        make_up_for(own_lag_s(setup))
+    tell_lag(controller.law, law, own_lag_s(setup))
     moves_nominal = takes != TORQUE and not (hasattr(law, "target") or isinstance(law, LeftOut))
     period_s, fastest_rad_s = 1e-9 * setup.grid.period_ns, setup.robot.velocity_limits_rad_s
     takes = TORQUE if moves_nominal else takes
@@ -128,6 +128,21 @@ def own_lag_s(setup: CheckedScenario) -> float:
         return robot_lag_s(setup)
     except ConfigurationError:
         return 0.0
+
+
+def uncovered_lag_s(setup: CheckedScenario) -> float:
+    """Return the part of `own_lag_s` for which the law does not make up by reading ahead."""
+    controller, own_s = setup.scenario.controller, own_lag_s(setup)
+    law = controller.law
+    if law not in LAWS:  # whose code is not loaded to judge a recording; but one is ours
+        acts_ahead = (
+            law == _DEMONSTRATOR and controller.gains.get("custom", {}).get("lead_s") is None
+        )
+        return 0.0 if acts_ahead else own_s
+    if LAWS[law].gives == TORQUE:
+        return own_s
+    ahead_s = own_s if controller.preview_ms == "auto" else 1e-3 * controller.preview_ms
+    return max(0.0, own_s - ahead_s)
 
 
 def moves_model(scenario: ScenarioConfiguration) -> bool:

@@ -143,6 +143,7 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
     }  # fmt: skip
     assert set(summary["timing"]) == {
         "round_trip_us", "command_age_us", "state_age_us", "control_step_us",
+        "late_ticks", "late_longest_run", "on_time_rate",
         "wakeup_lateness_us", "deadline_misses", "deadline_miss_longest_run", "success_rate",
         "stolen_ms", "longest_stall_ms",
     }  # fmt: skip

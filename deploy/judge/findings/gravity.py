@@ -18,7 +18,8 @@ def sags(run: RunData, joint: int, tick: int) -> bool:
     """Whether gravity, which the law does not know, moves a joint away from its reference.
 
     It does if the error has the direction of the weight, and the weight exceeds friction and
-    disturbance, the other torques that the law does not know.
+    disturbance, the other torques that the law does not know. It must be within the joint's limit:
+    beyond that no law holds it.
     """
     controller = run.setup.scenario.controller
     if with_gravity(controller.law) is None:
@@ -29,4 +30,5 @@ def sags(run: RunData, joint: int, tick: int) -> bool:
     holding_nm = float(model.inverse_dynamics(truth["position"].copy(), at_rest, at_rest)[joint])
     others_nm = abs(truth["friction"][joint]) + abs(truth["disturbance"][joint])
     error_rad = float(run.true_errors_rad[tick, joint])
-    return bool(holding_nm * error_rad < 0.0 and abs(holding_nm) > others_nm)
+    largest_nm = float(run.setup.largest_torques_nm[joint])
+    return bool(holding_nm * error_rad < 0.0 and others_nm < abs(holding_nm) <= largest_nm)

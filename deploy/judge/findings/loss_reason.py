@@ -14,6 +14,7 @@ from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
+from bus_schema.runtime.modes import Mode
 from deploy.judge.bounds import bound_usage
 from deploy.judge.findings.divergence import divergence
 from deploy.judge.findings.gravity import sags
@@ -23,7 +24,7 @@ from deploy.judge.findings.vibration import at_limits
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import RunData, Table
-from deploy.scenario.robot_interface import moves_model, own_lag_s
+from deploy.scenario.robot_interface import moves_model, own_lag_s, uncovered_lag_s
 
 _BEFORE_S = 1.0
 """Time before the loss that is looked at."""
@@ -220,6 +221,17 @@ class _Loss:
     def own_lag_s(self) -> float:
         return own_lag_s(self.run.setup)
 
+    @cached_property
+    def uncovered_lag_s(self) -> float:
+        return uncovered_lag_s(self.run.setup)
+
+    @cached_property
+    def is_disturbed(self) -> bool:
+        """Whether a fault had begun or the arm was being stopped: then no law is to blame."""
+        stopped = np.isin(self.truth["mode"][: self.tick + 1], (Mode.STOPPING, Mode.FAULT))
+        faults = self.run.setup.scenario.faults
+        return bool(stopped.any() or any(f.at_s <= self.times_s[self.tick] for f in faults))
+
     def reason(self) -> LossReason:
         """Return the first reason that fits, the most certain ones first."""
         found = (
@@ -227,15 +239,16 @@ class _Loss:
             or self._oscillation() or self._late() or self._at_limits()
             or self._sag() or self._because(Reason.SLOW)
         )  # fmt: skip
-        if self._is_lost_by_own_lag(found):
-            own = {"reason": Reason.OWN_LAG, "rate_per_s": None, "own_lag_ms": 1e3 * self.own_lag_s}
+        if not self.is_disturbed and self._is_lost_by_own_lag(found):
+            own_ms = 1e3 * self.uncovered_lag_s
+            own = {"reason": Reason.OWN_LAG, "rate_per_s": None, "own_lag_ms": own_ms}
             found = found.model_copy(update=own)
         return found.model_copy(update={"without_delay": self.is_without_delay})
 
     def _is_lost_by_own_lag(self, found: LossReason) -> bool:
         """Whether the lag of the robot's own controller explains a loss."""
         if found.lag_ms is not None:
-            return 1e3 * self.own_lag_s >= _MOSTLY * found.lag_ms
+            return 1e3 * self.uncovered_lag_s >= _MOSTLY * found.lag_ms
         if not moves_model(self.run.setup.scenario):
             return False
         if found.reason == Reason.GROWING:
@@ -245,7 +258,8 @@ class _Loss:
         return bool(is_open and lasted_s <= _LAGS_OF_A_SWING * self.own_lag_s)
 
     def _sag(self) -> LossReason | None:
-        return self._because(Reason.GRAVITY) if sags(self.run, self.joint, self.tick) else None
+        is_sag = not self.is_disturbed and sags(self.run, self.joint, self.tick)
+        return self._because(Reason.GRAVITY) if is_sag else None
 
     def _because(
         self, reason: Reason, growth: Growth | None = None, hertz: float | None = None,

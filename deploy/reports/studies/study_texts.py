@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.studies.case_result import Case, CaseResult, CasesResult
@@ -51,12 +51,13 @@ def losses_text(runs: Runs) -> str:
     return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
 
 
-def remedy_text(losses: Mapping[str, int], law: str) -> str | None:
+def remedy_text(losses: Mapping[str, int], law: str, compared: Collection[str] = ()) -> str | None:
     """Return what helps a law after the most frequent of its losses; None where nothing is known.
 
     Args:
         losses: number of runs by the reason why they were lost.
         law: name of the law.
+        compared: laws beside it.
     """
     reasons = (reason for reason, _ in Counter(losses).most_common(1))
-    return next((remedy_of(reason, law) for reason in reasons), None)
+    return next((remedy_of(reason, law, compared) for reason in reasons), None)

@@ -93,8 +93,9 @@ def _ranked(result: BenchmarkResult) -> list[Cells]:
 def _lost_at_once(result: BenchmarkResult) -> list[str]:
     """Name what helps each law that is lost at the smallest delay, where that is known."""
     arms: dict[tuple[str, str], list[str]] = {}
+    laws = {cell.law for cell in result.cells}
     for cell in result.cells:
-        remedy = None if cell.margin_ms else remedy_text(cell.losses, cell.law)
+        remedy = None if cell.margin_ms else remedy_text(cell.losses, cell.law, laws)
         if remedy:
             arms.setdefault((cell.law, remedy), []).append(cell.scenario)
     return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -34,16 +35,16 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
     if all(is_sound(run) for run in runs) and kept in (0, len(runs)):
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
     unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
-    helped = [text for run in runs for text in _remedy_sentences(run)]
+    helped = [text for run in runs for text in _remedy_sentences(run, {each.law for each in runs})]
     head = head_of_runs(runs, headline, [*unread, *helped, *_ranking(comparison), *settled])
     faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
     return replace(head, printed=[*unread, *helped, *settled, *faulted])
 
 
-def _remedy_sentences(run: JudgedRun) -> list[str]:
+def _remedy_sentences(run: JudgedRun, compared: Collection[str]) -> list[str]:
     """Say how a law was lost for which something helps, and what."""
     loss = run.result.loss
-    if loss is None or not (remedy := remedy_of(loss.reason, run.law)):
+    if loss is None or not (remedy := remedy_of(loss.reason, run.law, compared)):
         return []
     at_once = " without a delay" if loss.without_delay else ""
     return [f"{run.law} is lost{at_once}, {loss_words(loss)} ({loss.joint}): {remedy}."]

@@ -145,13 +145,14 @@ def _best(summary: MarginResult, cases: list[MarginCase], arm: str) -> str:
 
 def lost_at_once(summary: MarginResult) -> list[str]:
     """Name what helps each case that has no margin, where that is known."""
+    laws = {case.law for case in summary.cases}
     return [
         f"{case_title(case)} is lost already at {value_text(probe.value, summary)}"
         f" ({losses_text(probe)}): {remedy}."
         for case in summary.cases
         if case.completed and case.margin is None
         if (probe := case.probe_at(case.first_failure))
-        if (remedy := remedy_text(probe.losses, case.law))
+        if (remedy := remedy_text(probe.losses, case.law, laws))
     ]
 
 

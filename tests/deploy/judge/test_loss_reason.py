@@ -238,6 +238,28 @@ def test_a_law_without_gravity_sags_by_weight_over_stiffness(tmp_path, law, funn
     assert remedy_of("no gravity term", "smc") is None
 
 
+RAMP = "link.uplink.schedule=[{kind: ramp, at_s: 0.3, for_s: 2.5, delay_ms: 200}]"
+DEAD = "faults=[{kind: actuator_dead, joint: elbow, at_s: 0.05}]"
+
+
+@pytest.mark.parametrize(("arm", "words", "not_blamed"), [
+    # The reference is read ahead by all of the robot's lag: what is left is the network's.
+    ("paper_arm", (*SERVOJ, "controller.law=streaming", RAMP), "robot's lag"),
+    ("paper_arm", (*SERVOJ, "controller.law=computed_torque", DEAD), "robot's lag"),
+    ("paper_arm", ("controller.law=pid", "robot.initial_offset_rad=0", DEAD), "no gravity term"),
+    # A reflex stops the robot at 2 ms.
+    ("panda", ("controller.law=pid", "plant.interface.kind=franka_position"), "no gravity term"),
+])  # fmt: skip
+def test_no_law_or_robot_is_blamed_for_a_network_a_fault_or_a_stop(arm, words, not_blamed):
+    found = loss(*words, arm=arm, duration_s=2.5)
+    assert found["reason"] != not_blamed
+
+
+def test_a_law_that_is_compared_already_is_no_advice():
+    said = remedy_of("no gravity term", "pid", ["pid", "pid_gravity"])
+    assert said == "it has no gravity term, which pid_gravity has"
+
+
 def test_a_chunk_that_ran_out_has_nothing_left_to_send(tmp_path):
     """It is asked every 200 ms: 40 rows are too few, 300 are not."""
     found = loss_of(policy_setup(tmp_path, rows=40, every=200))

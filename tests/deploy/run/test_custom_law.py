@@ -136,3 +136,16 @@ def test_law_of_the_tutorial_runs_as_shown(folder):
     custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
     simulation = simulate(setup_of("law_of_the_tutorial:ComputedTorque", custom, duration_s=2))
     assert np.abs(simulation.data().true_errors_rad[-1]).max() < 0.05
+
+
+def test_a_law_that_cannot_make_up_for_a_lag_is_refused(import_folder):
+    (import_folder / "no_lead.py").write_text(
+        SOURCE + "\nclass Late(ComputedTorque):\n"
+        "    def make_up_for(self, lag_s):\n        raise ValueError('too late')\n"
+    )
+    with pytest.raises(ScenarioError, match="make_up_for.*too late"):
+        load_setup(
+            "paper_arm",
+            ["controller.law=no_lead:Late", "plant.interface.kind=servoj",
+             "robot.initial_offset_rad=0"],
+        )  # fmt: skip
