@@ -143,7 +143,7 @@ def test_a_law_that_cannot_make_up_for_a_lag_is_refused(import_folder):
         SOURCE + "\nclass Late(ComputedTorque):\n"
         "    def make_up_for(self, lag_s):\n        raise ValueError('too late')\n"
     )
-    with pytest.raises(ScenarioError, match="make_up_for.*too late"):
+    with pytest.raises(ScenarioError, match=r"make_up_for.*too late"):
         load_setup(
             "paper_arm",
             ["controller.law=no_lead:Late", "plant.interface.kind=servoj",
