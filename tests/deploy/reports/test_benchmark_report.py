@@ -68,7 +68,7 @@ def test_plants_of_an_arm_that_is_lost_count_as_lost():
 def test_a_law_without_gravity_term_that_is_lost_at_once_names_the_one_that_has_it():
     lost = [{**cell(arm, "pid", 0.0), "losses": {"no gravity term": 1}} for arm in ("a", "b")]
     reasons = page_of(*lost, cell("a", "pid_gravity", 8.0), cell("b", "pid_gravity", 8.0)).verdict
-    sentence = "pid is lost already at 1 ms on a and b: compare pid_gravity, which has a gravity"
+    sentence = "pid is lost already at 1 ms on a and b: it has no gravity term, which pid_gravity"
     assert [each for each in reasons.reasons if sentence in each]
     later = page_of({**cell("a", "pid", 1.0), "losses": {"no gravity term": 1}}).verdict.reasons
     assert not [each for each in later if "gravity" in each]
