@@ -207,9 +207,13 @@ def load_robot(
             text = ET.tostring(root, encoding="unicode")
         names = None if driven is None else tuple(driven)
         wanted = (names, hold_grippers, tuple(hold.items()))
-        robot = _described(
-            path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg
-        )
+        if root.find(".//mesh") is None:  # studies read the same arm hundreds of times
+            known = _of_text(path, text, *wanted, repair=repair, mass_kg=mass_kg)
+            robot = deepcopy(known)  # a user's law may write into the arrays of a run
+        else:
+            robot = _as_read(
+                path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg
+            )
         is_chosen = bool(driven or hold) or any(each.reason in OF_GRIPPERS for each in robot.held)
         reading = {
             "joints": list(robot.joint_names) if is_chosen else [],
@@ -223,22 +227,6 @@ def load_robot(
         return replace(robot, warnings=(*left_out, *robot.warnings), reading=reading)
     except RobotDescriptionError as error:
         raise type(error)(f"{path}: {error}") from error
-
-
-def _described(
-    path: Path,
-    root: ET.Element,
-    wanted: _Wanted,
-    text: str,
-    *,
-    repair: bool,
-    include: Sequence[Path],
-    mass_kg: float | None,
-) -> RobotDescription:
-    if root.find(".//mesh") is None:  # studies read the same arm hundreds of times
-        known = _of_text(path, text, *wanted, repair=repair, mass_kg=mass_kg)
-        return deepcopy(known)  # a user's law may write into the arrays of a run
-    return _as_read(path, root, wanted, text, repair=repair, include=include, mass_kg=mass_kg)
 
 
 @lru_cache(maxsize=32)

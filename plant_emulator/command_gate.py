@@ -197,7 +197,7 @@ class CommandGate:
         stamp_ns = self.layout.decode(arrival.payload, self._record)
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
-        target = None if self._target is None else _given(self._target)
+        target = None if self._target is None else _given(self._target.copy())
         rows = None if self._record.later is None else self._rows(self._record.later, target)
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
@@ -225,13 +225,10 @@ class CommandGate:
             raise InvalidMessageError("not_finite", "a torque of a later row is not finite")
         targets = None
         if target is not None:
-            targets = np.empty((len(torques_nm), *target.shape))
-            targets[0], targets[1:, 0], targets[1:, 1] = (
-                target,
-                later["position"],
-                later["velocity"],
-            )
-            targets = _given(targets)
+            following = np.empty((len(torques_nm), *target.shape))
+            following[0] = target
+            following[1:, 0], following[1:, 1] = later["position"], later["velocity"]
+            targets = _given(following)
         return Rows(torques_nm, targets, self._record.row_ticks)
 
     def _require_commander(self, arrival: CommandArrival) -> None:
@@ -252,9 +249,9 @@ class CommandGate:
 
 
 def _given(target: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return a copy of one or more targets for the drives; None if the sender gave none."""
+    """Return one or more targets for the drives; None if the sender gave none."""
     if np.isfinite(target).all():
-        return target.copy()
+        return target
     if np.isnan(target).all():
         return None
     raise InvalidMessageError("not_finite", "a target for the drives is not finite")

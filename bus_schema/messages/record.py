@@ -67,8 +67,8 @@ class Record:
         assert self._digits is not None  # of a command that says when it acts
         self._digits[:] = b"%0*d" % (DIGITS, acts_after_ns)
 
-    def acts_at(self, other: Record) -> bool:
-        """Take over when another command acts; return whether that is a number."""
+    def take_acting_time(self, other: Record) -> bool:
+        """Copy the time after which another command acts; return whether it is a number."""
         assert self._digits is not None
         assert other._digits is not None
         self._digits[:] = other._digits
@@ -131,4 +131,4 @@ class KnownRows:
             rows[...] = values
         into.memory[:], into.later = self._first, self._later
         into.row_ticks = self.layout.row_ticks
-        return into.acts_at(message)
+        return into.take_acting_time(message)

@@ -151,7 +151,7 @@ def tell_lag(name: str, law: object, lag_s: float) -> None:
         if not is_of_the_law(error):
             raise
         failed = f"its make_up_for({lag_s:g}) must not fail: {_described(error)}"
-        raise ConfigurationError("controller.law", name, failed) from error
+        raise ConfigurationError(_LAW_KEY, name, failed) from error
 
 
 def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLaw:
