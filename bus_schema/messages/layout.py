@@ -96,10 +96,9 @@ class MessageLayout:
             InvalidMessageError: the payload is no message of this type with these names and
                 lengths.
         """
-        of_rows = self._of_rows.get(len(payload))
         if self._is_ours(payload):
             into.memory[:], into.later = payload, None
-        elif of_rows is not None and of_rows.layout._is_ours(payload):
+        elif (of_rows := self._of_rows.get(len(payload))) and of_rows.layout._is_ours(payload):
             if not of_rows.take(payload, into):
                 raise InvalidMessageError("malformed", "its acting time is not a number")
         else:
