@@ -30,9 +30,20 @@ def _test(test: Mapping[str, float]) -> str:
 def _kept_sentence(case: RobustCase, summary: RobustnessResult) -> str:
     at, share = case.kept_last, f"{100 * summary.kept_share:g} %"
     if at is None:
-        return f"{case_title(case)}: at no value {share} of {summary.plants} plants kept bounds"
+        first = case.values[0]
+        tried = f"at {value_text(first.value, summary)}, the smallest value tried"
+        found = f"{share_text(first)} plants kept their bounds ({share} are wanted)"
+        return f"{case_title(case)}: {tried}, {found}; {_next_trial(case, summary)}"
     kept = f"{share_text(at)} plants kept their bounds up to {value_text(at.value, summary)}"
     return f"{case_title(case)}: {kept}; of all such plants {interval_text(at)} (95 % interval)"
+
+
+def _next_trial(case: RobustCase, summary: RobustnessResult) -> str:
+    """What may find plants that are kept, where at no value enough are."""
+    if case.values[0].value == 0:
+        return f"the {summary.title} is not the cause: compare other laws"
+    helps = summary.quantity == "delay" and not case.compensation
+    return "try smaller --values" + (", or --compensation on" if helps else "")
 
 
 def kept_text(case: RobustCase, summary: RobustnessResult) -> str:

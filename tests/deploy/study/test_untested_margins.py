@@ -88,6 +88,21 @@ def test_plants_on_which_a_quantity_has_no_effect_are_not_tested_either(tmp_path
     assert not gate_failures(summary)
 
 
+@pytest.mark.parametrize(
+    ("values", "advice"),
+    [
+        ([2, 4], "at 2 ms, the smallest value tried, 0 of 1 plants kept their bounds (95 % are"
+         " wanted); try smaller --values, or --compensation on"),
+        ([0, 4], "the round trip is not the cause: compare other laws"),
+    ],
+)  # fmt: skip
+def test_without_a_kept_value_the_next_trial_is_named(values, advice, tmp_path):
+    payloads = {"plant.payload_kg": {"distribution": "uniform", "from": 0.0, "to": 0.1}}
+    given = {"plants": 2, "values": values, "uncertainty": payloads, "duration_s": 4.0}
+    summary = summary_of(tmp_path, lambda run: made_up(run, violation_fraction=0.1), **given)
+    assert advice in robustness_sentences(RobustnessResult.model_validate(summary))[0]
+
+
 def test_value_at_which_a_loop_grows_does_not_hold(tmp_path):
     def grows(run):
         return {**by_value(run), "growing": run.columns["value"] > 1.0}
