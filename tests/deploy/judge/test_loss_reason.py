@@ -204,6 +204,17 @@ def test_the_lag_of_a_position_interface_is_no_friction(arm, gain, lookahead_s):
     assert loss(*streaming, arm=arm, duration_s=1.0) is None  # which reads ahead
 
 
+@pytest.mark.parametrize("arm", ["paper_arm", "ur5e_motors"])
+def test_an_initial_offset_does_not_hide_the_lag_of_the_robot(arm):
+    """The arm comes from its offset, so that its error is no constant time at first."""
+    streaming = ("plant.interface.kind=servoj", "controller.law=streaming")
+    links = ("link.uplink.delay_ms=20", "link.downlink.delay_ms=20")
+    found = loss(*streaming, *links, "controller.preview_ms=0", arm=arm, duration_s=1.0)
+    assert (found["reason"], found["lag_ms"]) == ("robot's lag", None)
+    assert found["own_lag_ms"] == pytest.approx(4.0 + 100.0 * (2.0 / 3.0 + 200.0 / 300.0) + 1.0)
+    assert loss(*streaming, *links, arm=arm, duration_s=1.0) is None
+
+
 @pytest.mark.parametrize("law", ["computed_torque", "fixed_time_adaptive"])
 def test_a_law_of_torques_is_lost_by_the_lag_of_the_robot_it_drives(law):
     found = loss(*SERVOJ, f"controller.law={law}")
