@@ -19,6 +19,7 @@ from deploy.studies.datasheet.result import (
     RobotRun,
     RobotSheetResult,
     WayResult,
+    caveat_text,
 )
 from deploy.studies.datasheet.robot_sheet import SHOWN_MS
 from deploy.studies.margin import texts
@@ -107,7 +108,8 @@ def _tip_sentence(result: RobotSheetResult, law: str, runs: list[RobotRun]) -> s
     if not (without and having):
         return ""
     before, after = _tip_text(_way_of(without)), _tip_text(_way_of(having))
-    return f"{law} over {where}: {before} without preview; {after} with it."
+    each = f"one run of {result.duration_s:g} s each"
+    return f"{law} over {where}, {each}: {before} without preview; {after} with it."
 
 
 def _tip_text(found: WayResult) -> str:
@@ -172,7 +174,7 @@ def _margin_sentence(result: RobotSheetResult) -> str:
     ]
     law = margin.cases[0].law
     return f"{result.arm}, {result.interface} under {law}: quote a round trip of" + (
-        f" {'; '.join(numbers)}."
+        f" {'; '.join(numbers)}{caveat_text(result, margin)}."
     )
 
 
