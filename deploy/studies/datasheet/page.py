@@ -118,7 +118,8 @@ def _quoted_sentences(result: DataSheetResult) -> list[str]:
     return [
         f"{result.arm} under {result.law}: quote a round trip of"
         f" {quote}{caveat_text(result, margin)}.",
-        f"Round trips: {'; '.join(numbers)}{texts.unknowns_text(margin)}.",
+        f"Round trips: {'; '.join(numbers)}.",
+        *texts.unknowns_sentences(margin),
     ]
 
 

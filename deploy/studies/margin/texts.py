@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from deploy.reports.studies.case_result import setting_text
-from deploy.reports.studies.study_texts import losses_text, value_text
+from deploy.reports.studies.study_texts import listed, losses_text, value_text
 from deploy.reports.tables import ABSENT
 from deploy.studies.margin.result import Ends, MarginCase, MarginResult
 from deploy.study.quoted import Because
@@ -64,12 +64,16 @@ def theory_text(case: MarginCase) -> str | None:
     return f"{case.theory.constant_ms:g} ms"
 
 
-def unknowns_text(result: MarginResult) -> str:
-    """Name the unknowns of an arm that were tried at their worst; empty for none."""
+def unknowns_sentences(result: MarginResult) -> list[str]:
+    """Name the unknowns of an arm of whose margins the smallest is quoted; nothing for none."""
     (case, *_) = result.cases
     rotors = ["a tenth of the estimated rotors"] if case.smaller_rotors else []
     tried = [*rotors, *(each.change for each in case.model_errors)]
-    return f", the worst of the exact arm, {', '.join(tried)}" if tried else ""
+    if not tried:
+        return []
+    return [
+        f"Each is the smallest of {1 + len(tried)} searches: {listed(['the exact arm', *tried])}."
+    ]
 
 
 def pattern_text(case: MarginCase, result: MarginResult) -> str | None:

@@ -52,7 +52,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     guaranteed = cases[True]["guaranteed"]
     # Asked with a network, that comes first: 4 ms are no trouble; Wilson's interval of 4 of 4
     # begins at 51 %. The worst stretch of a constant delay is its beginning, as of another window.
-    network, windows, quote, quoted, best, *_ = summary["headline"]
+    network, windows, quote, quoted, searches, best, *_ = summary["headline"]
     assert network == (
         "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
         " (--quick)."
@@ -67,7 +67,10 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     )
     assert quoted.startswith(f"Round trips: {numbers[True]:g} ms with compensation")
     assert f"; {numbers[False]:g} ms without compensation" in quoted
-    assert "the worst of the exact arm, model masses × 0.8, model masses × 1.25" in quoted
+    assert searches == (
+        "Each is the smallest of 3 searches: the exact arm, model masses × 0.8 and model masses"
+        " × 1.25."
+    )
     # The model of paper_arm errs by design, so that nothing is claimed of an exact one.
     assert best.startswith("Best case, with a model of 0.9 × its masses: ")
     or_more = " or more" if cases[True]["first_failure"] is None else ""
