@@ -110,14 +110,12 @@ def _quoted_sentences(result: DataSheetResult) -> list[str]:
     margin = result.parts.margin
     best = texts.furthest_case(margin.cases)
     (other,) = (case for case in margin.cases if case is not best)
-    numbers = [
-        f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}"
-        for case in (best, other)
-    ]
+    numbers = [texts.number_text(case, margin) for case in (best, other)]
     quote = f"{texts.quoted_text(best, margin)} {setting_text(best)}"
+    caveats = "; ".join(filter(None, [texts.untested_text(best), caveat_text(result, margin)]))
     return [
         f"{result.arm} under {result.law}: quote a round trip of"
-        f" {quote}{caveat_text(result, margin)}.",
+        f" {quote}{f' ({caveats})' if caveats else ''}.",
         f"Round trips: {'; '.join(numbers)}.",
         *texts.unknowns_sentences(margin),
     ]

@@ -46,12 +46,12 @@ def effort_text(margin: MarginResult, duration_s: float, *, is_quick: bool) -> s
 
 
 def caveat_text(result: SheetResult, margin: MarginResult) -> str:
-    """Return `effort_text` in brackets, where a number rests on one start and one seed alone."""
+    """Return `effort_text` where a number rests on one start and one seed alone; else nothing."""
     is_least = len(margin.seeds) <= 1 and (
         len(margin.offsets) <= 1 or bool(margin.arms_with_one_start)
     )
     effort = effort_text(margin, result.duration_s, is_quick=result.quick)
-    return f" ({effort})" if result.quick or is_least else ""
+    return effort if result.quick or is_least else ""
 
 
 class Parts(Part):

@@ -168,13 +168,10 @@ def _reflexes_text(runs: list[RobotRun]) -> str:
 def _margin_sentence(result: RobotSheetResult) -> str:
     """The number to quote of the loop around the robot."""
     margin = result.margin
-    numbers = [
-        f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}".rstrip()
-        for case in margin.cases
-    ]
-    law = margin.cases[0].law
+    numbers = [texts.number_text(case, margin) for case in margin.cases]
+    law, caveat = margin.cases[0].law, caveat_text(result, margin)
     return f"{result.arm}, {result.interface} under {law}: quote a round trip of" + (
-        f" {'; '.join(numbers)}{caveat_text(result, margin)}."
+        f" {'; '.join(numbers)}{f' ({caveat})' if caveat else ''}."
     )
 
 

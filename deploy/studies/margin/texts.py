@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from deploy.reports.studies.case_result import setting_text
+from deploy.reports.studies.case_result import CaseResult, setting_text
 from deploy.reports.studies.study_texts import listed, losses_text, value_text
 from deploy.reports.tables import ABSENT
 from deploy.studies.margin.result import Ends, MarginCase, MarginResult
@@ -91,10 +91,16 @@ def rotors_text(case: MarginCase, result: MarginResult) -> str | None:
     return None if found is None else margin_text(found, result)
 
 
-def setting_and_reason(case: MarginCase) -> str:
-    """With what a law has the number to quote, and why that is smaller than what held."""
-    reason = because_text(case)
-    return f"{setting_text(case)} ({reason})".lstrip() if reason else setting_text(case)
+def number_text(case: MarginCase, result: MarginResult) -> str:
+    """The number to quote, with what the law has it, and why that is smaller than what held."""
+    why = "; ".join(filter(None, [because_text(case), untested_text(case)]))
+    parts = (quoted_text(case, result), setting_text(case), why and f"({why})")
+    return " ".join(filter(None, parts))
+
+
+def untested_text(case: CaseResult) -> str:
+    """Say beside a number that its runs do not show it; a sentence says why."""
+    return "not tested" if case.doubts else ""
 
 
 def furthest_case(cases: Sequence[MarginCase]) -> MarginCase:

@@ -32,7 +32,9 @@ def _kept_sentence(case: RobustCase, summary: RobustnessResult) -> str:
     if at is None:
         return f"{case_title(case)}: at no value {share} of {summary.plants} plants kept bounds"
     kept = f"{share_text(at)} plants kept their bounds up to {value_text(at.value, summary)}"
-    return f"{case_title(case)}: {kept}; of all such plants {interval_text(at)} (95 % interval)"
+    untested = " (not tested)" if case.doubts else ""
+    of_all = f"of all such plants {interval_text(at)} (95 % interval)"
+    return f"{case_title(case)}: {kept}{untested}; {of_all}"
 
 
 def kept_text(case: RobustCase, summary: RobustnessResult) -> str:

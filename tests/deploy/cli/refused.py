@@ -187,6 +187,11 @@ REFUSED = [
     # gates
     ("simulate --at-least 20Hz", "", "unit 'Hz': must be %"),
     ("margin --at-least 20%", "", "unit '%': must be ms"),
+    ("margin --at-least 20 --limit 16", "", "at most 16 ms, the last value tried (--limit)"),
+    ("margin --at-least 129ms", "", "--at-least 129 ms: must be at most 128 ms, the last value"),
+    ("margin --at-least 5ms --plants 3 --values 2,4 --uncertainty half", "",
+     "at most 4 ms, the last value tried (--values)"),
+    ("datasheet --at-least 129ms", "", "must be at most 128 ms"),
     ("margin --at-least much", "", "--at-least 'much': must be a number"),
     ("sweep delay_sweep --tolerance 1%", "", "needs --baseline"),
     ("compare --baseline nowhere.json", "", "nowhere.json: No such file or directory: must be"),

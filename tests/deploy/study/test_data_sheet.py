@@ -63,7 +63,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     assert numbers[True] < cases[True]["margin"]
     assert quote == (
         f"paper_arm under smc: quote a round trip of {numbers[True]:g} ms with compensation"
-        " (--quick: one start, one seed, runs of 0.4 s)."
+        " (not tested; --quick: one start, one seed, runs of 0.4 s)."
     )
     assert quoted.startswith(f"Round trips: {numbers[True]:g} ms with compensation")
     assert f"; {numbers[False]:g} ms without compensation" in quoted
@@ -135,8 +135,8 @@ def test_the_headline_names_estimated_rotors_that_decide(made):
         case["smaller_rotors"] = {**case, "margin": kept_ms, "first_failure": 1.0}
         case |= quoted(case)
     (sentence,) = (each for each in headline_of(summary) if each.startswith("Round trips: "))
-    assert "0.5 ms without compensation (with a tenth of the estimated rotors)" in sentence
-    assert "none with compensation (with a tenth of the estimated rotors)" in sentence
+    assert "0.5 ms without compensation (with a tenth of the estimated rotors; " in sentence
+    assert "none with compensation (with a tenth of the estimated rotors; " in sentence
 
 
 def test_the_headline_says_what_would_keep_a_lost_network(made):
@@ -162,7 +162,7 @@ def test_without_a_network_the_headline_is_the_number_to_quote_alone(made):
     setting = "with" if best["compensation"] else "without"
     assert headline_of(summary)[0] == (
         f"paper_arm under smc: quote a round trip of {best['quoted']:g} ms {setting} compensation"
-        " (--quick: one start, one seed, runs of 0.4 s)."
+        " (not tested; --quick: one start, one seed, runs of 0.4 s)."
     )
 
 
@@ -172,6 +172,7 @@ def test_the_effort_of_its_runs_is_a_condition_and_no_caveat_where_starts_are_se
     effort = "--quick: one start, one seed, runs of 0.4 s"
     assert summary["conditions"]["effort"] == effort
     assert f"effort: {effort}" in " ".join(output.split())
+    assert "Not tested: runs of 0.4 s are too short" in " ".join(summary["headline"])
     summary["quick"], summary["parts"]["margin"]["offsets"] = False, [0.5, 1.0]
     assert "one start" not in " ".join(headline_of(summary))
 
