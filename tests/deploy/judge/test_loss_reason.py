@@ -249,6 +249,11 @@ def test_a_law_without_gravity_sags_by_weight_over_stiffness(tmp_path, law, funn
     assert remedy_of("no gravity term", "smc") is None
 
 
+def test_a_small_payload_leaves_the_lack_of_a_gravity_term_the_reason():
+    words = ("controller.law=pid", "controller.gains.pid.integral=0", "plant.payload_kg=1")
+    assert loss(*words, duration_s=1.0)["reason"] == "no gravity term"
+
+
 RAMP = "link.uplink.schedule=[{kind: ramp, at_s: 0.3, for_s: 2.5, delay_ms: 200}]"
 DEAD = "faults=[{kind: actuator_dead, joint: elbow, at_s: 0.05}]"
 
@@ -258,6 +263,8 @@ DEAD = "faults=[{kind: actuator_dead, joint: elbow, at_s: 0.05}]"
     ("paper_arm", (*SERVOJ, "controller.law=streaming", RAMP), "robot's lag"),
     ("paper_arm", (*SERVOJ, "controller.law=computed_torque", DEAD), "robot's lag"),
     ("paper_arm", ("controller.law=pid", "robot.initial_offset_rad=0", DEAD), "no gravity term"),
+    # The payload is too heavy for any law, and heavier than what a gravity term knows.
+    ("paper_arm", ("controller.law=pid", "plant.payload_kg=100"), "no gravity term"),
     # A reflex stops the robot at 2 ms.
     ("panda", ("controller.law=pid", "plant.interface.kind=franka_position"), "no gravity term"),
 ])  # fmt: skip
