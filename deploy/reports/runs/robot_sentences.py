@@ -31,7 +31,11 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     way = "behind" if lag >= 0.0 else "ahead of"
     own_ms = 1e3 * uncovered_lag_s(run.setup)
     own = own_ms >= _MUCH * lag > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
-    tip = "" if parts.tip_rms_mm is None else f", which is {number(parts.tip_rms_mm)} mm at the tip"
+    tip = (
+        ""
+        if parts.tip_rms_mm is None
+        else f", which alone is {number(parts.tip_rms_mm)} mm at the tip"
+    )
     sentences.append(
         f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}"
         f"{own or ''}."
