@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Collection
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 MOST_BYTES = 20_000_000
 _MOST_VALUES = 40_000_000
 """Ten million rows of four columns."""
+ARM_FILES = (".urdf", ".xacro", ".xml")
+"""Ends of names of files that may describe an arm."""
+_MOST_LISTED, _MOST_LISTED_FROM = 12, 2000
 
 
 class UserFileError(OSError):
@@ -22,6 +27,39 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, RuntimeError, ValueError):  # too long, circular links, or a NUL in it
         return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether there is a folder; False for an impossible path."""
+    try:
+        return path.is_dir()
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
+def named_in_folder(path: Path, suffixes: Collection[str] = ARM_FILES) -> str:
+    """Return what a folder holds that was given in place of a file; empty if it is none.
+
+    Args:
+        path: what was given.
+        suffixes: of the files that could be given.
+    """
+    if not is_folder(path):
+        return ""
+    try:
+        below = [*path.iterdir(), *islice(path.rglob("*"), _MOST_LISTED_FROM)]
+        found = [
+            each.relative_to(path) for each in below if each.suffix in suffixes and is_file(each)
+        ]
+    except (OSError, RuntimeError, ValueError):
+        return ""
+    files = sorted((each for each in set(found) if not str(each).startswith(".")),
+                   key=lambda each: (len(each.parts), each))  # fmt: skip
+    if not files:
+        return f"is a folder without a file {', '.join(suffixes)}"
+    more = f" and {len(files) - _MOST_LISTED} more" if len(files) > _MOST_LISTED else ""
+    listed = ", ".join(map(str, files[:_MOST_LISTED]))
+    return f"is a folder: must be a file, such as {listed}{more} in it"
 
 
 def read_bytes(path: Path, most_bytes: int = MOST_BYTES) -> bytes:

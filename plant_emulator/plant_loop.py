@@ -90,9 +90,9 @@ class PlantLoop:
         self._command_age_ns = -1
 
     @property
-    def deadline_misses(self) -> int:
-        """Number of ticks at which the command in force was too old."""
-        return self._telemetry.deadline_misses
+    def late_ticks(self) -> int:
+        """Number of ticks at which the command in force was too old, or that were skipped."""
+        return self._telemetry.late_ticks
 
     def warm_up(self) -> None:
         """Compile the loop's functions before the run, without a trace in the state."""

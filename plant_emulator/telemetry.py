@@ -29,7 +29,7 @@ class PlantTelemetry:
             if that is longer; None if `deadline_ns` applies to all commands.
 
     Attributes:
-        deadline_misses: ticks at which the command in force was too old.
+        late_ticks: ticks at which the command in force was too old, or that were skipped.
         skipped: ticks skipped so far because the loop was late; nothing is measured there.
         physics_ns: time of the physics since the last cycle, outside of one.
         state_age_ns: age of the state that was delivered since the last tick; -1 for none.
@@ -61,7 +61,7 @@ class PlantTelemetry:
         self.state_age_ns = -1
         self.skipped = 0
         self.physics_ns = 0
-        self.deadline_misses = 0
+        self.late_ticks = 0
 
     def begin_cycle(self, lateness_ns: int) -> None:
         """Begin a cycle, this late after its planned instant."""
@@ -102,7 +102,7 @@ class PlantTelemetry:
         # Before the first command, the age cannot exceed the run's own.
         age_ns = command_age_ns if command_age_ns >= 0 else stamp_ns
         is_in_time = age_ns <= self._allowed_age_ns
-        self.deadline_misses += not is_in_time
+        self.late_ticks += was_skipped or not is_in_time
         truth = self._truth
         truth.stamp_ns = stamp_ns
         scalars = truth.scalars

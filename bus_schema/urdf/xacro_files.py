@@ -32,6 +32,7 @@ _MISSING = "/missing package"
 launch files, from which nothing of the arm is read."""
 _MOST_EXPANDED, _MOST_FILES = 5_000_000, 100
 _TOO_MUCH = "takes more time or memory than an arm may"
+_ATTRIBUTE = re.compile(r"""(\w+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NODES = (
     ast.Constant, ast.Name, ast.expr_context, ast.List, ast.Tuple, ast.Dict, ast.IfExp,
     ast.UnaryOp, ast.BinOp, ast.BoolOp, ast.Compare, ast.unaryop, ast.operator, ast.boolop,
@@ -156,14 +157,37 @@ class _Folders:
     def advice(self, error: Exception) -> str:
         """Return the values of arguments that the files know, where one is missing or unknown."""
         if missing := re.search(r"Undefined substitution argument (\w+)", str(error)):
-            if known := self._in_paths(missing[1]):
-                return _listed(known)
-            return _listed(self._compared(missing[1])).replace("know", "compare it with")
+            values = _listed(self._in_paths(missing[1])) or _listed(
+                self._compared(missing[1])
+            ).replace("know", "compare it with")
+            return values + self._declared(missing[1])
         for name, value in self.arguments.items() if "No such file" in str(error) else ():
             known = self._in_paths(name)
             if known and value not in known:
                 return f"; the argument {name} is {value!r}{_listed(known)}"
         return ""
+
+    def _declared(self, missing: str) -> str:
+        """Return the arguments that the files declare, with defaults and the values they know."""
+        words = []
+        for name, default in self._defaults().items():
+            if "$" in default:  # worked out of others
+                words.append(name)
+                continue
+            known = set[str]() if name == missing else self._in_paths(name)
+            words.append(f"{name}:={default}" + (f" ({_listed(known)[2:]})" if known else ""))
+        return f"; arguments and their defaults: {', '.join(words)}" if words else ""
+
+    def _defaults(self) -> dict[str, str]:
+        """Return the defaults of the arguments that the files read so far declare."""
+        found: dict[str, str] = {}
+        for file in dict.fromkeys((self.file, *self._read)):
+            text = re.sub(r"<!--.*?-->", "", file.read_text("utf-8", "replace"), flags=re.DOTALL)
+            for tag in re.findall(r"<xacro:arg\s[^>]*>", text):
+                given = {name: one or other for name, one, other in _ATTRIBUTE.findall(tag)}
+                if "name" in given:
+                    found.setdefault(given["name"], given.get("default", ""))
+        return found
 
     @property
     def files(self) -> list[str]:

@@ -69,6 +69,6 @@ def _note(state: dict[str, Any], names: Sequence[str]) -> str:
         number = state["joint"]
         joint = names[number - 1] if number <= len(names) else f"joint {number}"
         parts.append(f"{joint} {state['error_mrad']:+.3f} of {state['bound_mrad']:.1f} mrad")
-    if "deadline_misses" in state:
-        parts.append(f"deadline misses {state['deadline_misses']}")
+    if "late_ticks" in state:
+        parts.append(f"deadlines missed {state['late_ticks']}")
     return ", ".join(parts)

@@ -17,6 +17,8 @@ from plant_emulator.physics.engines import DEFAULT_ENGINE, ENGINES, default_note
 Conditions = dict[str, str]
 """Sentences or numbers with their unit, by subject."""
 
+EFFORT = "effort"
+"""Name of the condition that says on how many starts, seeds and seconds a number rests."""
 _UNKNOWN = "not known"
 _GRANTED_IN_SILENCE = (
     f"{_UNKNOWN}: not in the manifest, for example because the processes were started separately"

@@ -193,6 +193,27 @@ def require_fit(gate: Gate, unit: str, kind: str) -> None:
             )
 
 
+def require_reach(gate: Gate, furthest: Gauged | None) -> None:
+    """Check that a search tries values up to the smallest allowed one.
+
+    Args:
+        gate: the gate.
+        furthest: the last value that is tried, named after where it is set; None for any.
+
+    Raises:
+        ScenarioError: it does not, so that no result can pass.
+    """
+    if furthest is None or gate.at_least is None or gate.unit not in ("", furthest.unit):
+        return
+    if furthest.is_below(gate.at_least):
+        least = f"{gate.at_least:g} {furthest.unit}".rstrip()
+        word = "most" if furthest.sign > 0 else "least"
+        raise ScenarioError(
+            f"--at-least {least}: must be at {word} {furthest.text}, {furthest.name}: no result"
+            " can pass"
+        )
+
+
 def _size(option: str, text: str | None) -> tuple[float | None, str]:
     """A number and its unit from ``20ms``."""
     if text is None:

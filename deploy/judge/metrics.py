@@ -35,6 +35,7 @@ from deploy.judge.result.timing import Timing, timing
 from deploy.judge.result.torque import Limits, Torque, limits, torque
 from deploy.judge.result.tracking import Tracking, tracking
 from deploy.judge.result.transport import Transport, transport
+from deploy.judge.robot_lag import RobotLag, robot_lag
 from deploy.judge.run_data import RunData
 from deploy.judge.tip_error import TipError, tip_error_mm
 from deploy.judge.verdict import Verdict, decide
@@ -61,6 +62,8 @@ class RunResult(Section):
         lag_ms: how far each joint is behind its reference, ms: least squares of the true error
             against the reference's velocity from ``metrics.from_s`` on; negative ahead of it, null
             where it rests
+        robot_lag: where the lag of a robot that takes positions or velocities comes from; null for
+            others
         beyond_ranges: joints that pass an end of their range by much; stops are not emulated
         growing: joints whose error grows exponentially over the last half of the run
         not_tested_below_hz: slower oscillations may grow unseen, as the run is too short; null if
@@ -97,6 +100,7 @@ class RunResult(Section):
     loss: Annotated[LossReason | None, Column("loss_{}")]
     tracking: Tracking
     lag_ms: list[float | None]
+    robot_lag: RobotLag | None
     tip_error_mm: Annotated[TipError, Column("tip_{}_mm")]
     beyond_ranges: list[BeyondRange]
     growing: Annotated[list[Growing], Column(kind="bool")]
@@ -139,7 +143,7 @@ def judge(run: RunData) -> RunResult:
     known, errors = known_ticks(run), tracking(run)
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
-    faults, bounds = run.faults(), judge_bounds(run)
+    faults, bounds, lags_ms = run.faults(), judge_bounds(run), lag_ms(run)
     is_ended = bool(outcome.get("completed", False)) and known.ticks >= setup.ticks
     damage = all_damage(run, bounds)
     grown = growths_of(run, is_known=not known.missing)
@@ -164,7 +168,8 @@ def judge(run: RunData) -> RunResult:
         bounds=bounds,
         loss=loss_reason(run),
         tracking=errors,
-        lag_ms=lag_ms(run),
+        lag_ms=lags_ms,
+        robot_lag=robot_lag(run, lags_ms),
         tip_error_mm=tip_error_mm(run),
         beyond_ranges=beyond_ranges(run),
         growing=growing(run, grown),

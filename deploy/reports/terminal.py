@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bus_schema.configuration import shortened
-from deploy.judge.conditions import conditions_line
+from deploy.judge.conditions import EFFORT, conditions_line
 from deploy.reports.page import Level, Page, ReportHead
 from deploy.reports.tables import Column, Status, Table, without_middle
 
@@ -25,7 +25,7 @@ STYLES: dict[Status | Level, str] = {
 _WHOLE_LETTERS, _WHOLE_IN_HEADINGS = 24, 7
 _WIDEST = 10_000
 _LEAST = 8
-_MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
+_MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", EFFORT, "set")
 _LONGEST = 80
 """Conditions that a terminal shows, and of how many letters at most."""
 

@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING, Any
 from deploy.judge.bounds import plant_count
 from deploy.judge.chunks import Chunks
 from deploy.judge.findings.loss_reason import LossReason, Reason
-from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict
 from deploy.reports.page import ReportHead, level_of
 from deploy.reports.runs.host_sentences import sentences_on_the_host
-from deploy.reports.runs.run_numbers import margin_place, other_margins, worst_lag_ms
+from deploy.reports.runs.robot_sentences import helps, sentences_on_the_robot
+from deploy.reports.runs.run_numbers import margin_place, other_margins
 from deploy.reports.tables import margin_text, number
-from deploy.scenario.robot_interface import uncovered_lag_s
-from plant_emulator.interfaces.settings import TORQUE
 
 if TYPE_CHECKING:
     from deploy.run.execute import JudgedRun
@@ -55,7 +53,7 @@ def verdict_on_run(
         *remedy_sentences(judged),
         *sentences_on_the_host(judged, manifest),
         *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
-        *_sentences_on_the_robot(run, result),
+        *sentences_on_the_robot(run, result),
         *(
             f"The error of {each.joint} grows by e^({each.rate_per_s:.3g} t) at"
             f" {each.frequency_hz:.3g} Hz over the last half of the run: this loop is unstable."
@@ -127,28 +125,6 @@ def _jerk_text(chunks: Chunks) -> str:
         f" Jerk of the commanded motion: {number(chunks.jerk_rad_s3)} rad/s³ at most"
         f" ({chunks.jerk_joint}), RMS {number(chunks.jerk_rms_rad_s3)} rad/s³."
     )
-
-
-def _sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
-    """Return how far a robot that takes targets is behind, and why it stopped by itself."""
-    sentences = []
-    for each in result.reflexes:
-        of_joint = "" if each.joint is None else f" of {each.joint}"
-        reflex = f"{each.kind}{of_joint}"
-        sentences.append(f"The robot stopped at {each.time_s:.3f} s by its reflex {reflex}.")
-    lag, lags = worst_lag_ms(result), result.lag_ms
-    if lag is not None and run.setup.scenario.plant.interface.takes != TORQUE:
-        joint = run.setup.robot.joint_names[lags.index(lag)]
-        way = "behind" if lag >= 0.0 else "ahead of"
-        own_ms = 1e3 * uncovered_lag_s(run.setup)
-        own = own_ms >= 0.5 * lag > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
-        sentences.append(
-            f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint})"
-            f"{own or ''}."
-        )
-        if own and result.loss is None:
-            sentences += _helps(Reason.OWN_LAG, run)
-    return sentences
 
 
 def _sentences_on_ranges(result: RunResult) -> list[str]:
@@ -245,16 +221,10 @@ def loss_words(loss: LossReason) -> str:
     return words
 
 
-def _helps(reason: Reason, run: RunData) -> list[str]:
-    """Return what helps against a reason, as a sentence, where that is known."""
-    remedy = remedy_of(reason, run.setup.scenario.controller.law)
-    return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
-
-
 def remedy_sentences(run: JudgedRun) -> list[str]:
     """Return what helps a lost run, where that is known."""
     loss = run.result.loss
-    return [] if loss is None else _helps(loss.reason, run.data)
+    return [] if loss is None else helps(loss.reason, run.data)
 
 
 def _loss_text(loss: LossReason | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from bus_schema.units import split_unit
@@ -23,9 +23,16 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
     HELD: _ANGLES | _LENGTHS,
 }
 """By the unit of a key: the units that its values may have."""
+_WORDS = {
+    "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad",
+    "millimetre": "mm", "millimetres": "mm", "millimeter": "mm", "millimeters": "mm",
+    "centimetre": "cm", "centimetres": "cm", "centimeter": "cm", "centimeters": "cm",
+    "metre": "m", "metres": "m", "meter": "m", "meters": "m",
+}  # fmt: skip
+"""Other spellings of a unit, or of its first part."""
 _POSES = ("robot", "hold")
 """Each of these keys is the name of a joint."""
-_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z][\w/]*)")
+_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z°][\w/]*)")
 
 
 def in_base_units(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -56,5 +63,52 @@ def in_unit(text: str, unit: str) -> float | str:
         unit: as in `bus_schema.units`, or `HELD`.
     """
     found = _QUANTITY.fullmatch(text.strip())
-    factor = None if found is None else _FACTORS.get(unit, {}).get(found[2])
+    factor = None if found is None else _FACTORS.get(unit, {}).get(_short(found[2]))
     return text if found is None or factor is None else float(found[1]) * factor
+
+
+def with_unit_of_key(unknown: str, value: Any, known: Iterable[str]) -> tuple[str, str] | None:
+    """Return a known key and a value for it, where an unknown key is that key in another unit.
+
+    Args:
+        unknown: as ``offset_deg``.
+        value: the value that it was given.
+        known: keys, as ``offset_rad``.
+    """
+    for key in known:
+        stem, of_key = split_unit(key)
+        for unit in _FACTORS.get(of_key, {}):
+            if unknown in {f"{stem}_{each}" for each in _spellings(unit)}:
+                listed = isinstance(value, list)
+                numbers = value if listed else [value]
+                texts = [
+                    f"{it}{unit}" if isinstance(it, int | float) else str(it) for it in numbers
+                ]
+                return key, f"[{', '.join(texts)}]" if listed else texts[0]
+    return None
+
+
+def hint_of_unit(key: str, value: Any) -> str:
+    """Say how a number with a unit is written for a key; empty for other values."""
+    texts = [each for each in (value if isinstance(value, list) else [value]) if type(each) is str]
+    found = next(
+        filter(None, (re.match(r"\s*([+-]?[\d.]+)\s*[^\d\s.,eE]", text) for text in texts)), None
+    )
+    unit = split_unit(f"_{key}")[1]
+    if found is None or not unit:
+        return ""
+    if unit not in _FACTORS:
+        return f"; write the number alone, in {unit}"
+    return f"; write {' or '.join(f'{found[1]}{each}' for each in _FACTORS[unit])}"
+
+
+def _short(unit: str) -> str:
+    first, slash, rest = unit.partition("/")
+    return f"{_WORDS.get(first, first)}{slash}{rest}"
+
+
+def _spellings(unit: str) -> Iterator[str]:
+    """Return a unit as the end of a key: ``deg``, ``degrees``, ``deg_s``."""
+    first, _, rest = unit.partition("/")
+    for each in (first, *(word for word, short in _WORDS.items() if short == first)):
+        yield f"{each}_{rest}" if rest else each

@@ -16,7 +16,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.resolved import pybullet_data
 from bus_schema.urdf.xacro_files import is_xacro
-from bus_schema.user_files import is_file
+from bus_schema.user_files import is_file, named_in_folder
 from controller.configuration import ControllerConfiguration
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
@@ -74,6 +74,9 @@ def find_urdf(name: str, *bases: Path) -> Path:
     for candidate in candidates:
         if is_file(candidate):
             return candidate.resolve()
+    for candidate in candidates:
+        if held := named_in_folder(candidate):
+            raise RobotDescriptionError(held)
     shipped = sorted(path.stem for path in ROBOTS.glob("*.urdf"))
     raise RobotDescriptionError(
         f"no such file; allowed are a path from {bases[0]}, a shipped robot ({', '.join(shipped)}),"

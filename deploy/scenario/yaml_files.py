@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import ConfigurationError, SettingsError, shortened, shown
 from bus_schema.errors import InputError, did_you_mean
-from bus_schema.user_files import is_file, read_text
+from bus_schema.user_files import ARM_FILES, is_file, named_in_folder, read_text
 from deploy.scenario.checking.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
 
@@ -75,6 +75,9 @@ def find_yaml(
     by_name = shipped / f"{name_or_path}.yaml"
     if is_file(by_name):
         return by_name
+    for path in (beside / name_or_path, Path(name_or_path)):
+        if held := named_in_folder(path, (".yaml", *ARM_FILES)):
+            raise ScenarioError(f"{shortened(name_or_path)}: {held}")
     names = sorted(file.stem for file in filter(fits, shipped.glob("*.yaml")))
     faults = sorted(f"{FAULTS}/{file.stem}" for file in shipped.glob(f"{FAULTS}/*.yaml"))
     listed = [*names, f"{FAULTS}/*"] if faults else names
@@ -82,10 +85,20 @@ def find_yaml(
         listed = faults
     is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
     what = "is not a regular file" if is_there else "no such file"
+    hint = did_you_mean(name_or_path, [*names, *faults, *_files_beside(name_or_path)])
     raise ScenarioError(
         f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name}"
-        f" {', '.join(listed)}{did_you_mean(name_or_path, [*names, *faults])}"
+        f" {', '.join(listed)}{hint}"
     )
+
+
+def _files_beside(name: str) -> list[str]:
+    """Return the files that could be given, in the folder of one that is not there."""
+    folder, kinds = Path(name).parent, (".yaml", *ARM_FILES)
+    try:
+        return [str(each) for each in sorted(folder.iterdir()) if each.suffix in kinds]
+    except (OSError, ValueError):
+        return []
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from deploy.judge.conditions import Conditions
+from deploy.judge.gate import Gauged
 from deploy.judge.run_rows import Row, is_whole, uses_seed
 from deploy.scenario import study_keys
 from deploy.scenario.held_arm import held_arm_ceiling_ms
@@ -61,6 +62,7 @@ class StudyOfCases(StudyOfRuns):
 
     Attributes:
         definition_type: schema of its YAML file.
+        named_furthest: words for the last value that it tries, with the option that sets it.
         cases: the cases to try.
         trials: the trial of each variant at each value, by point.
     """
@@ -72,6 +74,7 @@ class StudyOfCases(StudyOfRuns):
     })  # fmt: skip
     definition_type: ClassVar[type[CasesDefinition]]
     definition: Any
+    named_furthest: ClassVar[str]
     cases: list[Case]
     _is_random = False
     """A run of it drew random numbers."""
@@ -98,6 +101,16 @@ class StudyOfCases(StudyOfRuns):
     @abstractmethod
     def last_value(self, setting: Setting) -> float:
         """Return the last value to try; raises as `settings`."""
+
+    @property
+    def furthest(self) -> Gauged:
+        """The last value that is tried in every case."""
+        found = []
+        for setting in (case.setting for case in self.cases):
+            last, quantity = self.last_value(setting), setting.quantity
+            sign = -1 if last < quantity.origin and not quantity.is_of_link else 1
+            found.append(Gauged(self.named_furthest, last, quantity.unit, sign))
+        return min(found, key=lambda each: each.sign * (each.value or 0.0))
 
     @property
     def own_test(self) -> dict[str, Any]:

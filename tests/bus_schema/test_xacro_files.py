@@ -186,6 +186,14 @@ def test_missing_package_is_no_error_where_nothing_is_read_from_it(expand):
             {},
             "files compare it with long$",
         ),
+        (
+            '<!-- <xacro:arg name="old" default=""/> --><xacro:arg name="kind" default="k1"/>'
+            "<xacro:arg default='a b' name='prefix'/>"
+            f'<xacro:arg name="file" default="$(arg kind)"/><a v="$(arg serial)"/>{IN_PACKAGE}',
+            {},
+            r"argument serial: serial:=… gives it; arguments and their defaults:"
+            r" kind:=k1 \(its files know k1, k2, limits\), prefix:=a b, file$",
+        ),
     ],
 )
 def test_missing_or_unknown_argument_is_named_with_choices(

@@ -86,7 +86,9 @@ def run():
             advance(first, end)
 
         arm.command, arm.advance = note_command, note_advance
-        PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()
+        loop = PlantLoop(setup.plant_task(lockstep=False), arm, station, clock)
+        loop.run()
+        station.late_ticks = loop.late_ticks
         return station, steps
 
     yield start
@@ -125,13 +127,16 @@ def test_waiting_awake_for_a_tick_changes_nothing(run, uplink_ms):
 
 def test_ticks_for_which_the_plant_comes_too_late_are_skipped_and_counted(run):
     """Nothing is measured there, but the physics goes through them."""
-    station, steps = run(stall_ns={5 * MS: 3_400_000})
+    in_time = "link.deadline_ms=100"  # of every command
+    station, steps = run(in_time, stall_ns={5 * MS: 3_400_000})
     stamps = [stamp_ns // MS for _, stamp_ns in station.delivered]
     assert stamps == [0, 1, 2, 3, 4, 5, *range(8, 20)]
     assert [start_ns for start_ns, _ in steps] == [k * SUBSTEP_NS for k in range(80)]
     layout = topics.layout(topics.PLANT_TRUTH, ("base_yaw", "shoulder", "elbow"))
     truths = [payload for topic, payload in station.published if topic is topics.PLANT_TRUTH]
     assert layout.tabulate(truths)["timing.skipped"][[0, 5, -1]].tolist() == [0, 0, 2]
+    assert station.late_ticks == 2
+    assert run(in_time)[0].late_ticks == 0
 
 
 def first_under(steps, torque_nm):

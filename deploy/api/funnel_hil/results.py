@@ -85,7 +85,7 @@ class Run(Drawn):
             ``settling_bound_s``);
             ``torque`` (``rms_nm``, ``peak_nm``, ``total_variation_nm_per_s``,
             ``share_above_50_hz``, ``saturated_fraction``);
-            ``timing`` (``success_rate``: share of deadlines met; ``deadline_misses``: ticks;
+            ``timing`` (``on_time_rate``: share of deadlines met; ``late_ticks``: the other ticks;
             ``round_trip_us``, ``command_age_us`` and so on, each with ``p50`` to ``max``).
             The page *Results* of the documentation lists all others.
         path: its folder or MCAP file; None where it was not written.

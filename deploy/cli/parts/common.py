@@ -111,6 +111,7 @@ class ResultGate:
         kind: kind of the result.
         quantity: quantity of its margins, if it has any.
         patterns: whether they are for every pattern of delays.
+        furthest: the last value that is tried; None where there is none.
 
     Raises:
         ScenarioError: the options cannot be used with this result.
@@ -119,6 +120,7 @@ class ResultGate:
     def __init__(
         self, options: GateOptions, name: str, unit: str, tested: Tested, kind: str = "run",
         quantity: str | None = None, *, patterns: bool = False,
+        furthest: gating.Gauged | None = None,
     ) -> None:  # fmt: skip
         result = kind_named(kind)
         unit = result.unit_for(gating.unit_of(options.at_least, options.tolerance), unit)
@@ -129,6 +131,7 @@ class ResultGate:
         self._gate = gating.build_gate(options.at_least, options.tolerance, numbers)
         compared = result.compared_with(quantity, patterns=patterns)
         gating.require_fit(self._gate, unit, compared)
+        gating.require_reach(self._gate, furthest)
         if options.baseline is not None and before is not None:
             require_numbers(options.baseline, before, unit)
         self._changes: list[str] = []

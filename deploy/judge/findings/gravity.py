@@ -6,6 +6,7 @@ import numpy as np
 
 from bus_schema.messages import topics
 from controller.laws import LAWS
+from controller.manipulator_model import ManipulatorModel
 from deploy.judge.run_data import RunData
 
 
@@ -17,18 +18,23 @@ def with_gravity(law: str) -> str | None:
 def sags(run: RunData, joint: int, tick: int) -> bool:
     """Whether gravity, which the law does not know, moves a joint away from its reference.
 
-    It does if the error has the direction of the weight, and the weight exceeds friction and
-    disturbance, the other torques that the law does not know. It must be within the joint's limit:
-    beyond that no law holds it.
+    It does if the error has the direction of the weight, and the weight exceeds all other torques
+    that the law does not know: friction, disturbance, and the part of the weight, as of a payload,
+    that a gravity term does not know either. The arm's whole weight must be within the joint's
+    limit: beyond that no law holds it.
     """
-    controller = run.setup.scenario.controller
+    setup, controller = run.setup, run.setup.scenario.controller
     if with_gravity(controller.law) is None:
         return False
     truth = run.tables[topics.PLANT_TRUTH.name][tick]
-    at_rest = np.zeros(run.setup.robot.joints)
-    model = controller.nominal_model(run.setup.nominal)
-    holding_nm = float(model.inverse_dynamics(truth["position"].copy(), at_rest, at_rest)[joint])
+    position, at_rest = truth["position"].copy(), np.zeros(setup.robot.joints)
+    carried = ManipulatorModel(setup.robot, payload_kg=setup.scenario.plant.payload_kg)
+    known_nm, whole_nm = (
+        float(model.inverse_dynamics(position, at_rest, at_rest)[joint])
+        for model in (controller.nominal_model(setup.nominal), carried)
+    )
     others_nm = abs(truth["friction"][joint]) + abs(truth["disturbance"][joint])
+    others_nm += abs(whole_nm - known_nm)
     error_rad = float(run.true_errors_rad[tick, joint])
-    largest_nm = float(run.setup.largest_torques_nm[joint])
-    return bool(holding_nm * error_rad < 0.0 and others_nm < abs(holding_nm) <= largest_nm)
+    is_held = abs(whole_nm) <= float(setup.largest_torques_nm[joint])
+    return bool(is_held and known_nm * error_rad < 0.0 and others_nm < abs(known_nm))

@@ -107,10 +107,11 @@ class Reason(StrEnum):
     )  # fmt: skip
     OWN_LAG = (
         "robot's lag", "by the robot's own lag",
-        "the same, and the lag of the robot's own controller is half of that time or more; or a"
-        " law of torques drives such a robot, whose lag is a delay of its loop, and lost it within"
-        " four times that lag, before an oscillation shows: read the reference ahead by the lag"
-        " (`controller.preview_ms`), or make the robot's own loop faster",
+        "the same, and the lag of the robot's own controller is half of that time or more, or half"
+        " of a slow error or more is due to it; or a law of torques drives such a robot, whose lag"
+        " is a delay of its loop, and lost it within four times that lag, before an oscillation"
+        " shows: read the reference ahead by the lag (`controller.preview_ms`), or make the robot's"
+        " own loop faster",
     )  # fmt: skip
     GRAVITY = (
         "no gravity term", "under its weight, for which the law has no term",
@@ -205,6 +206,12 @@ class _Loss:
         return np.asarray(self.run.true_errors_rad[:, self.joint])
 
     @cached_property
+    def wanted_rad(self) -> Vector:
+        """The joint's reference until the loss."""
+        until = slice(self.tick + 1)
+        return np.asarray(self.truth["position"][until, self.joint] - self.errors_rad[until])
+
+    @cached_property
     def is_without_delay(self) -> bool:
         """Whether commands acted as soon as they can, and the law was asked at every state."""
         controller = self.run.setup.scenario.controller
@@ -250,12 +257,20 @@ class _Loss:
         if found.lag_ms is not None:
             return 1e3 * self.uncovered_lag_s >= _MOSTLY * found.lag_ms
         if not moves_model(self.run.setup.scenario):
-            return False
+            late_s = self.uncovered_lag_s if found.reason == Reason.SLOW else 0.0
+            return late_s > 0.0 and self._is_error_of_lag(late_s)
         if found.reason == Reason.GROWING:
             return bool(self.own_lag_s >= self.usual_age_s)
         lasted_s = self.times_s[self.tick] - self.times_s[self.acting]
         is_open = found.reason in (Reason.UNSTABLE, Reason.SLOW)
         return bool(is_open and lasted_s <= _LAGS_OF_A_SWING * self.own_lag_s)
+
+    def _is_error_of_lag(self, late_s: float) -> bool:
+        """Whether half of the last error or more is that of a lag, beside an initial offset."""
+        wanted, error = self.wanted_rad, self.errors_rad[self.tick]
+        times_s = self.times_s[: self.tick + 1]
+        late = float(np.interp(times_s[-1] - late_s, times_s, wanted)) - wanted[-1]
+        return bool(late * error > 0.0 and _MOSTLY <= late / error <= 1.0 / _MOSTLY)
 
     def _sag(self) -> LossReason | None:
         is_sag = not self.is_disturbed and sags(self.run, self.joint, self.tick)
@@ -360,7 +375,5 @@ class _Loss:
         is_known = len(errors) > 1 and bool(np.isfinite(errors).all())
         if not is_known or len(self._swings_s(before)) >= _SWUNG_BACK:
             return None
-        until = slice(self.tick + 1)
-        wanted = self.truth["position"][until, self.joint] - self.errors_rad[until]
-        lag = lag_s(errors, wanted, period_s, _A_LITTLE_MORE * self.own_lag_s)
+        lag = lag_s(errors, self.wanted_rad, period_s, _A_LITTLE_MORE * self.own_lag_s)
         return None if lag is None else self._because(Reason.LAG, lag_ms=1e3 * lag)

@@ -45,6 +45,11 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
+def number_of(count: int, what: str) -> str:
+    """Return how many there are, as in a sentence: one start, 3 starts."""
+    return f"one {what}" if count == 1 else f"{count} {what}s"
+
+
 def losses_text(runs: Runs) -> str:
     """Explain why runs left their funnel, the most frequent reason first, with their joint."""
     losses, joints = Counter(runs.losses), Counter(runs.loss_joints)

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Rate, Topic
 
+_LATENESS = struct.Struct("<q")
+"""Negative where a tick was skipped."""
 _COUNTS = struct.Struct("<QQ")
 _HEAD = struct.Struct("<BqI")
 _MOST_EVENTS = 100
@@ -32,7 +34,7 @@ class Snapshot(NamedTuple):
 
     Attributes:
         ticks: number of the plant's ticks that are known to have ended.
-        deadlines_missed: how many of their deadlines were missed.
+        deadlines_missed: how many of them missed their deadline or were skipped.
         messages: the newest message of each topic since the last snapshot, and all events.
     """
 
@@ -83,6 +85,7 @@ class Sampler:
         self._truth_bytes = truth.size
         places: Mapping[str, Any] = truth.dtype.fields or {}
         self._deadline_met_at = places["deadline_met"][1]
+        self._lateness_at = places["timing.lateness_ns"][1]
         self._truths = self._missed = 0
         self._newest: dict[str, Message] = {}
         self._events: list[Message] = []
@@ -97,7 +100,8 @@ class Sampler:
         self._newest[topic.name] = message
         if topic is topics.PLANT_TRUTH and len(payload) == self._truth_bytes:
             self._truths += 1
-            self._missed += not payload[self._deadline_met_at]
+            (lateness_ns,) = _LATENESS.unpack_from(payload, self._lateness_at)
+            self._missed += lateness_ns < 0 or not payload[self._deadline_met_at]
 
     def snapshot(self) -> Snapshot | None:
         """Return everything new since the last call; None if nothing is."""

@@ -284,7 +284,7 @@ def _reporting_progress(
 
 def _plant_progress(loop: PlantLoop, setup: Setup) -> dict[str, Any]:
     time_s = setup.grid.tick_ns(loop.tick) * 1e-9
-    return {"time_s": round(time_s, 3), "deadline_misses": loop.deadline_misses}
+    return {"time_s": round(time_s, 3), "late_ticks": loop.late_ticks}
 
 
 def _controller_progress(loop: ControlLoop) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import Sections, shortened, shown
 from bus_schema.errors import did_you_mean
+from deploy.scenario.base_units import hint_of_unit, with_unit_of_key
 
 _MOST_PROBLEMS = 20
 _NUMBER = "be a valid number"
@@ -107,7 +108,9 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin, within: Sequ
     path, sections = _descend(model, place[:-1])
     source = origin.of(".".join([*within, *path, *map(str, place[-1:])]))
     if problem["type"] == "extra_forbidden":
-        hint = _did_you_mean(str(place[-1]), sections, model)
+        hint = _in_other_unit(str(place[-1]), problem["input"], sections) or _did_you_mean(
+            str(place[-1]), sections, model
+        )
         return f"{source}: {key}: unknown key{hint}"
     if problem["type"] == "missing":
         return f"{source}: {key}: is missing"
@@ -130,7 +133,16 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin, within: Sequ
     if problem["type"] == "literal_error":
         names = _literals([_keys(section).get(str(place[-1])) for section in sections])
         allowed += did_you_mean(str(problem["input"]), names)
-    return f"{source}: {key} = {shown(problem['input'])}: must {allowed}"
+    named = next((part for part in reversed(place) if isinstance(part, str)), "")
+    hint = hint_of_unit(named, problem["input"])
+    return f"{source}: {key} = {shown(problem['input'])}: must {allowed}{hint}"
+
+
+def _in_other_unit(unknown: str, value: Any, sections: Sequence[type]) -> str:
+    """Return how to write the value of a key that is a known one with another unit."""
+    known = (name for section in sections for name in _keys(section))
+    found = with_unit_of_key(unknown, value, known)
+    return "" if found is None else f"; write {found[0]}: {found[1]}"
 
 
 def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]) -> str:

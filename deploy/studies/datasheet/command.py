@@ -76,7 +76,9 @@ def datasheet(options: DatasheetOptions) -> None:
     sheet = torque_sheet(options)
     margin, windows = sheet.margin(), sheet.windows()
     tested = sheet.tested_with(margin.tested_with) or {}
-    gate = ResultGate(options, "datasheet", "ms", tested, "datasheet")
+    gate = ResultGate(
+        options, "datasheet", "ms", tested, "datasheet", furthest=getattr(margin, "furthest", None)
+    )
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(*margin.bases, *(() if windows is None else windows.bases))
@@ -115,7 +117,10 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
         options.scenario, interface, options.law, options.network, options.fixed(), options.quick
     )
     margin, planned = sheet.margin(), list(sheet.runs())
-    gate = ResultGate(options, "datasheet", "ms", margin.tested_with, OF_ROBOT)
+    gate = ResultGate(
+        options, "datasheet", "ms", margin.tested_with, OF_ROBOT,
+        furthest=getattr(margin, "furthest", None),
+    )  # fmt: skip
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(planned[0][2])

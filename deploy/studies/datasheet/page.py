@@ -18,7 +18,7 @@ from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.studies.study_texts import interval_text, losses_text
 from deploy.reports.tables import ABSENT, Column, Table, table_of
 from deploy.run.execute import JudgedRun
-from deploy.studies.datasheet.result import DataSheetResult
+from deploy.studies.datasheet.result import DataSheetResult, caveat_text
 from deploy.studies.margin import texts
 from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.sentences import lost_at_once, model_text
@@ -110,14 +110,14 @@ def _quoted_sentences(result: DataSheetResult) -> list[str]:
     margin = result.parts.margin
     best = texts.furthest_case(margin.cases)
     (other,) = (case for case in margin.cases if case is not best)
-    numbers = [
-        f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}"
-        for case in (best, other)
-    ]
+    numbers = [texts.number_text(case, margin) for case in (best, other)]
     quote = f"{texts.quoted_text(best, margin)} {setting_text(best)}"
+    caveats = "; ".join(filter(None, [texts.untested_text(best), caveat_text(result, margin)]))
     return [
-        f"{result.arm} under {result.law}: quote a round trip of {quote}.",
-        f"Round trips: {'; '.join(numbers)}{texts.unknowns_text(margin)}.",
+        f"{result.arm} under {result.law}: quote a round trip of"
+        f" {quote}{f' ({caveats})' if caveats else ''}.",
+        f"Round trips: {'; '.join(numbers)}.",
+        *texts.unknowns_sentences(margin),
     ]
 
 
@@ -148,9 +148,10 @@ def _network_sentences(result: DataSheetResult, network: SweepResult) -> list[st
     lost, name = own.runs - own.runs_kept, Path(result.network or "").name
     interval = interval_text(own)
     verdict = f"lost in {lost} of {own.runs}" if lost else f"kept in {kept(own)}"
+    quick = " (--quick)" if result.quick else ""
     sentences = [
-        f"{name}: {verdict} windows {equipment_text(own)}.",
-        f"Windows of {result.duration_s:g} s; 95 % interval of the kept share: {interval}.",
+        f"{name}: {verdict} windows of {result.duration_s:g} s {equipment_text(own)}{quick}.",
+        f"95 % interval of the share of windows that are kept: {interval}.",
     ]
     if best.runs_kept > own.runs_kept:
         sentences.append(

@@ -13,6 +13,7 @@ from deploy.judge.reported_values import Reflex
 from deploy.reports.gauges import MM, Part
 from deploy.reports.studies.case_result import COMPENSATION
 from deploy.reports.studies.study_result import StudyResult
+from deploy.reports.studies.study_texts import number_of
 from deploy.reports.tables import Shown
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.robustness.result import RobustnessResult
@@ -23,13 +24,34 @@ NO_NETWORK = "no network"
 
 
 class SheetResult(StudyResult):
-    """A data sheet: the answer in sentences, and its conditions."""
+    """A data sheet: the answer in sentences, and its conditions.
+
+    Attributes:
+        quick: whether its runs are fewer and shorter than usual.
+    """
 
     arm: str = ""
     law: str | None = None
     network: str | None = None
     duration_s: float = 0.0
+    quick: bool = False
     headline: list[str] = Field(default=[])
+
+
+def effort_text(margin: MarginResult, duration_s: float, *, is_quick: bool) -> str:
+    """Return what the numbers of a data sheet rest on: starts, seeds, and length of the runs."""
+    starts = 1 if margin.arms_with_one_start else len(margin.offsets)
+    counted = (number_of(starts, "start"), number_of(len(margin.seeds), "seed"))
+    return f"{'--quick: ' * is_quick}{', '.join(counted)}, runs of {duration_s:g} s"
+
+
+def caveat_text(result: SheetResult, margin: MarginResult) -> str:
+    """Return `effort_text` where a number rests on one start and one seed alone; else nothing."""
+    is_least = len(margin.seeds) <= 1 and (
+        len(margin.offsets) <= 1 or bool(margin.arms_with_one_start)
+    )
+    effort = effort_text(margin, result.duration_s, is_quick=result.quick)
+    return effort if result.quick or is_least else ""
 
 
 class Parts(Part):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_whole
-from deploy.judge.conditions import networks_of
+from deploy.judge.conditions import EFFORT, networks_of
 from deploy.judge.run_rows import Row
 from deploy.reports.results import Again, Results, write_results, write_run
 from deploy.run.execute import JudgedRun, execute
@@ -26,6 +26,7 @@ from deploy.studies.datasheet.result import (
     Parts,
     RobotRun,
     RobotSheetResult,
+    effort_text,
 )
 from deploy.studies.datasheet.robot_sheet import RobotSheet
 from deploy.studies.margin.result import MarginResult
@@ -114,6 +115,12 @@ def _written_window(study: StudyOfRuns | None, rows: list[Row], folder: Path) ->
     return done
 
 
+def _conditions(sheet: DataSheet | RobotSheet, margin: MarginResult) -> dict[str, str]:
+    effort = effort_text(margin, sheet.duration_s, is_quick=sheet.is_quick)
+    networks = networks_of(network_files(sheet.network))
+    return {**margin.conditions, **networks, EFFORT: effort}
+
+
 def write_data_sheet(
     folder: ResultFolder, sheet: DataSheet, parts: Mapping[str, Any], window: JudgedRun | None
 ) -> Results:
@@ -134,7 +141,7 @@ def write_data_sheet(
         runs_failed=sum(part.runs_failed for part in studies),
         folders={name: f"{name}/report.html" for name in parts},
         worst_window=None if window is None else window.summary["bounds"],
-        conditions={**margin.conditions, **networks_of(network_files(sheet.network))},
+        conditions=_conditions(sheet, margin), quick=sheet.is_quick,
         tested_with=sheet.tested_with(margin.tested_with),
         parts=found,
     )  # fmt: skip
@@ -168,7 +175,7 @@ def write_robot_sheet(
         kind=OF_ROBOT, name=arm, arm=arm, interface=sheet.interface, law=sheet.law,
         network=sheet.network, duration_s=sheet.duration_s, completed=True,
         runs=len(runs) + found.runs, runs_failed=found.runs_failed,
-        conditions={**found.conditions, **networks_of(network_files(sheet.network))},
+        conditions=_conditions(sheet, found), quick=sheet.is_quick,
         tested_with=found.tested_with, runs_of_robot=runs, margin=found, ways=[],
     )  # fmt: skip
     return _of_robot(folder, result, margin)

@@ -19,6 +19,7 @@ from deploy.studies.datasheet.result import (
     RobotRun,
     RobotSheetResult,
     WayResult,
+    caveat_text,
 )
 from deploy.studies.datasheet.robot_sheet import SHOWN_MS
 from deploy.studies.margin import texts
@@ -107,7 +108,8 @@ def _tip_sentence(result: RobotSheetResult, law: str, runs: list[RobotRun]) -> s
     if not (without and having):
         return ""
     before, after = _tip_text(_way_of(without)), _tip_text(_way_of(having))
-    return f"{law} over {where}: {before} without preview; {after} with it."
+    each = f"one run of {result.duration_s:g} s each"
+    return f"{law} over {where}, {each}: {before} without preview; {after} with it."
 
 
 def _tip_text(found: WayResult) -> str:
@@ -166,13 +168,10 @@ def _reflexes_text(runs: list[RobotRun]) -> str:
 def _margin_sentence(result: RobotSheetResult) -> str:
     """The number to quote of the loop around the robot."""
     margin = result.margin
-    numbers = [
-        f"{texts.quoted_text(case, margin)} {texts.setting_and_reason(case)}".rstrip()
-        for case in margin.cases
-    ]
-    law = margin.cases[0].law
+    numbers = [texts.number_text(case, margin) for case in margin.cases]
+    law, caveat = margin.cases[0].law, caveat_text(result, margin)
     return f"{result.arm}, {result.interface} under {law}: quote a round trip of" + (
-        f" {'; '.join(numbers)}."
+        f" {'; '.join(numbers)}{f' ({caveat})' if caveat else ''}."
     )
 
 

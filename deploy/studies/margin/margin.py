@@ -92,6 +92,7 @@ class Margin(StudyOfCases):
     kind = "margin"
     definition_type = MarginDefinition
     definition: MarginDefinition
+    named_furthest = "the last value tried (--limit)"
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         super().__init__(values, source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from deploy.reports.studies.case_result import case_title, equipment_text, setting_text
 from deploy.reports.studies.case_sentences import doubts, saved_runs
@@ -14,10 +15,10 @@ from deploy.studies.margin.texts import (
     furthest,
     furthest_case,
     margin_text,
+    number_text,
     pattern_text,
     quoted_text,
     rotors_text,
-    setting_and_reason,
 )
 from deploy.studies.margin.theory_sentences import in_theory, theory_sentences
 
@@ -68,8 +69,8 @@ def margin_headline(summary: MarginResult) -> str:
                 settings.setdefault(setting_text(case), []).append(case)
         best = list(map(furthest_case, settings.values()))
         shown = best if len(best) <= 2 else [furthest_case(best)]
-        margins = (f"{quoted_text(case, summary)} {setting_and_reason(case)}" for case in shown)
-        texts.append(f"{f'{arm} ' if arms[1:] else ''}{', '.join(map(str.rstrip, margins))}")
+        margins = ", ".join(map(partial(number_text, result=summary), shown))
+        texts.append(f"{f'{arm} ' if arms[1:] else ''}{margins}")
     who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
     kept = f"{furthest(summary).capitalize()} {summary.title} kept by {who}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from deploy.reports.studies.case_result import setting_text
-from deploy.reports.studies.study_texts import losses_text, value_text
+from deploy.reports.studies.case_result import CaseResult, setting_text
+from deploy.reports.studies.study_texts import listed, losses_text, value_text
 from deploy.reports.tables import ABSENT
 from deploy.studies.margin.result import Ends, MarginCase, MarginResult
 from deploy.study.quoted import Because
@@ -64,12 +64,16 @@ def theory_text(case: MarginCase) -> str | None:
     return f"{case.theory.constant_ms:g} ms"
 
 
-def unknowns_text(result: MarginResult) -> str:
-    """Name the unknowns of an arm that were tried at their worst; empty for none."""
+def unknowns_sentences(result: MarginResult) -> list[str]:
+    """Name the unknowns of an arm of whose margins the smallest is quoted; nothing for none."""
     (case, *_) = result.cases
     rotors = ["a tenth of the estimated rotors"] if case.smaller_rotors else []
     tried = [*rotors, *(each.change for each in case.model_errors)]
-    return f", the worst of the exact arm, {', '.join(tried)}" if tried else ""
+    if not tried:
+        return []
+    return [
+        f"Each is the smallest of {1 + len(tried)} searches: {listed(['the exact arm', *tried])}."
+    ]
 
 
 def pattern_text(case: MarginCase, result: MarginResult) -> str | None:
@@ -87,10 +91,16 @@ def rotors_text(case: MarginCase, result: MarginResult) -> str | None:
     return None if found is None else margin_text(found, result)
 
 
-def setting_and_reason(case: MarginCase) -> str:
-    """With what a law has the number to quote, and why that is smaller than what held."""
-    reason = because_text(case)
-    return f"{setting_text(case)} ({reason})".lstrip() if reason else setting_text(case)
+def number_text(case: MarginCase, result: MarginResult) -> str:
+    """The number to quote, with what the law has it, and why that is smaller than what held."""
+    why = "; ".join(filter(None, [because_text(case), untested_text(case)]))
+    parts = (quoted_text(case, result), setting_text(case), why and f"({why})")
+    return " ".join(filter(None, parts))
+
+
+def untested_text(case: CaseResult) -> str:
+    """Say beside a number that its runs do not show it; a sentence says why."""
+    return "not tested" if case.doubts else ""
 
 
 def furthest_case(cases: Sequence[MarginCase]) -> MarginCase:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from bus_schema.user_files import is_folder
 from controller.policies.configuration import is_address
 from deploy.cli.parts.common import parse_laws
 from deploy.cli.parts.options import GateOptions, NetworkOption, taking
@@ -49,6 +50,11 @@ class PolicyOptions(GateOptions, WorkerOptions):
 
     def definition(self) -> dict[str, Any]:
         """Return the study that the options describe."""
+        if is_folder(Path(self.law)):
+            modules = sorted(file.stem for file in Path(self.law).glob("*.py"))
+            found = f" (modules in it: {', '.join(modules)})" if modules else ""
+            allowed = "must be MODULE:CLASS, or a server that has it, as lerobot://HOST:PORT"
+            raise ScenarioError(f"POLICY {self.law}: is a folder{found}: {allowed}")
         laws = parse_laws(self.law, "POLICY") or []
         if len(laws) != 1:
             raise ScenarioError(f"POLICY {self.law}: must be one policy")

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, NonNegative, Positive, Whole
 from controller.chunks.configuration import CHUNK_MERGES
+from deploy.judge.gate import Gauged
 from deploy.judge.run_rows import Row
 from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
@@ -120,6 +121,11 @@ class PolicyStudy(StudyOfRuns):
     @property
     def unit(self) -> str:
         return "ms"
+
+    @property
+    def furthest(self) -> Gauged:
+        """The longest inference time that is tried."""
+        return Gauged("the last value tried (--limit)", self.definition.limit_ms, self.unit)
 
     @property
     def own_test(self) -> dict[str, Any]:

@@ -50,6 +50,7 @@ class Robustness(cases.StudyOfCases):
     kind = "robustness"
     definition_type = RobustnessDefinition
     definition: RobustnessDefinition
+    named_furthest = "the last value tried (--values)"
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         super().__init__(values, source)

@@ -35,7 +35,9 @@ def _kept_sentence(case: RobustCase, summary: RobustnessResult) -> str:
         found = f"{share_text(first)} plants kept their bounds ({share} are wanted)"
         return f"{case_title(case)}: {tried}, {found}; {_next_trial(case, summary)}"
     kept = f"{share_text(at)} plants kept their bounds up to {value_text(at.value, summary)}"
-    return f"{case_title(case)}: {kept}; of all such plants {interval_text(at)} (95 % interval)"
+    untested = " (not tested)" if case.doubts else ""
+    of_all = f"of all such plants {interval_text(at)} (95 % interval)"
+    return f"{case_title(case)}: {kept}{untested}; {of_all}"
 
 
 def _next_trial(case: RobustCase, summary: RobustnessResult) -> str:

@@ -98,12 +98,12 @@ def test_the_speed_of_runs_is_that_of_all_that_this_command_did(console, monkeyp
 def test_what_processes_say_is_shown(console):
     with CommandProgress(console, "arm", 8, "s") as progress:
         handle = status_handler(progress)
-        handle(StatusMessage("plant", "progress", {"time_s": 1.5, "deadline_misses": 3}))
+        handle(StatusMessage("plant", "progress", {"time_s": 1.5, "late_ticks": 3}))
         handle(StatusMessage("controller", "fault", {"text": "[it] broke"}))
     fault, last = lines(console)
     assert fault == "controller: [it] broke"
     assert last.startswith("1.5 of 8 s")
-    assert last.endswith("deadline misses 3")
+    assert last.endswith("deadlines missed 3")
 
 
 NAMED = ("base_yaw", "shoulder", "elbow")
@@ -121,19 +121,21 @@ def last_live_line(monkeypatch, width, name, joints, worst_mrad, misses):
     with CommandProgress(console, name, 20, "s") as progress:
         handle = status_handler(progress, joints)
         worst = {"joint": 1, "error_mrad": worst_mrad, "bound_mrad": 10.0}
-        handle(StatusMessage("plant", "progress", {"time_s": 0.0, "deadline_misses": 0}))
+        handle(StatusMessage("plant", "progress", {"time_s": 0.0, "late_ticks": 0}))
         handle(StatusMessage("controller", "progress", worst))
         now_s[0] = 15.28
-        handle(StatusMessage("plant", "progress", {"time_s": 15.25, "deadline_misses": misses}))
+        handle(StatusMessage("plant", "progress", {"time_s": 15.25, "late_ticks": misses}))
     output = re.split(r"[\r\n]|\x1b\[2K", console.file.getvalue())
     return [line for line in output if "of 20 s" in line][-1].rstrip()
 
 
 def test_at_80_columns_time_speed_error_and_misses_are_seen(monkeypatch):
     line = last_live_line(monkeypatch, 80, "paper_arm", NAMED, -12.345, 3)
-    assert line == "15.25 of 20 s, speed 0.998, base_yaw -12.345 of 10.0 mrad, deadline misses 3"
+    assert line == "15.25 of 20 s, speed 0.998, base_yaw -12.345 of 10.0 mrad, deadlines missed 3"
     line = last_live_line(monkeypatch, 80, "iiwa", NUMBERED, 0.123, 12345)
-    assert line == "15.25 of 20 s, speed 0.998, …joint_1 +0.123 of 10.0 mrad, deadline misses 12345"
+    assert (
+        line == "15.25 of 20 s, speed 0.998, …joint_1 +0.123 of 10.0 mrad, deadlines missed 12345"
+    )
 
 
 def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypatch):

@@ -204,6 +204,17 @@ def test_the_lag_of_a_position_interface_is_no_friction(arm, gain, lookahead_s):
     assert loss(*streaming, arm=arm, duration_s=1.0) is None  # which reads ahead
 
 
+@pytest.mark.parametrize("arm", ["paper_arm", "ur5e_motors"])
+def test_an_initial_offset_does_not_hide_the_lag_of_the_robot(arm):
+    """The arm comes from its offset, so that its error is no constant time at first."""
+    streaming = ("plant.interface.kind=servoj", "controller.law=streaming")
+    links = ("link.uplink.delay_ms=20", "link.downlink.delay_ms=20")
+    found = loss(*streaming, *links, "controller.preview_ms=0", arm=arm, duration_s=1.0)
+    assert (found["reason"], found["lag_ms"]) == ("robot's lag", None)
+    assert found["own_lag_ms"] == pytest.approx(4.0 + 100.0 * (2.0 / 3.0 + 200.0 / 300.0) + 1.0)
+    assert loss(*streaming, *links, arm=arm, duration_s=1.0) is None
+
+
 @pytest.mark.parametrize("law", ["computed_torque", "fixed_time_adaptive"])
 def test_a_law_of_torques_is_lost_by_the_lag_of_the_robot_it_drives(law):
     found = loss(*SERVOJ, f"controller.law={law}")
@@ -238,6 +249,11 @@ def test_a_law_without_gravity_sags_by_weight_over_stiffness(tmp_path, law, funn
     assert remedy_of("no gravity term", "smc") is None
 
 
+def test_a_small_payload_leaves_the_lack_of_a_gravity_term_the_reason():
+    words = ("controller.law=pid", "controller.gains.pid.integral=0", "plant.payload_kg=1")
+    assert loss(*words, duration_s=1.0)["reason"] == "no gravity term"
+
+
 RAMP = "link.uplink.schedule=[{kind: ramp, at_s: 0.3, for_s: 2.5, delay_ms: 200}]"
 DEAD = "faults=[{kind: actuator_dead, joint: elbow, at_s: 0.05}]"
 
@@ -247,6 +263,8 @@ DEAD = "faults=[{kind: actuator_dead, joint: elbow, at_s: 0.05}]"
     ("paper_arm", (*SERVOJ, "controller.law=streaming", RAMP), "robot's lag"),
     ("paper_arm", (*SERVOJ, "controller.law=computed_torque", DEAD), "robot's lag"),
     ("paper_arm", ("controller.law=pid", "robot.initial_offset_rad=0", DEAD), "no gravity term"),
+    # The payload is too heavy for any law, and heavier than what a gravity term knows.
+    ("paper_arm", ("controller.law=pid", "plant.payload_kg=100"), "no gravity term"),
     # A reflex stops the robot at 2 ms.
     ("panda", ("controller.law=pid", "plant.interface.kind=franka_position"), "no gravity term"),
 ])  # fmt: skip

@@ -286,7 +286,46 @@ def test_lag_is_a_time_per_joint_and_none_at_rest(file, tmp_path):
     [said] = [each for each in reasons if each.startswith("Joints were")]
     assert said.startswith("Joints were behind their reference by 54 ms at most (j0)")
     assert "the robot's own lag is 30 ms" in said
+    assert (moves["robot_lag"]["preview_ms"], moves["robot_lag"]["without_preview_ms"]) == (0, None)
+    assert not any("The controller read" in each for each in reasons)
     # 30 ms in the robot, of which a cycle is the wait; 24 on the way.
     assert moves["lag_ms"] == [pytest.approx(54.0, abs=1.0)]
     assert moves["reflexes"] == []
     assert summarise(run(file, *common))["lag_ms"] == [None]
+
+
+def test_a_preview_and_the_lag_without_it_are_named(file, tmp_path):
+    """30 ms in the robot and 24 on the way, for which a preview makes up."""
+    common = (STREAMING, KIND.format("servoj"), *ROBOTS["servoj"], "duration_s=4")
+    data = run(file, *common, *moving(tmp_path), "link.downlink.delay_ms=24")
+    moves = RunResult(**summarise(data))
+    assert moves.robot_lag.own_ms == pytest.approx(30.0, abs=1.0)
+    assert moves.robot_lag.preview_ms == pytest.approx(54.0, abs=1.0)
+    assert moves.robot_lag.without_preview_ms == pytest.approx(54.0, abs=1.0)
+    reasons = verdict_on_run(JudgedRun("run", data, moves)).reasons
+    [said] = [each for each in reasons if each.startswith("The controller read")]
+    assert said == (
+        "The controller read the reference 54 ms ahead, 30 ms of it for the robot's own lag. With a"
+        " source that cannot be read ahead, as in teleoperation, joints would be 54 ms behind"
+        " (controller.preview_ms: 0)."
+    )
+    assert summarise(run(file, "duration_s=0.1"))["robot_lag"] is None  # it takes torques
+
+
+@pytest.mark.parametrize(("kind", "is_known"), [("servoj", True), ("joint_trajectory", False)])
+def test_the_part_of_lost_messages_is_named_or_how_to_find_it(kind, is_known):
+    """A third of the states is lost: commands are 1/3 + 1/9 + ... = 0.5 cycles older."""
+    words = (STREAMING, NO_PREVIEW, KIND.format(kind), "link.uplink.loss=0.333", "duration_s=5")
+    data = run("paper_arm", *words)
+    moves = RunResult(**summarise(data))
+    lag, tip_mm = moves.robot_lag, moves.tip_error_mm.rms
+    assert lag.late_ms == pytest.approx(0.5, abs=0.06)
+    assert lag.tip_rms_mm == pytest.approx(tip_mm, rel=0.02)  # of a slow motion it is the lag's
+    reasons = " ".join(verdict_on_run(JudgedRun("run", data, moves)).reasons)
+    assert re.search(r"messages lost, commands in force were 0\.[45]\d* ms older", reasons)
+    assert ("--set link.uplink.loss=0 shows" in reasons) == (not is_known)
+    if is_known:
+        assert lag.late_tip_rms_mm == pytest.approx(tip_mm * lag.late_ms / moves.lag_ms[0], rel=0.1)
+        assert f"about {lag.late_tip_rms_mm:.3g} mm at the tip" in reasons
+    else:  # its lag is one thing with all points, another one with two thirds of them
+        assert lag.late_tip_rms_mm is None

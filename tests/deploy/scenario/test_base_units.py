@@ -23,6 +23,10 @@ from deploy.scenario.yaml_files import ScenarioError
         ("limit_rad_s2", "90deg/s2", math.pi / 2),
         ("length_m", "5mm", 0.005),
         ("speed_m_s", "5cm/s", 0.05),
+        ("angle_rad", "180 degrees", math.pi),
+        ("angle_rad", "180°", math.pi),
+        ("speed_rad_s", "180°/s", math.pi),
+        ("length_m", "5 millimetres", 0.005),
     ],
 )
 def test_values_with_units_are_those_of_their_key(key, given, expected):
@@ -58,3 +62,28 @@ def test_held_joints_are_angles_or_lengths():
 def test_unit_that_does_not_fit_is_refused_with_its_key():
     with pytest.raises(ScenarioError, match=r"initial_offset_rad.*'2mm'"):
         load_setup("paper_arm", ["robot.initial_offset_rad=2mm"])
+
+
+@pytest.mark.parametrize(
+    ("given", "hint"),
+    [
+        ("robot.initial_offset_deg=3", "robot.initial_offset_deg: unknown key; write"
+         " initial_offset_rad: 3deg"),
+        ("robot.initial_offset_degrees=[3, 2.5, 1]",
+         "write initial_offset_rad: [3deg, 2.5deg, 1deg]"),
+        ("funnel.final_deg=0.5deg", "write final_rad: 0.5deg"),
+        ("reference.x.offset_mm=5", "write offset_m: 5mm"),
+        ("limits.velocity_deg_s=10", "write velocity_rad_s: 10deg/s"),
+        ("rate_khz=1", "unknown key; did you mean rate_hz?"),
+        ("robot.initial_offset_rad=3 grad", "write 3deg or 3mrad or 3rad"),
+        ("robot.initial_offset_rad=[3 grad, 1, 1]", "write 3deg or 3mrad or 3rad"),
+        ("reference.x.offset_m=-5 in", "write -5mm or -5cm or -5m"),
+        ("link.uplink.delay_ms=10 milliseconds", "write the number alone, in ms"),
+        ("plant.payload_kg=20 g", "write the number alone, in kg"),
+        ("duration_s=abc", "as a number"),
+    ],
+)  # fmt: skip
+def test_keys_and_values_in_other_units_are_refused_with_the_spelling_that_is_taken(given, hint):
+    with pytest.raises(ScenarioError) as refused:
+        load_setup("paper_arm", [given])
+    assert str(refused.value).endswith(hint)

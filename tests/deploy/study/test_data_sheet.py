@@ -52,20 +52,25 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     guaranteed = cases[True]["guaranteed"]
     # Asked with a network, that comes first: 4 ms are no trouble; Wilson's interval of 4 of 4
     # begins at 51 %. The worst stretch of a constant delay is its beginning, as of another window.
-    network, windows, quote, quoted, best, *_ = summary["headline"]
+    network, windows, quote, quoted, searches, best, *_ = summary["headline"]
     assert network == (
-        "calm.txt: kept in 4 of 4 windows with compensation, without drive feedback."
+        "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
+        " (--quick)."
     )
-    assert windows == "Windows of 0.4 s; 95 % interval of the kept share: 51–100 %."
+    assert windows == "95 % interval of the share of windows that are kept: 51–100 %."
     # Then the worst of what is not known of the arm, and only then the best case.
     numbers = {on: case["quoted"] for on, case in cases.items()}
     assert numbers[True] < cases[True]["margin"]
     assert quote == (
-        f"paper_arm under smc: quote a round trip of {numbers[True]:g} ms with compensation."
+        f"paper_arm under smc: quote a round trip of {numbers[True]:g} ms with compensation"
+        " (not tested; --quick: one start, one seed, runs of 0.4 s)."
     )
     assert quoted.startswith(f"Round trips: {numbers[True]:g} ms with compensation")
     assert f"; {numbers[False]:g} ms without compensation" in quoted
-    assert "the worst of the exact arm, model masses × 0.8, model masses × 1.25" in quoted
+    assert searches == (
+        "Each is the smallest of 3 searches: the exact arm, model masses × 0.8 and model masses"
+        " × 1.25."
+    )
     # The model of paper_arm errs by design, so that nothing is claimed of an exact one.
     assert best.startswith("Best case, with a model of 0.9 × its masses: ")
     or_more = " or more" if cases[True]["first_failure"] is None else ""
@@ -130,8 +135,8 @@ def test_the_headline_names_estimated_rotors_that_decide(made):
         case["smaller_rotors"] = {**case, "margin": kept_ms, "first_failure": 1.0}
         case |= quoted(case)
     (sentence,) = (each for each in headline_of(summary) if each.startswith("Round trips: "))
-    assert "0.5 ms without compensation (with a tenth of the estimated rotors)" in sentence
-    assert "none with compensation (with a tenth of the estimated rotors)" in sentence
+    assert "0.5 ms without compensation (with a tenth of the estimated rotors; " in sentence
+    assert "none with compensation (with a tenth of the estimated rotors; " in sentence
 
 
 def test_the_headline_says_what_would_keep_a_lost_network(made):
@@ -140,8 +145,9 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     for point in summary["parts"]["network"]["points"]:
         point["runs_kept"] = int(point["values"][3])  # with feedback at the drives alone
     assert headline_of(summary)[:3] == [
-        "calm.txt: lost in 4 of 4 windows with compensation, without drive feedback.",
-        "Windows of 0.4 s; 95 % interval of the kept share: 0–49 %.",
+        "calm.txt: lost in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
+        " (--quick).",
+        "95 % interval of the share of windows that are kept: 0–49 %.",
         "Kept in 4 of 4 with compensation, with drive feedback: add"
         " --set controller.drive_feedback.enabled=true.",
     ]
@@ -155,8 +161,20 @@ def test_without_a_network_the_headline_is_the_number_to_quote_alone(made):
     best = max(cases, key=lambda case: case["quoted"])
     setting = "with" if best["compensation"] else "without"
     assert headline_of(summary)[0] == (
-        f"paper_arm under smc: quote a round trip of {best['quoted']:g} ms {setting} compensation."
+        f"paper_arm under smc: quote a round trip of {best['quoted']:g} ms {setting} compensation"
+        " (not tested; --quick: one start, one seed, runs of 0.4 s)."
     )
+
+
+def test_the_effort_of_its_runs_is_a_condition_and_no_caveat_where_starts_are_several(made):
+    out, _, output = made
+    summary = summary_of(out)
+    effort = "--quick: one start, one seed, runs of 0.4 s"
+    assert summary["conditions"]["effort"] == effort
+    assert f"effort: {effort}" in " ".join(output.split())
+    assert "Not tested: runs of 0.4 s are too short" in " ".join(summary["headline"])
+    summary["quick"], summary["parts"]["margin"]["offsets"] = False, [0.5, 1.0]
+    assert "one start" not in " ".join(headline_of(summary))
 
 
 def test_each_change_that_helped_has_its_command(made):

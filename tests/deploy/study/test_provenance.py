@@ -100,7 +100,7 @@ def test_study_refuses_its_folder_after_any_change_of_its_law(folder):
     (folder / "edited_law.py").write_text(LAW.replace("- self.stiffness", "+ self.stiffness"))
     output = command(*margin(*gate, "--overwrite"), codes=(0, 3))
     assert "from before" not in output
-    output = command(*margin("--at-least", "100ms"), codes=[3])
+    output = command(*margin("--at-least", "8ms", "--limit", "8"), codes=[3])
     assert "gate: failed; " in output
 
 

@@ -61,11 +61,14 @@ def test_a_joint_at_constant_speed_is_behind_by_round_trip_and_lag_unless_it_is_
     assert abs(having["lag_ms"]) < 0.02 * 70.0
     sentence = summary["headline"][0]
     assert sentence.startswith(
-        f"streaming over the given link: joints are up to {without['lag_ms']:.3g} ms behind (j0)"
-        " without preview; "
+        "streaming over the given link, one run of 3 s each: joints are up to"
+        f" {without['lag_ms']:.3g} ms behind (j0) without preview; "
     )
     assert sentence.replace(" ", "") in output.replace("\n", "").replace(" ", "")
     assert "Reflexes: none." in summary["headline"]
+    [quoted] = [each for each in summary["headline"] if "quote a round trip" in each]
+    assert quoted.endswith(" ms (--quick: one start, one seed, runs of 3 s).")
+    assert summary["conditions"]["effort"] == "--quick: one start, one seed, runs of 3 s"
 
 
 def test_its_margin_stands_beside_theory(made):

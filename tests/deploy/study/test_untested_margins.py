@@ -10,7 +10,7 @@ from deploy.judge.gate import build_gate
 from deploy.reports.kinds import gauged
 from deploy.studies.margin.margin_study import margin_study
 from deploy.studies.margin.result import MarginResult
-from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.sentences import margin_headline, margin_sentences
 from deploy.studies.robustness.result import RobustnessResult
 from deploy.studies.robustness.sentences import robustness_sentences
 from tests.deploy.study.studies import Here, conduct, made_up
@@ -47,6 +47,8 @@ def test_runs_that_are_too_short_test_nothing(values, least_s, tmp_path):
     summary = summary_of(tmp_path, by_value, **{**DELAYED, **values})
     text = margin_sentences(MarginResult.model_validate(summary))[0]
     assert ("Not tested: runs of" in text) is (least_s is not None)
+    headline = margin_headline(MarginResult.model_validate(summary))
+    assert headline.endswith("(not tested)") is (least_s is not None)
     assert least_s is None or f"must last {least_s:g} s" in text
     assert bool(gate_failures(summary)) is (least_s is not None)
 

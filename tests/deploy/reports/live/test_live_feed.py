@@ -18,10 +18,11 @@ STATES, TRUTH, EVENTS = topics.JOINT_STATES, topics.PLANT_TRUTH, topics.RUN_EVEN
 ENDPOINT = "tcp/127.0.0.1:7451"
 
 
-def truth(stamp_ns, *, met):
+def truth(stamp_ns, *, met, skipped=False):
     record = Record(topics.layout(TRUTH, NAMES))
     record.stamp_ns = stamp_ns
     record.scalars.deadline_met = met
+    record.scalars.timing_lateness_ns = -1 if skipped else 0
     return Message(TRUTH, stamp_ns, record.payload())
 
 
@@ -55,12 +56,12 @@ def meet(feed, receiver):
 def test_the_newest_of_each_topic_is_shown_and_every_event_and_every_deadline_counts():
     sampler = Sampler(NAMES)
     for tick in range(100):
-        sampler.take(truth(tick, met=tick % 10 != 3))
+        sampler.take(truth(tick, met=tick % 10 != 3, skipped=tick in (3, 4)))
         sampler.take(Message(STATES, tick, b"state %d" % tick))
     for number in range(3):
         sampler.take(Message(EVENTS, 99, b"event %d" % number))
     ticks, missed, messages = sampler.snapshot()
-    assert (ticks, missed) == (99, 10)  # the first is reported before any has ended
+    assert (ticks, missed) == (99, 11)  # the first is reported before any has ended
     assert [(m.topic.name, m.stamp_ns) for m in messages[:2]] == [
         ("plant_truth", 99), ("joint_states", 99),
     ]  # fmt: skip

@@ -1,0 +1,107 @@
+"""The lag of a robot that takes positions or velocities, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.messages import topics
+from controller.laws import LAWS
+from controller.outer_laws.streaming import Streaming
+from deploy.judge.joint_lag import lags_s
+from deploy.judge.result.section import Section
+from deploy.judge.run_data import RunData
+from deploy.judge.tip_error import tips_apart_m
+from deploy.scenario.robot_interface import own_lag_s, preview_s
+from plant_emulator.interfaces.settings import TORQUE
+
+_MS, _MM = 1e3, 1e3
+_SOME_LOST = 3.0
+"""Cycles from one target to the next, where some are lost."""
+
+
+class RobotLag(Section):
+    """Parts of the lag of a robot that takes positions or velocities.
+
+    Attributes:
+        own_ms: lag of the robot's own controller at a constant speed; 0 if it is unknown
+        preview_ms: how far ahead the controller reads the reference; null for a controller that is
+            not a shipped law of positions or velocities
+        without_preview_ms: lag of the joint that is furthest behind, if the same motion came later
+            by the preview; null without one, and for a law with a loop of its own
+        tip_rms_mm: RMS of the tip's error that is due to the lags of ``lag_ms`` alone
+        late_ms: mean age of the commands in force beyond their median age: lost and late messages
+        late_tip_rms_mm: RMS of the tip's error that is due to a lag of ``late_ms`` alone; null for
+            robots whose own lag changes with the number of targets that arrive
+    """
+
+    own_ms: float
+    preview_ms: float | None
+    without_preview_ms: float | None
+    tip_rms_mm: float | None
+    late_ms: float | None
+    late_tip_rms_mm: float | None
+
+
+def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
+    """Return the parts of a robot's lag; None for a robot that takes torques.
+
+    Args:
+        run: the run.
+        lags_ms: of its joints; None where the reference rests.
+    """
+    scenario = run.setup.scenario
+    interface = scenario.plant.interface
+    if interface.takes == TORQUE:
+        return None
+    needs_all = interface.lag_s(_SOME_LOST * interface.true_period_s) is None
+    ages_ns = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"]
+    ages_ns = ages_ns[(ages_ns >= 0) & _is_judged(run)]
+    late_ms = max(0.0, 1e-6 * float(ages_ns.mean() - np.median(ages_ns))) if len(ages_ns) else None
+    reads_ahead = run.controller in LAWS and LAWS[run.controller].gives != TORQUE
+    ahead_s = preview_s(run.setup, run.setup.link) if reads_ahead else None
+    lags = np.array([0.0 if each is None else each for each in lags_ms])
+    return RobotLag(
+        own_ms=_MS * own_lag_s(run.setup),
+        preview_ms=None if ahead_s is None else _MS * ahead_s,
+        without_preview_ms=_without_preview_ms(run, ahead_s) if ahead_s else None,
+        tip_rms_mm=_tip_rms_mm(run, lags),
+        late_ms=late_ms,
+        late_tip_rms_mm=(
+            None if needs_all or late_ms is None else _tip_rms_mm(run, np.full_like(lags, late_ms))
+        ),
+    )
+
+
+def _is_judged(run: RunData) -> NDArray[np.bool_]:
+    return np.asarray(run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s)
+
+
+def _without_preview_ms(run: RunData, ahead_s: float) -> float | None:
+    """Return the lag of the motion if it came later by the preview; None for a law with a loop."""
+    if LAWS[run.controller].build is not Streaming:
+        return None
+    times_s, rows = run.times_s(topics.PLANT_TRUTH), _is_judged(run)
+    moved = run.tables[topics.PLANT_TRUTH.name]["position"]
+    wanted = (moved - run.true_errors_rad)[rows]
+    later = [np.interp(times_s[rows] - ahead_s, times_s, joint) for joint in moved.T]
+    lags = lags_s(np.transpose(later) - wanted, run.reference_velocities_rad_s[rows])
+    known = lags[np.isfinite(lags)]
+    return _MS * float(known.max()) if len(known) else None
+
+
+def _tip_rms_mm(run: RunData, lags_ms: NDArray[np.float64]) -> float | None:
+    """Return the RMS distance of the tip from the reference's where joints have lags alone.
+
+    None where that is not known, or no joint moves the tip.
+    """
+    rows = _is_judged(run)
+    positions = run.tables[topics.PLANT_TRUTH.name]["position"]
+    wanted = (positions - run.true_errors_rad)[rows]
+    late = wanted - lags_ms / _MS * run.reference_velocities_rad_s[rows]
+    if not len(late) or not np.isfinite(late).all():
+        return None
+    away_m = tips_apart_m(run.setup.robot, late, wanted)
+    return _MM * float(np.sqrt((away_m**2).mean())) if away_m.any() or not lags_ms.any() else None

@@ -1,0 +1,95 @@
+"""Sentences on a robot that has a controller of its own: how far behind it is, and its stops."""
+
+from __future__ import annotations
+
+from bus_schema.link.channel_configuration import ChannelConfiguration
+from deploy.judge.findings.loss_reason import Reason
+from deploy.judge.findings.remedies import remedy_of
+from deploy.judge.metrics import RunResult
+from deploy.judge.robot_lag import RobotLag
+from deploy.judge.run_data import RunData
+from deploy.reports.runs.run_numbers import worst_lag_ms
+from deploy.reports.tables import number
+from deploy.scenario.robot_interface import uncovered_lag_s
+
+_MUCH = 0.5
+_MOST = 0.85
+"""Of the tip's error; the rest of its square is less than a third."""
+
+
+def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
+    """Return how far a robot that takes targets is behind and why, and its own stops."""
+    sentences = []
+    for each in result.reflexes:
+        of_joint = "" if each.joint is None else f" of {each.joint}"
+        reflex = f"{each.kind}{of_joint}"
+        sentences.append(f"The robot stopped at {each.time_s:.3f} s by its reflex {reflex}.")
+    lag, parts = worst_lag_ms(result), result.robot_lag
+    if lag is None or parts is None:
+        return sentences
+    joint = run.setup.robot.joint_names[result.lag_ms.index(lag)]
+    way = "behind" if lag >= 0.0 else "ahead of"
+    own_ms = 1e3 * uncovered_lag_s(run.setup)
+    own = own_ms >= _MUCH * lag > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
+    tip = (
+        ""
+        if parts.tip_rms_mm is None
+        else f", which alone is {number(parts.tip_rms_mm)} mm at the tip"
+    )
+    sentences.append(
+        f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}"
+        f"{own or ''}."
+    )
+    if own and result.loss is None:
+        sentences += helps(Reason.OWN_LAG, run)
+    return [*sentences, *_on_the_preview(parts), *_on_losses(run, result, parts)]
+
+
+def helps(reason: Reason, run: RunData) -> list[str]:
+    """Return what helps against a reason, as a sentence, where that is known."""
+    remedy = remedy_of(reason, run.setup.scenario.controller.law)
+    return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
+
+
+def _on_the_preview(parts: RobotLag) -> list[str]:
+    """Return how far ahead the controller reads, what for, and the lag of a source that cannot."""
+    if not parts.preview_ms:
+        return []
+    own = f", {parts.own_ms:.0f} ms of it for the robot's own lag" if parts.own_ms else ""
+    said = f"The controller read the reference {parts.preview_ms:.0f} ms ahead{own}."
+    without_ms = parts.without_preview_ms
+    late = "follow less closely" if without_ms is None else f"be {without_ms:.0f} ms behind"
+    return [
+        f"{said} With a source that cannot be read ahead, as in teleoperation, joints would {late}"
+        " (controller.preview_ms: 0)."
+    ]
+
+
+def _on_losses(run: RunData, result: RunResult, parts: RobotLag) -> list[str]:
+    """Return the part of lost messages in the tip's error, and how to tell what is unknown."""
+    ways = (result.transport.uplink, result.transport.downlink)
+    lost = sum((each.lost or 0) + (each.resent or 0) for each in ways)
+    if not lost or parts.late_ms is None:
+        return []
+    late_mm, tip_mm = parts.late_tip_rms_mm, result.tip_error_mm.rms
+    at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
+    said = (
+        f"With {lost:,} messages lost, commands in force were {number(parts.late_ms)} ms older than"
+        f" usual on average{at_tip}."
+    )
+    without = _without_losses(run)
+    is_lag = (parts.tip_rms_mm or 0.0) >= _MOST * (tip_mm or 0.0)
+    if not without or (late_mm is not None and is_lag):
+        return [said]
+    return [said, f"The same command with {without} shows which part of the error losses cause."]
+
+
+def _without_losses(run: RunData) -> str:
+    """Return the options that turn off the losses of the scenario's link; empty for others."""
+    link = run.setup.scenario.link
+
+    def of_way(name: str, way: ChannelConfiguration) -> list[str]:
+        keys = {"loss=0": way.loss, "burst_loss=null": way.burst_loss}
+        return [f"--set link.{name}.{key}" for key, is_set in keys.items() if is_set]
+
+    return " ".join([*of_way("uplink", link.uplink), *of_way("downlink", link.downlink)])
