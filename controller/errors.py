@@ -28,7 +28,7 @@ class LawError(ControllerError):
 
     def __init__(self, law: str, tick: int | None, error: BaseException) -> None:
         when = "before the first tick" if tick is None else f"at tick {tick}"
-        super().__init__(f"law {law} failed {when}: {_described(error)}{_places(error)}")
+        super().__init__(f"law {law} failed {when}: {described(error)}")
 
 
 def is_of_the_law(error: BaseException) -> bool:
@@ -38,8 +38,12 @@ def is_of_the_law(error: BaseException) -> bool:
     return not isinstance(error, Stopped)
 
 
-def _described(error: BaseException) -> str:
-    """Return type and message of an exception on one printable line."""
+def described(error: BaseException) -> str:
+    """Return an exception of the user's code on one printable line, and where it was raised."""
+    return f"{_message(error)}{_places(error)}"
+
+
+def _message(error: BaseException) -> str:
     text = " ".join("".join(traceback.format_exception_only(error)).split())
     text = "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
@@ -50,6 +54,7 @@ def _places(error: BaseException) -> str:
     frames = [
         f"{frame.filename}:{frame.lineno} in {frame.name}"
         for frame in traceback.extract_tb(error.__traceback__)[1:]
+        if not frame.filename.startswith("<frozen")
     ]
     if len(frames) > _FIRST + _LAST:
         frames = [*frames[:_FIRST], "…", *frames[-_LAST:]]

@@ -21,7 +21,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
-from controller.errors import is_of_the_law
+from controller.errors import described, is_of_the_law
 from controller.laws.read_files import OUR_FOLDER, files_read
 
 
@@ -111,6 +111,8 @@ class LeftOut:
 class TargetsAlone:
     """A custom law of targets without a method ``torque``: its torques are zero.
 
+    It needs neither a method ``reset`` nor ``diagnostics``.
+
     Args:
         law: the law, with a method ``target``.
         joints: number of joints.
@@ -121,6 +123,7 @@ class TargetsAlone:
     def __init__(self, law: Any, joints: int) -> None:
         self._law: Any = law
         self._torque: Vector = np.zeros(joints)
+        self.diagnostics = getattr(law, "diagnostics", None) or Diagnostics(joints)
 
     def __getattr__(self, name: str) -> Any:
         if name == "_law":  # not set yet, as in a copy
@@ -133,7 +136,8 @@ class TargetsAlone:
 
     def reset(self) -> None:
         """Have the law forget everything."""
-        self._law.reset()
+        if reset := getattr(self._law, "reset", None):
+            reset()
 
 
 def tell_lag(name: str, law: object, lag_s: float) -> None:
@@ -150,7 +154,7 @@ def tell_lag(name: str, law: object, lag_s: float) -> None:
     except BaseException as error:  # user code may raise any exception, or exit
         if not is_of_the_law(error):
             raise
-        failed = f"its make_up_for({lag_s:g}) must not fail: {_described(error)}"
+        failed = f"its make_up_for({lag_s:g}) must not fail: {described(error)}"
         raise ConfigurationError(_LAW_KEY, name, failed) from error
 
 
@@ -170,22 +174,28 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         if not is_of_the_law(error):
             raise
         raise ConfigurationError(
-            _GAINS_KEY, gains, f"{name} cannot be created with these: {_described(error)}"
+            _GAINS_KEY, gains, f"{name} cannot be created with these: {described(error)}"
         ) from error
 
     def has(method: str) -> bool:
         return callable(getattr(law, method, None))
 
-    gives = has("torque") or has("target")
-    missing = [*([] if gives else ["torque"]), *([] if has("reset") else ["reset"])]
+    if has("target") and not has("torque"):
+        targets: ControlLaw = TargetsAlone(law, model.joints)
+        return targets
+    missing = [name for name in ("torque", "reset") if not has(name)]
     if not isinstance(getattr(law, "diagnostics", None), Diagnostics):
         missing.append("diagnostics, a controller.control_law.Diagnostics")
     if missing:
-        hint = "" if gives else "; a law of positions or velocities has target instead of torque"
+        hint = (
+            ""
+            if has("torque")
+            else "; a law of positions or velocities has target instead of torque"
+        )
         raise ConfigurationError(
             _LAW_KEY, name, f"is not a control law: it lacks {', '.join(missing)}{hint}"
         )
-    built: ControlLaw = law if has("torque") else TargetsAlone(law, model.joints)
+    built: ControlLaw = law
     return built
 
 
@@ -218,7 +228,7 @@ def find_law(name: str) -> Maker:
         if not is_of_the_law(error):
             raise
         raise ConfigurationError(
-            _LAW_KEY, name, f"{module_name} cannot be imported: {_described(error)}"
+            _LAW_KEY, name, f"{module_name} cannot be imported: {described(error)}"
         ) from error
     make: Maker | None = getattr(module, class_name, None)
     if not callable(make):
@@ -226,7 +236,3 @@ def find_law(name: str) -> Maker:
         whose = ", because funnel-hil has a module of that name: rename yours" if ours else ""
         raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}{whose}")
     return make
-
-
-def _described(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"

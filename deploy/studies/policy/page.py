@@ -5,6 +5,7 @@ from __future__ import annotations
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy
@@ -15,6 +16,11 @@ from deploy.studies.policy.findings import jump_column, longest, recommended
 from deploy.studies.policy.result import Merge, Point, PolicyResult
 
 _HEIGHT_PX = 430
+_HELPS: dict[str, str] = {
+    Reason.VIBRATION: "Compare the velocities in the answers with the slope of the positions, and"
+    " how far the policy sees ahead with the age of its answers; or make the robot's loop softer",
+}
+"""What helps a policy in particular, by the reason why it does not hold."""
 
 
 def policy_page(study: DrawnStudy) -> Page[DrawnStudy]:
@@ -50,9 +56,15 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
     best = recommended(cases)
     if best is None or best.at is None:
         reasons = _first_ends(cases)
-        remedies = (remedy_of(reason, result.policy) for reason in reasons)
+        remedies = (_HELPS.get(reason) or remedy_of(reason, result.policy) for reason in reasons)
         helps = [f"{each[0].upper()}{each[1:]}." for each in remedies if each]
         return [f"{arm}: {_none_holds(cases, reasons)}.", *helps]
+    if (best.inference_ms or 0.0) < best.at.inference_ms:
+        why = f", then {best.ends}" if best.ends else ""
+        return [
+            f"{arm}: {best.merge} keeps the bounds longest, up to {_up_to(best)} of inference{why}."
+            f" At {best.at.inference_ms:g} ms no merge does."
+        ]
     key, last = jump_column(cases), longest(cases)
     jump = _jump(best.at, key)
     most = [_jump(case.at, key) for case in cases if case.at and case is not best]

@@ -32,6 +32,10 @@ class ComputedTorque:
         wanted = wanted - damping * tracking.error_rate
         return self.model.inverse_dynamics(tracking.position, tracking.velocity, wanted)
 
+class NotMade:
+    def __init__(self, model):
+        [][model.joints]
+
 class NoLaw:
     def __init__(self, model):
         pass
@@ -72,6 +76,9 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
     [
         ("nowhere:Law", "{}", "nowhere cannot be imported: ModuleNotFoundError"),
         ("broken_module:Law", "{}", "broken_module cannot be imported: ZeroDivisionError"),
+        ("broken_module:Law", "{}", "broken_module.py:1 in <module>)"),
+        ("my_laws:NotMade", "{}", "IndexError: list index out of range ("),
+        ("my_laws:NotMade", "{}", "my_laws.py:21 in __init__)"),
         ("my_laws:Missing", "{}", "my_laws has no class Missing"),
         ("my_laws:number", "{}", "my_laws has no class number"),
         ("my_laws:NoLaw", "{}", "is not a control law: it lacks torque, reset, diagnostics"),

@@ -129,6 +129,7 @@ def test_the_merge_that_jumps_least_at_the_inference_time_asked_for_is_recommend
      "no inference time to quote: at 0 ms it is lost (lag); bounds are kept at up to 50 ms"),
     ({0.0: 1, 25.0: 1}, "vibration",
      "at 0 ms bounds are kept but it does not hold (vibration); bounds are kept at up to 25 ms"),
+    ({0.0: 1}, "vibration", "(vibration). Compare the velocities in the answers with the slope"),
     ({0.0: 0, 25.0: 0}, "saturated",
      "no merge keeps the bounds, even at an inference time of 0 ms (saturated)"),
     ({0.0: 0, 25.0: 0}, "robot's lag",
@@ -144,6 +145,16 @@ def test_a_policy_without_a_time_to_quote_says_what_its_runs_did(kept, ends, sai
         completed=True, policy="m:P", cases=[merge.model_copy(update={"points": points})]
     )
     assert said in " ".join(advice(result, "arm"))
+
+
+def test_a_policy_that_is_lost_at_the_time_of_comparisons_names_the_time_that_it_keeps():
+    best = case("replace", 50.0, 0.0).model_copy(update={"ends": "vibration"})
+    cases = [best, case("spline", None, 0.0)]
+    result = PolicyResult.model_construct(completed=True, policy="m:P", cases=cases)
+    assert advice(result, "arm") == [
+        "arm: replace keeps the bounds longest, up to 50 ms of inference, then vibration. At 100 ms"
+        " no merge does."
+    ]
 
 
 def test_a_flaw_of_a_kept_run_is_named():
