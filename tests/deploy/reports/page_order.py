@@ -4,9 +4,9 @@ from __future__ import annotations
 
 
 def assert_shows_before_it_tells(html: str) -> None:
-    """Headline, one section of figures, reasons, tables, and conditions that are folded."""
+    """Headline with the first reason, one section of figures, reasons, tables, and conditions that are folded."""
     marks = (
-        "<h1>", '<figure class="card"', 'id="reasons"', "<h2>", "<table", '<details class="card',
+        "<h1>", 'class="lede"', '<figure class="card"', 'id="reasons"', "<h2>", "<table", '<details class="card',
     )  # fmt: skip
     places = [html.index(mark, html.index("<body>")) for mark in marks]
     assert places == sorted(places), dict(zip(marks, places, strict=True))
