@@ -47,11 +47,12 @@ def verdict_on_run(
     bounds, known = result.bounds, known_ticks(run)
     is_judged = bounds.violation_fraction is not None
     reasons = [
-        f"The true error was {_bounds_text(run, result, known)}."
+        f"The true error was {_bounds_text(result, known)}."
         if is_judged
         else "No tick was recorded, so there is no verdict on the bounds.",
         *remedy_sentences(judged),
         *sentences_on_the_host(judged, manifest),
+        *other_margins(bounds, run.setup.scenario.metrics.from_s),
         *_sentences_on_the_tip(result, run.setup.scenario.metrics.from_s),
         *sentences_on_the_robot(run, result),
         *(
@@ -187,7 +188,7 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
     )
 
 
-def _bounds_text(run: RunData, result: RunResult, known: KnownTicks) -> str:
+def _bounds_text(result: RunResult, known: KnownTicks) -> str:
     """Describe the error within its bounds, at the ticks that are known."""
     bounds, damage = result.bounds, result.recording.damage
     is_all = not known.missing and not damage
@@ -196,8 +197,8 @@ def _bounds_text(run: RunData, result: RunResult, known: KnownTicks) -> str:
     margin, place = bounds.margin_min, margin_place(bounds)
     if not bounds.violation_fraction:
         ticks = f"all {known.ticks:,} ticks" if is_all else where
-        others = other_margins(bounds, run.setup.scenario.metrics.from_s)
-        return f"inside its bounds at {ticks}, smallest margin {margin_text(margin)}{place}{others}"
+        left = f"with at least {margin_text(margin)} of the bound left{place}"
+        return f"inside its bounds at {ticks}, {left}"
     times = "an unknown multiple of" if margin is None else f"{number(1.0 - margin)} times"
     return (
         f"outside its bounds at {number(bounds.violation_fraction, 100)} % of"
@@ -264,7 +265,7 @@ def bounds_sentence(run: JudgedRun) -> str:
         return (
             "left its bounds at ticks that are missing in the recording, by the plant's own count"
         )
-    return _bounds_text(run.data, run.result, known)
+    return _bounds_text(run.result, known)
 
 
 def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:

@@ -67,7 +67,7 @@ def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
     lines = [style.line(times_s, delays_ms, style.INK, "acts")]
     if run.setup.link.plays_automatically:
         lines += [
-            style.line(arrived_s, arrived_ms, style.palette(0), "arrives, the last of a tick")
+            style.line(arrived_s, arrived_ms, style.palette(0), "arrives, and waits until it acts")
         ]
     figure = style.new_figure(_LOW_PX, "time (s)", "after its state (ms)", lines)
     if lost_s is not None:

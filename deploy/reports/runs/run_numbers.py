@@ -87,13 +87,15 @@ def margin_place(bounds: Bounds) -> str:
     return "" if at_s is None else f" ({joint} at {at_s:.3f} s)"
 
 
-def other_margins(bounds: Bounds, from_s: float) -> str:
-    """Return the margins at the start, after the initial offset, and once bounds have narrowed."""
-    margins = {
-        "at the start": bounds.margin_start,
-        f"from {from_s:g} s on": bounds.margin_steady,
-    }
-    return "".join(f", {margin_text(it)} {when}" for when, it in margins.items() if it is not None)
+def other_margins(bounds: Bounds, from_s: float) -> list[str]:
+    """Tell what was left of the bounds at the start, and once they have narrowed."""
+    if bounds.violation_fraction != 0 or bounds.margin_steady is None:
+        return []
+    later = f"from {from_s:g} s on at least {margin_text(bounds.margin_steady)}"
+    start = (
+        "" if bounds.margin_start is None else f"{margin_text(bounds.margin_start)} at the start, "
+    )
+    return [f"Left of the bound: {start}{later}."]
 
 
 def worst_lag_ms(result: RunResult) -> float | None:

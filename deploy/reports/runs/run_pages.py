@@ -11,6 +11,7 @@ from typing import Any
 
 from deploy.judge.conditions import conditions_of_recording
 from deploy.judge.findings.link_delays import link_sentence, playout_sentence
+from deploy.judge.link_words import link_words
 from deploy.judge.metrics import RunResult
 from deploy.judge.result.transport import Channel
 from deploy.reports.page import Cards, Fact, Page, Panel
@@ -53,7 +54,8 @@ def run_page(
         _panels_of_run,
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
-        heading=f"{result.scenario} · {result.law} · {result.clock}",
+        heading=(f"{result.scenario} · {result.law} · {link_words(run.data.setup.link)} ·"
+                 f" {result.duration_s:g} s · {result.clock}"),
         results=[
             Cards([of_run.joint_table(result, from_s)]),
             Cards(of_run.confirmation_tables([result.confirmation])),

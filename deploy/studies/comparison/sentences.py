@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from deploy.judge.findings.remedies import remedy_of
+from deploy.judge.link_words import has_no_effect, link_words
 from deploy.judge.result.section import PerJoint
 from deploy.reports.page import ReportHead
 from deploy.reports.tables import number
@@ -36,9 +37,25 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
     unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
     helped = [text for run in runs for text in _remedy_sentences(run, {each.law for each in runs})]
-    head = head_of_runs(runs, headline, [*unread, *helped, *_ranking(comparison), *settled])
+    link = _link_sentence(runs[0])
+    found = [*unread, *helped, *_ranking(comparison), *settled]
+    head = head_of_runs(runs, headline, found)
     faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
-    return replace(head, printed=[*unread, *helped, *settled, *faulted])
+    return replace(
+        head, reasons=[link, *head.reasons], printed=[link, *unread, *helped, *settled, *faulted]
+    )
+
+
+def _link_sentence(run: JudgedRun) -> str:
+    """Say on which link all laws were compared, and what was not compared."""
+    link = run.data.setup.link
+    tuned = "Their gains were not tuned alike for this: funnel-hil tune does that."
+    if not has_no_effect(link):
+        return f"All laws had the same link: {link_words(link)}. {tuned}"
+    return (
+        "All laws were compared without a link delay, so this ranks no law for a network:"
+        f" funnel-hil margin finds how much delay each takes. {tuned}"
+    )
 
 
 def _remedy_sentences(run: JudgedRun, compared: Collection[str]) -> list[str]:

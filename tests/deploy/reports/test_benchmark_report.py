@@ -42,7 +42,7 @@ def test_a_benchmark_shows_the_predictor_of_the_best_before_it_tells(tmp_path):
     write_page(tmp_path / "report.html", page_of(cell("easy", "smc", 1.0), best))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h1>Largest delay that every arm and pattern kept: 8 ms, by smc with predictor" in page
-    assert page.index("benchmark-smith") < page.index('id="reasons"') < page.index("<table")
+    assert page.index('class="lede"') < page.index("benchmark-smith") < page.index("<table")
     assert page.index("<table") < page.index("benchmark-none")
 
 

@@ -159,11 +159,19 @@ def test_error_far_outside_is_reported_as_a_multiple_of_its_bound(comparison):
     place = [column.heading for column in verdict.columns].index("Smallest margin")
     texts = [row[place].text for row in verdict.cells]
     assert texts == ["error 15.1 × bound", "-20 %"]
-    assert (
-        verdict_on_laws(ComparedRuns([far, near]))
-        .reasons[0]
-        .endswith("at most 15.1 times its bound (base_yaw at 0.005 s)")
+    link, first, *_ = verdict_on_laws(ComparedRuns([far, near])).reasons
+    assert first.endswith("at most 15.1 times its bound (base_yaw at 0.005 s)")
+    assert "compared without a link delay" in link
+
+
+def test_a_comparison_names_its_link():
+    setup = load_setup(
+        "paper_arm", ["duration_s=0.05", "link.uplink.delay_ms=3", "link.downlink.loss=0.1"]
     )
+    run = JudgedRun("smc", simulate(setup).data())
+    sentence = verdict_on_laws(ComparedRuns([run])).reasons[0]
+    assert sentence.startswith("All laws had the same link: round trip 3 ms, losses.")
+    assert "funnel-hil tune" in sentence
 
 
 def tables_of(comparison):
