@@ -1,4 +1,4 @@
-"""What a link is configured to do to messages, in a few words."""
+"""The configured link in a few words: its round trip, and what else happens to messages."""
 
 from __future__ import annotations
 

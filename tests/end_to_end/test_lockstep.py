@@ -129,7 +129,7 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
         "limits", "identified", "digest", "motion", "recording", "commander", "verdict",
         "seed_used", "growing", "loss", "tested_with", "vibrating", "beyond_ranges",
         "not_tested_below_hz", "not_tested_slower_s", "tip_error_mm", "lag_ms",
-        "reflexes", "chunks",
+        "reflexes", "chunks", "robot_lag",
     }  # fmt: skip
     assert set(summary["bounds"]) == {
         "kept", "violation_fraction", "first_violation_s", "margin_min", "margin_min_joint",

@@ -41,7 +41,7 @@ def _kept_sentence(case: RobustCase, summary: RobustnessResult) -> str:
 
 
 def _next_trial(case: RobustCase, summary: RobustnessResult) -> str:
-    """What may find plants that are kept, where at no value enough are."""
+    """Name a change that may find plants that are kept, where at no value enough are."""
     if case.values[0].value == 0:
         return f"the {summary.title} is not the cause: compare other laws"
     helps = summary.quantity == "delay" and not case.compensation
