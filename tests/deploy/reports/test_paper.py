@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 import pytest
 from plotly.subplots import make_subplots
 
-from deploy.reports.figures.style import new_figure, palette
+from deploy.reports.figures.style import band, joint_rows, line, new_figure, palette
 from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text, narrow_parts
 from deploy.reports.results import Results
 from deploy.reports.tables import Cell, Column, Table
@@ -158,6 +158,57 @@ def test_seven_joints_fit_in_three_inches_with_eight_points(tmp_path, monkeypatc
     boxes = [at.get_window_extent() for at in shown]
     assert all(box.height > 15.0 for box in boxes)  # px of 100 per inch
     assert not any(one.overlaps(other) for n, one in enumerate(boxes) for other in boxes[n + 1 :])
+
+
+def of_joints(count):
+    """A figure of errors of joints, each in the colour of its joint, and at times outside."""
+    names = tuple(f"joint {n}" for n in range(count))
+    figure = joint_rows(names, "mrad", "true error")
+    times, ones = np.array([0.0, 1.0, 2.0]), np.ones(3)
+    for row in range(1, count + 1):
+        figure.add_traces(band(times, ones, -ones), rows=row, cols=1)
+        figure.add_trace(line(times, 2.0 * ones, palette(row - 1), "true error"), row=row, col=1)
+        figure.add_scatter(
+            x=times, y=-3.0 * ones, name="outside", mode="lines",
+            line={"width": 8, "color": "#c0392b"}, row=row, col=1,
+        )  # fmt: skip
+        figure.update_yaxes(range=[-3.0, 3.0], row=row)
+    return figure
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize("joints", [3, 5, 7])
+def test_last_joint_of_each_column_has_the_times_and_the_quantity_is_named(
+    tmp_path, monkeypatch, joints, columns
+):
+    found = written(of_joints(joints), tmp_path, monkeypatch, columns)
+    shown = [at for at in found.axes if at.get_visible()]
+    by_column = {at.get_subplotspec().colspan.start: at for at in shown}  # the last one of each
+    for at in shown:
+        has_times = any(label.get_visible() for label in at.get_xticklabels())
+        assert has_times == (at in by_column.values())
+    assert found._supylabel.get_text() == "true error (mrad)"
+    assert found.get_figheight() <= 3.0
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize("joints", [3, 7])
+def test_legend_names_each_kind_of_line_once_and_is_of_all_joints(
+    tmp_path, monkeypatch, joints, columns
+):
+    found = written(of_joints(joints), tmp_path, monkeypatch, columns)
+    (legend,) = found.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["bounds", "true error", "outside"]
+    shown = [at for at in found.axes if at.get_visible()]
+    errors = [line for at in shown for line in at.lines if line.get_ydata()[0] == 2.0]
+    assert len(errors) == joints
+    assert {(line.get_color(), line.get_marker()) for line in errors} == {(palette(0), "")}
+    strips = [line for at in shown for line in at.lines if line.get_ydata()[0] == -3.0]
+    assert all(line.get_linewidth() > 2.0 for line in strips)  # differs in grey, and has no marker
+    assert {line.get_marker() for line in strips} == {""}
+    box = legend.get_window_extent()
+    assert 0.0 <= box.x0 < box.x1 <= found.bbox.width
+    assert not any(box.overlaps(at.get_window_extent()) for at in shown)
 
 
 def test_lines_and_bars_of_equal_colour_in_grey_differ(tmp_path, monkeypatch):

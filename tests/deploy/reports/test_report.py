@@ -11,12 +11,14 @@ import pytest
 from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.robot_description import load_robot
+from deploy.judge.bounds import bound_usage
 from deploy.judge.metrics import RunResult, judge, summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.figures import style
 from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
-from deploy.reports.figures.joints import error_in_funnel, torques
+from deploy.reports.figures.joints import error_first_second, error_in_funnel, torques
 from deploy.reports.figures.learned import unknown_dynamics_nm
 from deploy.reports.figures.style import decimate
 from deploy.reports.figures.timeline import deadline_misses, fault_spans_s, with_faults
@@ -111,6 +113,28 @@ def test_the_report_of_a_run_shows_before_it_tells(run, page_of):
     folded = page.index('<details class="card folded">')
     assert page.index('id="error-in-funnel"') < page.index('id="tip-path"') < folded
     assert folded < page.index('id="timing-percentiles"')
+
+
+@pytest.mark.parametrize("draw", [error_in_funnel, error_first_second])
+def test_times_outside_the_bounds_are_a_strip_below_the_line_that_hides_nothing(draw):
+    lost = run_of("metrics.from_s=0.5", "link.uplink.delay_ms=40")
+    times_s, outside = lost.times_s(PLANT_TRUTH), bound_usage(lost) >= 1.0
+    shown = times_s <= 1.0 if draw is error_first_second else times_s >= 0.0
+    figure = draw(ComparedRuns([JudgedRun("", lost)]))
+    assert not [trace for trace in figure.data if "markers" in (trace.mode or "")]
+    strips = [trace for trace in figure.data if trace.name == "outside the bounds"]
+    assert len(strips) == outside[shown].any(axis=0).sum() > 0
+    axes = [*figure.select_yaxes()]
+    for strip in strips:
+        joint = int(strip.yaxis[1:] or 1) - 1
+        low, high = axes[joint].range
+        assert set(strip.y) == {low}
+        assert high == -low
+        begins, ends = strip.x[::3], strip.x[1::3]
+        times = times_s[shown][outside[shown][:, joint]]
+        inside = (begins[:, None] <= times) & (times <= ends[:, None] + 1e-9)
+        assert inside.any(axis=0).all()  # no tick is left out
+        assert inside.any(axis=1).all()  # and no part of the strip has none
 
 
 def test_a_joint_has_one_colour_in_all_figures_and_nothing_else_has_it(run):
