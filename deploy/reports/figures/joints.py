@@ -35,7 +35,7 @@ _HEADROOM = 1.6
 _STRIP_PARTS = 400
 """Of a run: what is outside its bounds for less is drawn as long as that."""
 _TORQUE_POINTS = 1500
-_ROW_PX = 150
+_ROW_PX, _FIRST_SCREEN_PX = 150, 560
 _SPECTRUM_FLOOR = 1e-12
 _NEAR = 0.8
 
@@ -50,6 +50,8 @@ def error_in_funnel(runs: ComparedRuns) -> go.Figure | None:
     late = run.times_s(_TRUTH) >= run.setup.scenario.metrics.from_s
     if len(runs.runs) == 1 and late.any():
         limits = np.maximum(limits, 1.1 * np.abs(run.true_errors_rad[late]).max(axis=0))
+    if len(runs.runs) == 1:
+        figure.update_layout(height=min(figure.layout.height, _FIRST_SCREEN_PX))
     return _scaled(figure, runs, style.MRAD * limits, np.inf)
 
 

@@ -112,6 +112,8 @@ def test_the_report_of_a_run_shows_before_it_tells(run, page_of):
     assert_shows_before_it_tells(page)
     folded = page.index('<details class="card folded">')
     assert page.index('id="error-in-funnel"') < page.index('id="tip-path"') < folded
+    assert page[: page.index("<h2>")].count("<figure") == 1  # the errors, before all other reasons
+    assert "paper_arm · fixed_time_neural · no link delay · 1.5 s" in page[: page.index("<h1>")]
     assert folded < page.index('id="timing-percentiles"')
 
 
