@@ -100,6 +100,32 @@ def test_the_page_needs_nothing_from_outside(run, page_of):
     assert "showSendToCloud: false" in page  # plotly's button that uploads a figure
 
 
+def test_caption_explains_only_what_is_drawn(run):
+    panels = {panel.id: panel for panel in run_panels.RUN_PANELS}
+    setting = "link.uplink.pattern={shape: square, period_ms: 100}"
+    late = ("metrics.from_s=0.5", "link.uplink.delay_ms=90", setting)
+    played = ("link.uplink={delay_ms: 20, jitter_ms: 10}", "metrics.from_s=0.5",
+              "controller.delay_compensation.enabled=true")  # fmt: skip
+    fault = (
+        "metrics.from_s=0.5",
+        "faults=[{kind: torque_offset, joint: elbow, at_s: 0.5, torque_nm: 1}]",
+    )
+
+    def caption(name, of):
+        panel, subject = panels[name], ComparedRuns([JudgedRun("", of)])
+        return panel.caption_of(panel.draw(subject))
+
+    words = {"red strip": "error-in-funnel", "Red shades": "error-in-funnel",
+             "play-out": "delay-over-time", "cross": "delay-over-time"}  # fmt: skip
+    runs = {"kept": run, "lost": run_of(*late), "played": run_of(*played), "faulty": run_of(*fault)}
+    said = {name: {word for word, panel in words.items() if word in caption(panel, each)}
+            for name, each in runs.items()}  # fmt: skip
+    assert said["kept"] == set()
+    assert said["lost"] == {"red strip", "cross"}
+    assert "play-out" in said["played"]
+    assert "Red shades" in said["faulty"]
+
+
 def test_a_report_has_every_figure_with_a_caption(run, page_of):
     page = page_of(run)
     for name in FIGURES:
