@@ -1,4 +1,4 @@
-"""What a link is configured to do to messages, in a few words."""
+"""Words for what a link is configured to do to messages."""
 
 from __future__ import annotations
 
