@@ -19,7 +19,8 @@ from deploy.judge.run_data import RunData
 from deploy.judge.time_series import SERIES, series
 from deploy.measure.trace_output import write_table
 from deploy.reports.again import evaluated_again
-from deploy.reports.paper.paper import FORMATS, write_bibtex, write_figures, write_latex
+from deploy.reports.paper.latex import write_latex
+from deploy.reports.paper.paper import FORMATS, write_bibtex, write_figures
 from deploy.reports.verdict_texts import PARTIAL, damaged, missing_ticks_sentence
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.run_folder import load_run

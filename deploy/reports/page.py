@@ -83,6 +83,7 @@ class Panel(Generic[T]):
         is_drawn_beside: whether `draw` begins what another process does, and gives a function that
             waits for that and does the rest once the other panels are drawn.
         is_folded: whether its section stands among what a page has folded.
+        notes: further sentences of the caption, by the name of the line or shade that they explain.
     """
 
     section: str
@@ -94,6 +95,14 @@ class Panel(Generic[T]):
     is_over_time: bool = False
     is_drawn_beside: bool = False
     is_folded: bool = False
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def caption_of(self, content: Any) -> str:
+        """Return the caption of what was drawn, without a word on what is not there."""
+        shapes = getattr(content, "layout", {"shapes": ()})["shapes"]
+        names = {each.name for each in (*getattr(content, "data", ()), *shapes)}
+        explained = [note for name, note in self.notes.items() if name in names]
+        return " ".join([self.caption, *explained])
 
 
 class Cards(NamedTuple):

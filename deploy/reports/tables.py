@@ -109,6 +109,13 @@ class Column:
         """Heading with unit, on one line."""
         return f"{self.heading} ({self.unit})" if self.unit else self.heading
 
+    @property
+    def brief_title(self) -> str:
+        """Short heading, where it has one, with unit, on one line."""
+        broken = (self.brief or self.heading).replace("-\n", "").replace(".\n", ".")
+        brief = " ".join(broken.split())
+        return f"{brief} ({self.unit})" if self.unit else brief
+
 
 @dataclass(frozen=True)
 class Shown(Column):

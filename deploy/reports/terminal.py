@@ -56,7 +56,8 @@ def _print_head(console: Console, head: ReportHead) -> None:
     headline = f"{head.headline[:1].lower()}{head.headline[1:]}"
     console.print(headline, style=STYLES[head.level], markup=False, highlight=False)
     for reason in head.reasons if head.printed is None else head.printed:
-        console.print(reason, markup=False, highlight=False)
+        has_command = ": funnel-hil " in reason  # to be copied, so on one line
+        console.print(reason, markup=False, highlight=False, soft_wrap=has_command)
 
 
 def print_table(console: Console, table: Table) -> None:

@@ -34,7 +34,7 @@ def chunks_over_time(run: RunData) -> go.Figure | None:
         here, colour = slice(lane, None, _LANES), style.palette(lane)
         for begins, ends, width in ((asked_s, at_s, 1.5), (at_s, ends_s, 9)):
             figure.add_scatter(
-                x=_apart(begins[here], ends[here]), y=_level(lane, begins[here]), mode="lines",
+                x=style.apart(begins[here], ends[here]), y=_level(lane, begins[here]), mode="lines",
                 line={"color": colour, "width": width}, showlegend=False, row=1, col=1,
             )  # fmt: skip
     _add_jumps(figure, found.jumps[: _MOST + 1])
@@ -58,11 +58,6 @@ def _add_jumps(figure: go.Figure, jumps: list[Jump]) -> None:
         marker={"color": style.ALARM}, row=2, col=1,
         hovertemplate="%{customdata[0]}: %{y:.3g} mrad, tip %{customdata[1]} mm<extra></extra>",
     )  # fmt: skip
-
-
-def _apart(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return lines from begins to ends, with a gap after each."""
-    return np.stack([begins, ends, np.full(len(begins), np.nan)], axis=1).ravel()
 
 
 def _level(lane: int, begins: np.ndarray) -> np.ndarray:

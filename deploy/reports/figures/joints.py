@@ -32,8 +32,10 @@ _TRUTH = topics.PLANT_TRUTH
 _ZOOM_S = 1.0
 _BAND_POINTS = 600
 _HEADROOM = 1.6
+_STRIP_PARTS = 400
+"""Of a run: what is outside its bounds for less is drawn as long as that."""
 _TORQUE_POINTS = 1500
-_ROW_PX = 150
+_ROW_PX, _FIRST_SCREEN_PX = 150, 560
 _SPECTRUM_FLOOR = 1e-12
 _NEAR = 0.8
 
@@ -41,20 +43,27 @@ _NEAR = 0.8
 def error_in_funnel(runs: ComparedRuns) -> go.Figure | None:
     """True error of every joint inside its bounds, scaled to the bounds' steady state."""
     figure = _errors(runs, np.inf)
-    if figure is not None:
-        run = runs.drawn[0].data
-        limits = _HEADROOM * run.setup.funnel.final_rad
-        late = run.times_s(_TRUTH) >= run.setup.scenario.metrics.from_s
-        if len(runs.runs) == 1 and late.any():
-            limits = np.maximum(limits, 1.1 * np.abs(run.true_errors_rad[late]).max(axis=0))
-        for row, limit in enumerate(style.MRAD * limits, start=1):
-            figure.update_yaxes(range=[-limit, limit], row=row)
-    return figure
+    if figure is None:
+        return None
+    run = runs.drawn[0].data
+    limits = _HEADROOM * run.setup.funnel.final_rad
+    late = run.times_s(_TRUTH) >= run.setup.scenario.metrics.from_s
+    if len(runs.runs) == 1 and late.any():
+        limits = np.maximum(limits, 1.1 * np.abs(run.true_errors_rad[late]).max(axis=0))
+    if len(runs.runs) == 1:
+        figure.update_layout(height=min(figure.layout.height, _FIRST_SCREEN_PX))
+    return _scaled(figure, runs, style.MRAD * limits, np.inf)
 
 
 def error_first_second(runs: ComparedRuns) -> go.Figure | None:
     """True error of every joint inside its bounds, at the start of the run."""
-    return _errors(runs, _ZOOM_S)
+    figure = _errors(runs, _ZOOM_S)
+    if figure is None or len(runs.runs) > 1:
+        return figure
+    largest = {trace.yaxis: 0.0 for trace in figure.data}
+    for trace in figure.data:
+        largest[trace.yaxis] = max(largest[trace.yaxis], float(np.abs(trace.y).max()))
+    return _scaled(figure, runs, 1.05 * np.array([*largest.values()]), _ZOOM_S)
 
 
 def transformed_error(run: RunData) -> go.Figure | None:
@@ -67,7 +76,7 @@ def error_envelopes(runs: ComparedRuns) -> go.Figure | None:
     if not runs.drawn:
         return None
     setup = runs.drawn[0].data.setup
-    rows = style.joint_rows(setup.robot.joint_names, "mrad")
+    rows = style.joint_rows(setup.robot.joint_names, "mrad", "largest |error|")
     figure = with_runs(rows, runs) if len(runs.runs) > 1 else rows
     for run in runs.drawn:
         errors = style.MRAD * run.data.true_errors_rad
@@ -84,7 +93,7 @@ def positions_apart(runs: ComparedRuns) -> go.Figure | None:
     """Return the distance of each run's positions from those of the first, at the same instant."""
     first = runs.runs[0].data
     own = first.tables[_TRUTH.name]["position"]
-    figure = with_runs(style.joint_rows(first.setup.robot.joint_names, "mrad"), runs)
+    figure = with_runs(style.joint_rows(first.setup.robot.joint_names, "mrad", "distance"), runs)
     for run in runs.drawn:
         theirs = run.data.tables[_TRUTH.name]["position"]
         here, there = ticks_in_common(first, run.data)
@@ -113,23 +122,45 @@ def _errors(runs: ComparedRuns, until_s: float) -> go.Figure | None:
 
 
 def _add_error(figure: go.Figure, run: RunData, until_s: float) -> None:
-    """The error of a run that stands alone, with marks at the ticks outside the bounds."""
+    """The error of a run that stands alone."""
     times_s = run.times_s(_TRUTH)
     shown = times_s <= until_s
-    outside = bound_usage(run)[shown] >= 1.0
-    times_s, errors = times_s[shown], style.MRAD * run.true_errors_rad[shown]
-    for joint, (error, out) in enumerate(zip(errors.T, outside.T, strict=True)):
-        traces = [style.line(times_s, error, style.palette(joint), "true error")]
-        if out.any():
-            marks = style.line(times_s[out], error[out], style.ALARM, "outside the bounds")
-            traces.append(marks.update(mode="markers", marker={"size": 3, "color": style.ALARM}))
-        figure.add_traces(traces, rows=joint + 1, cols=1)
+    errors = style.MRAD * run.true_errors_rad[shown]
+    for joint, error in enumerate(errors.T):
+        trace = style.line(times_s[shown], error, style.palette(joint), "true error")
+        figure.add_trace(trace, row=joint + 1, col=1)
+
+
+def _scaled(figure: go.Figure, runs: ComparedRuns, limits: Vector, until_s: float) -> go.Figure:
+    """Give each row its limits; below a run that stands alone, mark the times outside the bounds.
+
+    The mark is a strip along the lower edge: marks on the line would hide it.
+    """
+    for row, limit in enumerate(limits.tolist(), start=1):
+        figure.update_yaxes(range=[-limit, limit], row=row)
+    if len(runs.runs) > 1:
+        return figure
+    run = runs.drawn[0].data
+    times_s = run.times_s(_TRUTH)
+    shown = times_s <= until_s
+    part_s = max(times_s[shown][-1] / _STRIP_PARTS, 1e-9 * run.setup.grid.period_ns)
+    for row, out in enumerate((bound_usage(run)[shown] >= 1.0).T, start=1):
+        parts = np.unique(times_s[shown][out] // part_s)
+        if len(parts):
+            stretches = np.split(parts, np.flatnonzero(np.diff(parts) > 1.0) + 1)
+            begins, ends = np.array([(each[0], each[-1] + 1.0) for each in stretches]).T
+            x = style.apart(part_s * begins, part_s * ends)
+            figure.add_scatter(
+                x=x, y=np.full(len(x), -limits[row - 1]), name="outside the bounds", mode="lines",
+                line={"color": style.ALARM, "width": 8}, hoverinfo="name+x", row=row, col=1,
+            )  # fmt: skip
+    return figure
 
 
 def _bounds(setup: Setup, until_s: float) -> go.Figure:
     """A row per joint, with its bounds as a shaded band."""
     times_s: Vector = np.linspace(0.0, until_s, _BAND_POINTS)
-    figure = style.joint_rows(setup.robot.joint_names, "mrad")
+    figure = style.joint_rows(setup.robot.joint_names, "mrad", "true error")
     upper, lower = (style.MRAD * bound.T for bound in setup.funnel.bounds(times_s))
     for joint in range(setup.robot.joints):
         figure.add_traces(style.band(times_s, upper[joint], lower[joint]), rows=joint + 1, cols=1)
@@ -142,7 +173,7 @@ def torques(run: RunData) -> go.Figure | None:
     times_s, values_nm, _ = judged_torques(run)
     if not np.isfinite(values_nm).any():
         return None
-    figure = style.joint_rows(names := run.setup.robot.joint_names, "N m")
+    figure = style.joint_rows(names := run.setup.robot.joint_names, "N m", "torque")
     for row, (name, value) in enumerate(zip(names, values_nm.T, strict=True), start=1):
         figure.add_trace(style.line(times_s, value, style.palette(row - 1), name), row=row, col=1)
     peaks = np.abs(values_nm).max(axis=0)
@@ -188,7 +219,7 @@ def torque_spectra(runs: ComparedRuns) -> go.Figure | None:
     if not shown:
         return None
     names = shown[0].data.setup.robot.joint_names
-    figure = with_runs(style.joint_rows(names, "N m"), runs)
+    figure = with_runs(style.joint_rows(names, "N m", "amplitude"), runs)
     for run in reversed(shown):
         _, values_nm, after_gaps = judged_torques(run.data)
         rate_hz = run.data.setup.scenario.rate_hz

@@ -54,7 +54,7 @@ def arrivals(run: RunData) -> tuple[Vector, Vector]:
 def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
     """Draw the delays at which commands arrived and acted, and the one in force at the loss.
 
-    None where the delay was always the same and the bounds were kept.
+    None where the delay was always the same.
     """
     run, lost_s = runs.runs[0].data, runs.runs[0].result.bounds.first_violation_s
     delays_ns = run.tables[topics.PLANT_STATUS.name]["command_delay_ns"]
@@ -62,7 +62,7 @@ def delay_over_time(runs: ComparedRuns) -> go.Figure | None:
     times_s, delays_ms = run.times_s(topics.PLANT_STATUS)[given], 1e-6 * delays_ns[given]
     arrived_s, arrived_ms = arrivals(run)
     most = max((np.ptp(each) for each in (delays_ms, arrived_ms) if len(each)), default=0.0)
-    if not len(times_s) or (lost_s is None and most < _SAME_MS):
+    if most < _SAME_MS:
         return None
     lines = [style.line(times_s, delays_ms, style.INK, "acts")]
     if run.setup.link.plays_automatically:

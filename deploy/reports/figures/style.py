@@ -36,6 +36,8 @@ MAX_POINTS = 4000
 MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
 """A limit, in all figures."""
+BOUNDS = "bounds"
+"""Name of the bounds in a figure of errors."""
 SHOULD_BE = {"color": "rgba(123,135,148,0.55)", "width": 4.5}
 """Style of the line on which another one should lie."""
 _AXIS = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
@@ -89,24 +91,25 @@ def band(times_s: Vector, upper: Vector, lower: Vector) -> tuple[go.Scatter, go.
     """The bounds −lower < e < upper over time, as two traces with the shade between them."""
     edge = {**DOTTED, "color": "rgba(0,114,178,0.45)"}
     return (
-        go.Scatter(x=times_s, y=upper, name="upper bound", mode="lines", line=edge),
+        go.Scatter(x=times_s, y=upper, name=BOUNDS, mode="lines", line=edge),
         go.Scatter(
-            x=times_s, y=lower, name="lower bound", mode="lines", line=edge,
+            x=times_s, y=lower, name=BOUNDS, mode="lines", line=edge,
             fill="tonexty", fillcolor=BAND,
         ),
     )  # fmt: skip
 
 
-def joint_rows(names: tuple[str, ...], unit: str) -> go.Figure:
+def joint_rows(names: tuple[str, ...], unit: str, quantity: str = "") -> go.Figure:
     """A figure with one row per joint over a common time axis.
 
     Args:
         names: names of the joints, the titles of their rows.
         unit: title of every vertical axis.
+        quantity: what is drawn, for papers, where a figure has no title.
     """
     figure = go.Figure(_empty_joint_rows(names))
     figure.update_yaxes(title={"text": unit, "font": {"size": 11}, "standoff": 4}, nticks=5)
-    return figure
+    return figure.update_layout(meta=quantity or None)
 
 
 @lru_cache(maxsize=1)
@@ -128,6 +131,11 @@ def _empty_joint_rows(names: tuple[str, ...]) -> go.Figure:
     apply(figure, plot_px + TOP_PX + BOTTOM_PX)
     figure.update_xaxes(title_text="time (s)", row=rows)
     return figure
+
+
+def apart(begins: Vector, ends: Vector) -> Vector:
+    """Return lines from begins to ends, with a gap after each."""
+    return np.stack([begins, ends, np.full(len(begins), np.nan)], axis=1).ravel()
 
 
 def joint_series(run: RunData, topic: Topic, field: str, unit: str) -> go.Figure | None:

@@ -130,7 +130,7 @@ def _shade(figure: go.Figure, run: RunData) -> None:
     outline = " ".join(f"M{start},0 L{start},1 L{end},1 L{end},0 Z" for start, end in spans)
     look = {
         "type": "path", "path": outline, "fillcolor": style.ALARM, "opacity": _OPACITY,
-        "line": {"width": 0}, "layer": "below",
+        "line": {"width": 0}, "layer": "below", "name": "scheduled faults",
     }  # fmt: skip
     axes = dict.fromkeys((trace.xaxis or "x", trace.yaxis or "y") for trace in figure.data)
     shades = [{**look, "xref": x, "yref": f"{y} domain"} for x, y in axes]

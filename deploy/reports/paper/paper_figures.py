@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,17 +19,16 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deploy.reports.figures.style import palette
+from deploy.reports.figures.style import BOUNDS, INK, palette
+from deploy.reports.paper.paper_legend import HIGHEST_MM, INCH_MM, put_legend
 
 WIDTHS_MM = {1: 88.0, 2: 181.0}
 """Width of a figure over one column and over two, as in IEEE's journals."""
-_ROW_MM, _FRAME_MM, _HIGHEST_MM = 24.0, 26.0, 76.0
+_ROW_MM, _FRAME_MM = 24.0, 26.0
 _MOST_ROWS, _FOLDED = 2, {1: 2, 2: 4}
 """More rows of one subplot each stand side by side: so many, over one column and over two."""
-_LEGEND_ROW_MM = 4.0
 _FARTHEST_LEVEL = 0.5
 """A level farther beyond the data than this, in their span, is left out: it would flatten them."""
-_INCH_MM = 25.4
 _STYLE: Any = {
     "font.family": "serif", "font.serif": ["STIXGeneral"], "mathtext.fontset": "stix",
     "font.size": 8.0, "axes.labelsize": 8.0, "axes.titlesize": 8.0, "legend.fontsize": 8.0,
@@ -53,6 +52,8 @@ _FILLS = ("full", "none", "left", "right", "top", "bottom")
 _HATCHES = ("", "////", "....", "xxxx", "\\\\\\\\", "++++", "oo", "**")
 """Of colours in their order, so that they differ in grey too."""
 _MARKED_POINTS = 8
+_THICK_PX, _PT_OF_PX = 4.0, 0.4
+"""Lines so thick on screen are thick on paper too, and have no markers."""
 _RGBA = re.compile(r"rgba?\(([^)]*)\)")
 _TAG = re.compile(r"<[^>]+>")
 
@@ -78,11 +79,12 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
         columns: 1 or 2 columns of the page that it stands over.
     """
     with rc_context(_STYLE):
+        figure = _of_one_colour(figure)
         grid = _grid(figure)
         if is_folded := len(grid) > _MOST_ROWS and all(len(row) == 1 for row in grid):
             grid = _folded(grid, _FOLDED[columns])
         height_mm = _FRAME_MM + _ROW_MM * (len(grid) if len(grid) > 1 else 1.6)
-        size = (WIDTHS_MM[columns] / _INCH_MM, min(height_mm, _HIGHEST_MM) / _INCH_MM)
+        size = (WIDTHS_MM[columns] / INCH_MM, min(height_mm, HIGHEST_MM) / INCH_MM)
         drawn = Figure(size, layout="constrained")
         axes = drawn.subplots(
             len(grid), len(grid[0]), squeeze=False, sharex=len(grid) > 1,
@@ -100,8 +102,29 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
             for at in places[len(row) :]:
                 at.set_visible(False)
         _share_labels(drawn, axes, is_folded)
-        _put_legend(drawn, axes.flat, titles)
+        put_legend(drawn, axes, titles)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
+
+
+def _of_one_colour(figure: go.Figure) -> go.Figure:
+    """Return a figure whose lines of one name have one colour in all rows, if they are alone there.
+
+    Such a colour only repeats the title of a row, as a joint's, and a legend could not have it.
+    """
+    colours: dict[str, dict[str, set[Any]]] = {}
+    for trace in figure.data:
+        if trace.type == "scatter" and trace.name:
+            own = colours.setdefault(trace.name, {}).setdefault(trace.yaxis or "y", set())
+            own.add(trace.line.color)
+    shared = {
+        name for name, by_row in colours.items()
+        if len(by_row) > 1 and all(len(own) == 1 for own in by_row.values())
+    }  # fmt: skip
+    made, first = go.Figure(figure), dict[str, Any]()
+    for trace in made.data:
+        if trace.name in shared:
+            trace.line.color = first.setdefault(trace.name, trace.line.color)
+    return made
 
 
 def _grid(figure: go.Figure) -> list[list[str]]:
@@ -133,6 +156,10 @@ def _share_labels(drawn: Figure, axes: Any, is_folded: bool) -> None:
     labels = {label for at in shown if (label := at.get_ylabel())}
     if is_folded and len(labels) == 1:
         drawn.supylabel(*labels, fontsize=size)
+    for column in axes.T:
+        lowest = [at for at in column if at.get_visible()]
+        if lowest:  # the place below the last one may be empty
+            lowest[-1].tick_params(labelbottom=True)
     for at in shown:
         at.set_xlabel("")
         _thin_out(at, "x")
@@ -174,7 +201,9 @@ def _draw_row(figure: go.Figure, row: str, at: Axes) -> None:
         if axis.range is not None and all(isinstance(end, int | float) for end in axis.range):
             limit(*(10.0**end if is_log else end for end in axis.range))
         if axis.title.text:
-            label(_text(axis.title.text))
+            title = _text(axis.title.text)
+            quantity = figure.layout.meta if axis is across else None
+            label(f"{quantity} ({title})" if quantity else title)
         if axis.tickvals is not None and axis.ticktext is not None:
             ticks = at.set_xticks if axis is along else at.set_yticks
             ticks(list(axis.tickvals), [_text(text) for text in axis.ticktext])
@@ -249,11 +278,15 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
         place: of its colour among those of the figure, by which it has markers of its own.
     """
     mode = trace.mode or "lines"
-    colour = _line_colour(trace)
+    colour, is_thick = _line_colour(trace), (trace.line.width or 0.0) >= _THICK_PX
     symbols = trace.marker.symbol
     by_point = isinstance(symbols, list | tuple)
     label = "_nolegend_" if trace.showlegend is False else _text(trace.name)
     style: dict[str, Any] = {"label": label, "color": colour}
+    if trace.name == BOUNDS:  # on top of a line that swings across them
+        style |= {"color": INK, "zorder": 3.0}
+    if is_thick:
+        style |= {"linewidth": _PT_OF_PX * trace.line.width, "solid_capstyle": "butt"}
     if trace.fill == "tonexty" and before is not None:
         at.fill_between(trace.x, before.y, trace.y, color=_colour(trace.fillcolor), linewidth=0)
     if mode == "lines" and trace.line.width == 0:  # the edge of a band
@@ -267,7 +300,7 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     marker = _MARKERS.get(symbols, "o") if "markers" in mode else ""
     if mode == "markers" and symbols is None and place:
         marker = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
-    if mode == "lines" and symbols is None and place:
+    if mode == "lines" and symbols is None and place and not is_thick:
         marker = _OWN_MARKERS[place]
     if mode == "lines+markers" and symbols in _ROUND:
         marker = _SCATTER_MARKERS[place % len(_SCATTER_MARKERS)]
@@ -286,31 +319,6 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
         marker=marker, markevery=(min(place, every - 1), every),
         drawstyle="steps-post" if trace.line.shape == "hv" else "default", **style,
     )  # fmt: skip
-
-
-def _put_legend(drawn: Figure, axes: Iterable[Axes], titles: Collection[str]) -> None:
-    """Put one legend over all rows, with each name once; none where titles or one name say it."""
-    entries: dict[str, Any] = {}
-    for at in axes:
-        for handle, label in zip(*at.get_legend_handles_labels(), strict=True):
-            if label not in titles:
-                entries.setdefault(label, handle)
-    if len(entries) < 2:
-        return
-    for columns in (3, 2, 1):
-        legend = drawn.legend(
-            entries.values(), entries.keys(), loc="outside upper left", ncols=columns,
-            frameon=False, columnspacing=1.0, handlelength=1.6, labelspacing=0.2,
-        )  # fmt: skip
-        width = legend.get_window_extent().width
-        if width <= drawn.bbox.width:
-            break
-        if columns > 1:
-            legend.remove()
-    rows = math.ceil(len(entries) / columns)
-    if rows > 2:
-        height_mm = drawn.get_figheight() * _INCH_MM + (rows - 2) * _LEGEND_ROW_MM
-        drawn.set_figheight(min(height_mm, _HIGHEST_MM) / _INCH_MM)
 
 
 def _text(text: str | None) -> str:

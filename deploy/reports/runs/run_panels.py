@@ -40,9 +40,9 @@ def _bars(quantity: run_numbers.JointQuantity) -> Draw:
 
 _ONE_RUN: dict[str, Draw] = {
     "timeline": _of_run(timeline.timeline),
-    "delay-over-time": link.delay_over_time,
     "error-in-funnel": joints.error_in_funnel,
     "chunks": _of_run(chunks.chunks_over_time),
+    "delay-over-time": link.delay_over_time,
     "error-first-second": joints.error_first_second,
     "error-envelopes": joints.error_envelopes,
     "transformed-error": _of_run(joints.transformed_error),

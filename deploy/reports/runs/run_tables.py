@@ -54,7 +54,7 @@ def joint_table(result: RunResult, from_s: float) -> Table:
     ]
     names = result.tracking.joint_names
     return Table(
-        f"Joints, errors from {from_s:g} s on",
+        f"Joints, errors from {from_s:g} s on, torques of the whole run",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],
         list(zip(names, *(values for _, values in shown), strict=True)),
         run_numbers.SETTLED,
@@ -161,8 +161,10 @@ def confirmation_tables(confirmations: Iterable[Any]) -> list[Table]:
     found = [each for some in confirmations for each in some or ()]
     if not found:
         return []
+    scenarios = {each["scenario"] for each in found}
     columns: list[tuple[Column, Callable[[Mapping[str, Any]], Cell | Value]]] = [
-        (Column("Scenario", brief=None, is_text=True), itemgetter("scenario")),
+        (Column("Scenario", brief="" if len(scenarios) > 1 else None, is_text=True),
+         itemgetter("scenario")),
         (Column("Law", is_text=True), itemgetter("law")),
         (Column("On", is_text=True), itemgetter("physics")),
         (Column("Runs"), itemgetter("runs")),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import shlex
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from deploy.reports.verdict_texts import (
     loss_words,
     recording_sentences,
 )
+from deploy.run.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from deploy.run.execute import JudgedRun
@@ -37,25 +39,41 @@ def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
         headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
     unread, settled = recording_sentences(runs), list(map(settling_sentence, comparison.settling))
     helped = [text for run in runs for text in _remedy_sentences(run, {each.law for each in runs})]
-    link = _link_sentence(runs[0])
+    conditions = _conditions(runs)
     found = [*unread, *helped, *_ranking(comparison), *settled]
     head = head_of_runs(runs, headline, found)
     faulted = [f"{run.law}: {bounds_sentence(run)}" for run in runs if run.result.faults]
     return replace(
-        head, reasons=[link, *head.reasons], printed=[link, *unread, *helped, *settled, *faulted]
+        head,
+        reasons=[*conditions, *head.reasons],
+        printed=[*conditions, *unread, *helped, *settled, *faulted],
     )
 
 
-def _link_sentence(run: JudgedRun) -> str:
-    """Say on which link all laws were compared, and what was not compared."""
-    link = run.data.setup.link
-    tuned = "Their gains were not tuned alike for this: funnel-hil tune does that."
-    if not has_no_effect(link):
-        return f"All laws had the same link: {link_words(link)}. {tuned}"
-    return (
-        "All laws were compared without a link delay, so this ranks no law for a network:"
-        f" funnel-hil margin finds how much delay each takes. {tuned}"
+def _conditions(runs: Sequence[JudgedRun]) -> list[str]:
+    """Say at which delay laws were compared and with which gains, and what compares the rest."""
+    setup = runs[0].data.setup
+    laws = [run.data.setup.scenario.controller.law for run in runs]
+    asked = f"{_scenario_file(runs[0])} --laws {','.join(map(shlex.quote, laws))}"
+    at = f"on the same link ({link_words(setup.link)})"
+    if has_no_effect(setup.link):
+        at = "without a link delay, which says nothing about how much delay each survives"
+    own = [law for law in laws if setup.scenario.controller.gains.get(law)]
+    gains = (
+        f"Nothing records whether the scenario's gains of {', '.join(own)} were tuned alike"
+        if own
+        else "Their gains follow from the arm's inertia and were not tuned"
     )
+    return [
+        f"All laws were compared {at}. This compares their margins: funnel-hil margin {asked}",
+        f"{gains}. This tunes all laws alike: funnel-hil tune {asked}",
+    ]
+
+
+def _scenario_file(run: JudgedRun) -> str:
+    """Return the scenario of a run as a command takes it."""
+    file = None if run.path is None else RunFolder(run.path).scenario
+    return shlex.quote(str(file)) if file is not None and file.exists() else "SCENARIO"
 
 
 def _remedy_sentences(run: JudgedRun, compared: Collection[str]) -> list[str]:

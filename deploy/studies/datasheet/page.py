@@ -223,7 +223,10 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
               "From a state until its command arrives, and until it acts. The cross is the command"
               " in force when an error left its bounds for the first time."),
         Panel("Worst window", "window-error", "True errors inside their bounds",
-              lambda _: joints.error_in_funnel(runs), "Red marks are ticks outside the funnel."),
+              lambda _: joints.error_in_funnel(runs),
+              "Each line should stay inside the shaded band between its bounds.", notes={
+                  "outside the bounds": "The red strip at the lower edge marks the times outside."
+              }),
         Panel("Worst window", "window-motion", "The arm in the worst window",
               lambda _: space.arm_motion(window.data), "Grey: where the reference wants it."),
     ]  # fmt: skip

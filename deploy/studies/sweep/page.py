@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,6 +11,8 @@ from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead, level_of
 from deploy.reports.studies.study_result import Runs
+from deploy.reports.studies.study_texts import number_of, remedy_text
+from deploy.scenario.study_keys import LAW
 from deploy.studies.sweep.figures import heat_map
 from deploy.studies.sweep.result import Axis, Point, SweepResult
 from deploy.studies.sweep.tables import point_table
@@ -29,6 +32,7 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
     every = range(len(summary.axes))
     kept = sum(point.runs_kept == point.runs for point in points)
     warnings = [f"warning: {keys}: {NO_EFFECT}" for keys in summary.without_effect]
+    helped = _remedies(summary)
     return Page(
         "sweep",
         summary.name,
@@ -36,8 +40,9 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
             level_of(kept, len(points)),
             f"{kept} of {len(points)} points kept their bounds in every run",
             [f"{axis.title}: {', '.join(map(shown_value, axis.values))}" for axis in summary.axes]
+            + helped
             + warnings,
-            printed=warnings,
+            printed=helped + warnings,
         ),
         facts=[
             Fact("Sweep", summary.name),
@@ -52,6 +57,23 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
             for point in points
         ],
     )
+
+
+def _remedies(summary: SweepResult) -> list[str]:
+    """Name what helps each law at the points that it lost, where that is known."""
+    place = next((n for n, axis in enumerate(summary.axes) if LAW in axis.keys), None)
+    own = summary.conditions.get("law", "")
+    laws = {own} if place is None else {str(point.values[place]) for point in summary.points}
+    lost = Counter[tuple[str, str, str]]()
+    for point in summary.points:
+        law = own if place is None else str(point.values[place])
+        if point.losses and (remedy := remedy_text(point.losses, law, laws)):
+            reason = max(point.losses, key=lambda each: point.losses[each])
+            lost[law, reason, remedy] += 1
+    return [
+        f"{law} is lost at {number_of(count, 'point')} ({reason}): {remedy}."
+        for (law, reason, remedy), count in lost.items()
+    ]
 
 
 def _curve_panels(summary: SweepResult) -> list[Panel[DrawnStudy]]:

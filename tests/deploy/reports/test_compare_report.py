@@ -23,6 +23,7 @@ from deploy.studies.comparison.tables import law_table, verdict_table
 from deploy.study.comparison.compared_runs import ComparedRuns
 from deploy.study.comparison.settling import SettlingTest, Start
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
+from tests.warm_process import here
 
 FIGURES = ("rms", "settling", "settling-from-afar", "errors", "errors-first-second",
            "error-envelopes", "tip-paths", "tip-errors", "torques", "total-variation",
@@ -159,19 +160,43 @@ def test_error_far_outside_is_reported_as_a_multiple_of_its_bound(comparison):
     place = [column.heading for column in verdict.columns].index("Smallest margin")
     texts = [row[place].text for row in verdict.cells]
     assert texts == ["error 15.1 × bound", "-20 %"]
-    link, first, *_ = verdict_on_laws(ComparedRuns([far, near])).reasons
+    link, _, first, *_ = verdict_on_laws(ComparedRuns([far, near])).reasons
     assert first.endswith("at most 15.1 times its bound (base_yaw at 0.005 s)")
     assert "compared without a link delay" in link
 
 
-def test_a_comparison_names_its_link():
-    setup = load_setup(
-        "paper_arm", ["duration_s=0.05", "link.uplink.delay_ms=3", "link.downlink.loss=0.1"]
+def short_run(law, *settings):
+    setup = load_setup("paper_arm", ["duration_s=0.05", f"controller.law={law}", *settings])
+    return JudgedRun(law, simulate(setup).data())
+
+
+def test_comparison_says_at_which_delay_and_with_which_gains():
+    laws = ("smc", "fixed_time_adaptive")
+    link, gains, *_ = verdict_on_laws(ComparedRuns([short_run(law) for law in laws])).reasons
+    assert link == (
+        "All laws were compared without a link delay, which says nothing about how much delay each"
+        " survives. This compares their margins: funnel-hil margin SCENARIO --laws"
+        " smc,fixed_time_adaptive"
     )
-    run = JudgedRun("smc", simulate(setup).data())
-    sentence = verdict_on_laws(ComparedRuns([run])).reasons[0]
-    assert sentence.startswith("All laws had the same link: round trip 3 ms, losses.")
-    assert "funnel-hil tune" in sentence
+    assert gains.startswith("Nothing records whether the scenario's gains of smc were tuned alike.")
+    late = ("link.uplink.delay_ms=3", "link.downlink.loss=0.1", "controller.gains.smc=null")
+    link, gains, *_ = verdict_on_laws(ComparedRuns([short_run("smc", *late)])).reasons
+    assert link.startswith("All laws were compared on the same link (round trip 3 ms, losses).")
+    assert gains.startswith("Their gains follow from the arm's inertia and were not tuned.")
+
+
+def test_commands_that_compare_margins_and_tune_are_taken(tmp_path):
+    compared = tmp_path / "compared"
+    laws = ("--laws", "smc,pid")
+    code, output = here("compare", "paper_arm", *laws, "--set", "duration_s=0.3", "--out", compared)
+    assert code == 0, output
+    told = " ".join(output.split())
+    scenario = compared / "smc" / "scenario.yaml"
+    assert f"funnel-hil margin {scenario} --laws smc,pid Nothing records" in told
+    assert f"funnel-hil tune {scenario} --laws smc,pid" in told
+    tries = ("--values", "0,2", "--plants", "1", "--uncertainty", "half")
+    code, output = here("margin", scenario, *laws, *tries, "--out", tmp_path / "margin")
+    assert code == 0, output
 
 
 def tables_of(comparison):

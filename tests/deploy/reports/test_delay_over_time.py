@@ -18,9 +18,10 @@ def drawn(*settings):
 
 
 def test_nothing_is_drawn_of_a_delay_that_never_changes():
-    run, figure = drawn("link.uplink.delay_ms=2")
-    assert run.summary["bounds"]["kept"]
-    assert figure is None
+    for delay_ms, is_kept in ((2, True), (60, False)):
+        run, figure = drawn(f"link.uplink.delay_ms={delay_ms}")
+        assert run.summary["bounds"]["kept"] is is_kept
+        assert figure is None
 
 
 def test_the_command_in_force_at_the_loss_is_marked_with_its_delay():

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from plotly.subplots import make_subplots
 
-from deploy.reports.figures.style import new_figure, palette
-from deploy.reports.paper.paper import as_latex, digest_of_results, latex_text, narrow_parts
+from deploy.reports.figures.style import band, joint_rows, line, new_figure, palette
+from deploy.reports.paper.latex import as_latex, latex_text, narrow_parts
+from deploy.reports.paper.paper import digest_of_results
 from deploy.reports.results import Results
+from deploy.reports.runs.run_tables import confirmation_tables
 from deploy.reports.tables import Cell, Column, Table
 from deploy.reports.tables import number as number_text
 from deploy.studies.margin.result import MarginResult
@@ -24,6 +28,12 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from deploy.reports.paper.paper_figures import WIDTHS_MM, can_be_drawn, write_figure
+
+PAGE = r"""\documentclass[10pt,twocolumn]{article}
+\usepackage{booktabs}
+\setlength\textwidth{516pt}\setlength\columnsep{12pt}
+\begin{document}
+"""
 
 
 def line_figure():
@@ -160,6 +170,57 @@ def test_seven_joints_fit_in_three_inches_with_eight_points(tmp_path, monkeypatc
     assert not any(one.overlaps(other) for n, one in enumerate(boxes) for other in boxes[n + 1 :])
 
 
+def of_joints(count):
+    """A figure of errors of joints, each in the colour of its joint, and at times outside."""
+    names = tuple(f"joint {n}" for n in range(count))
+    figure = joint_rows(names, "mrad", "true error")
+    times, ones = np.array([0.0, 1.0, 2.0]), np.ones(3)
+    for row in range(1, count + 1):
+        figure.add_traces(band(times, ones, -ones), rows=row, cols=1)
+        figure.add_trace(line(times, 2.0 * ones, palette(row - 1), "true error"), row=row, col=1)
+        figure.add_scatter(
+            x=times, y=-3.0 * ones, name="outside", mode="lines",
+            line={"width": 8, "color": "#c0392b"}, row=row, col=1,
+        )  # fmt: skip
+        figure.update_yaxes(range=[-3.0, 3.0], row=row)
+    return figure
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize("joints", [3, 5, 7])
+def test_last_joint_of_each_column_has_the_times_and_the_quantity_is_named(
+    tmp_path, monkeypatch, joints, columns
+):
+    found = written(of_joints(joints), tmp_path, monkeypatch, columns)
+    shown = [at for at in found.axes if at.get_visible()]
+    by_column = {at.get_subplotspec().colspan.start: at for at in shown}  # the last one of each
+    for at in shown:
+        has_times = any(label.get_visible() for label in at.get_xticklabels())
+        assert has_times == (at in by_column.values())
+    assert found._supylabel.get_text() == "true error (mrad)"
+    assert found.get_figheight() <= 3.0
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize("joints", [3, 7])
+def test_legend_names_each_kind_of_line_once_and_is_of_all_joints(
+    tmp_path, monkeypatch, joints, columns
+):
+    found = written(of_joints(joints), tmp_path, monkeypatch, columns)
+    (legend,) = found.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["bounds", "true error", "outside"]
+    shown = [at for at in found.axes if at.get_visible()]
+    errors = [line for at in shown for line in at.lines if line.get_ydata()[0] == 2.0]
+    assert len(errors) == joints
+    assert {(line.get_color(), line.get_marker()) for line in errors} == {(palette(0), "")}
+    strips = [line for at in shown for line in at.lines if line.get_ydata()[0] == -3.0]
+    assert all(line.get_linewidth() > 2.0 for line in strips)  # differs in grey, and has no marker
+    assert {line.get_marker() for line in strips} == {""}
+    box = legend.get_window_extent()
+    assert 0.0 <= box.x0 < box.x1 <= found.bbox.width
+    assert not any(box.overlaps(at.get_window_extent()) for at in shown)
+
+
 def test_lines_and_bars_of_equal_colour_in_grey_differ(tmp_path, monkeypatch):
     lines = drawn(of_seven_joints(["pid", "smc", "sliding"]), tmp_path, monkeypatch).lines
     assert len({(line.get_linestyle(), line.get_marker()) for line in lines}) == 3
@@ -257,9 +318,72 @@ def test_wide_table_becomes_tables_of_six_columns_with_short_captions():
         ["row 0", 0, 1, 2, 3, 4], ["row 0", 5, 6, 7, 8, 9], ["row 0", 10],
     ]  # fmt: skip
     text = as_latex(parts[0])
-    assert r"\caption{Laws}" in text
+    assert [part.title for part in parts] == [
+        "Laws: c1, c2, c3, c4, c5", "Laws: c6, c7, c8, c9, c10", "Laws: c11",
+    ]  # fmt: skip
+    assert r"\caption{Laws: c1, c2, c3, c4, c5}" in text
     assert r"\begin{tabular}{lrrrrr}" in text
-    assert r"\begin{longtable}" in as_latex(Table("Long", columns[:2], 60 * [["a", 1]]))
+
+
+def test_long_table_becomes_tables_that_fit_on_a_page():
+    """A longtable would end in an error on a page of two columns."""
+    rows = [[f"row {row}", row] for row in range(90)]
+    parts = list(narrow_parts(Table("Long", [Column("c0", is_text=True), Column("c1")], rows)))
+    assert [part.title for part in parts] == [
+        "Long, rows 1 to 40 of 90", "Long, rows 41 to 80 of 90", "Long, rows 81 to 90 of 90",
+    ]  # fmt: skip
+    assert [row for part in parts for row in part.rows] == rows
+
+
+@pytest.mark.parametrize("columns", [[], [Column("Law", is_text=True)], [Column("c", brief=None)]])
+def test_table_without_columns_or_rows_is_left_out(columns):
+    assert not list(narrow_parts(Table("Empty", columns, [[None] * len(columns)])))
+    assert not list(narrow_parts(Table("Empty", [Column("Law"), Column("c")], [])))
+
+
+def test_rows_of_numbers_keep_all_that_tell_them_apart():
+    columns = [Column(f"c{number}") for number in range(8)]
+    rows = [[1.0, 2.0, *range(6)], [1.0, 3.0, *range(6)]]
+    first, second = narrow_parts(Table("Grid", columns, rows))
+    assert [row[:2] for row in second.rows] == [[1.0, 2.0], [1.0, 3.0]]
+    assert first.title == "Grid: c2, c3, c4, c5"
+
+
+def test_confirmation_of_several_scenarios_names_them():
+    each = {"law": "pid", "physics": "MuJoCo", "runs": 1, "agree": 1, "differ": 0, "too_near": 0,
+            "margin_difference": 0.1, "error_difference_rad": 0.1}  # fmt: skip
+    both = [[{**each, "scenario": "iiwa"}, {**each, "scenario": "panda"}]]
+    first, _ = narrow_parts(confirmation_tables(both)[0])
+    assert [row[0] for row in first.rows] == ["iiwa", "panda"]
+    assert "iiwa" not in str([*narrow_parts(confirmation_tables([both[0][:1]])[0])])
+
+
+def test_texts_too_long_for_a_page_go_on_below():
+    """Words break after an underscore or a slash, so that no name is wider than its column."""
+    columns = [Column("Law", is_text=True), Column("Detail", is_text=True), Column("Time", "s")]
+    text = as_latex(Table("Laws", columns, [["fixed_time", "a_b/c " * 30, 1.0]]))
+    width_pt = int(re.findall(r"begin\{tabular\}\{lp\{(\d+)pt\}r\}", text)[0])
+    assert 300 < width_pt < 516 - 3 * 12
+    assert r"fixed\_time & \raggedright a\_\allowbreak b/\allowbreak c" in text
+    assert text.count(r"\tabularnewline") == 2
+    assert r"\\" not in text
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
+def test_no_table_is_wider_than_a_page_of_ieee(tmp_path):
+    """At lengths that change the kind of table, in letters wider than those of the journal."""
+    tables = [
+        Table("Wide", [Column("Law", is_text=True), *(Column(f"c{n}") for n in range(count))],
+              [[(word + " ") * words, *([word] * count)]])
+        for word in ("mmmm", "WWW", "00000", "e_e_e") for words in (1, 2, 5, 9, 40)
+        for count in (1, 4, 8)
+    ]  # fmt: skip
+    parts = [as_latex(part) for table in tables for part in narrow_parts(table)]
+    assert {"table", "table*"} <= set(re.findall(r"begin{(.*?)}", " ".join(parts)))
+    (tmp_path / "t.tex").write_text(PAGE + "\\clearpage\n".join(parts) + r"\end{document}")
+    subprocess.run(["pdflatex", "-interaction=nonstopmode", "t.tex"], cwd=tmp_path,
+                   check=True, capture_output=True)  # fmt: skip
+    assert "Overfull" not in (tmp_path / "t.log").read_text(encoding="latin-1")
 
 
 def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
@@ -282,10 +406,8 @@ def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
 
 @pytest.mark.parametrize(("letters", "kind"), [(20, "table"), (80, "table*")])
 def test_a_table_wider_than_a_column_stands_over_two(letters, kind):
-    """88 mm have some 58 letters of 8 pt, of which a mean one is half as wide as it is high."""
     text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]))
     assert rf"\begin{{{kind}}}" in text
-    assert pytest.approx(WIDTHS_MM[1] / (0.5 * 8.0 * 25.4 / 72.0), abs=5) == 58
 
 
 def test_commands_that_help_are_in_the_report_alone():

@@ -11,12 +11,14 @@ import pytest
 from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.robot_description import load_robot
+from deploy.judge.bounds import bound_usage
 from deploy.judge.metrics import RunResult, judge, summarise
 from deploy.judge.run_data import build_run_data
 from deploy.reports.figures import style
 from deploy.reports.figures.arm_pictures import arm_picture, arm_pictures
-from deploy.reports.figures.joints import error_in_funnel, torques
+from deploy.reports.figures.joints import error_first_second, error_in_funnel, torques
 from deploy.reports.figures.learned import unknown_dynamics_nm
 from deploy.reports.figures.style import decimate
 from deploy.reports.figures.timeline import deadline_misses, fault_spans_s, with_faults
@@ -98,6 +100,32 @@ def test_the_page_needs_nothing_from_outside(run, page_of):
     assert "showSendToCloud: false" in page  # plotly's button that uploads a figure
 
 
+def test_caption_explains_only_what_is_drawn(run):
+    panels = {panel.id: panel for panel in run_panels.RUN_PANELS}
+    setting = "link.uplink.pattern={shape: square, period_ms: 100}"
+    late = ("metrics.from_s=0.5", "link.uplink.delay_ms=90", setting)
+    played = ("link.uplink={delay_ms: 20, jitter_ms: 10}", "metrics.from_s=0.5",
+              "controller.delay_compensation.enabled=true")  # fmt: skip
+    fault = (
+        "metrics.from_s=0.5",
+        "faults=[{kind: torque_offset, joint: elbow, at_s: 0.5, torque_nm: 1}]",
+    )
+
+    def caption(name, of):
+        panel, subject = panels[name], ComparedRuns([JudgedRun("", of)])
+        return panel.caption_of(panel.draw(subject))
+
+    words = {"red strip": "error-in-funnel", "Red shades": "error-in-funnel",
+             "play-out": "delay-over-time", "cross": "delay-over-time"}  # fmt: skip
+    runs = {"kept": run, "lost": run_of(*late), "played": run_of(*played), "faulty": run_of(*fault)}
+    said = {name: {word for word, panel in words.items() if word in caption(panel, each)}
+            for name, each in runs.items()}  # fmt: skip
+    assert said["kept"] == set()
+    assert said["lost"] == {"red strip", "cross"}
+    assert "play-out" in said["played"]
+    assert "Red shades" in said["faulty"]
+
+
 def test_a_report_has_every_figure_with_a_caption(run, page_of):
     page = page_of(run)
     for name in FIGURES:
@@ -110,7 +138,31 @@ def test_the_report_of_a_run_shows_before_it_tells(run, page_of):
     assert_shows_before_it_tells(page)
     folded = page.index('<details class="card folded">')
     assert page.index('id="error-in-funnel"') < page.index('id="tip-path"') < folded
+    assert page[: page.index("<h2>")].count("<figure") == 1  # the errors, before all other reasons
+    assert "paper_arm · fixed_time_neural · no link delay · 1.5 s" in page[: page.index("<h1>")]
     assert folded < page.index('id="timing-percentiles"')
+
+
+@pytest.mark.parametrize("draw", [error_in_funnel, error_first_second])
+def test_times_outside_the_bounds_are_a_strip_below_the_line_that_hides_nothing(draw):
+    lost = run_of("metrics.from_s=0.5", "link.uplink.delay_ms=40")
+    times_s, outside = lost.times_s(PLANT_TRUTH), bound_usage(lost) >= 1.0
+    shown = times_s <= 1.0 if draw is error_first_second else times_s >= 0.0
+    figure = draw(ComparedRuns([JudgedRun("", lost)]))
+    assert not [trace for trace in figure.data if "markers" in (trace.mode or "")]
+    strips = [trace for trace in figure.data if trace.name == "outside the bounds"]
+    assert len(strips) == outside[shown].any(axis=0).sum() > 0
+    axes = [*figure.select_yaxes()]
+    for strip in strips:
+        joint = int(strip.yaxis[1:] or 1) - 1
+        low, high = axes[joint].range
+        assert set(strip.y) == {low}
+        assert high == -low
+        begins, ends = strip.x[::3], strip.x[1::3]
+        times = times_s[shown][outside[shown][:, joint]]
+        inside = (begins[:, None] <= times) & (times <= ends[:, None] + 1e-9)
+        assert inside.any(axis=0).all()  # no tick is left out
+        assert inside.any(axis=1).all()  # and no part of the strip has none
 
 
 def test_a_joint_has_one_colour_in_all_figures_and_nothing_else_has_it(run):

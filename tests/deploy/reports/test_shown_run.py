@@ -140,7 +140,7 @@ def test_one_command_repeats_a_late_run_in_lockstep(run, tmp_path):
 
 
 def test_time_range_of_the_errors_is_shown(run):
-    assert "Joints, errors from 0.04 s on\n" in shown(run)
+    assert "Joints, errors from 0.04 s on, torques of the whole run\n" in shown(run)
 
 
 def test_ticks_skipped_by_a_late_plant_are_shown(run):

@@ -234,3 +234,17 @@ def test_what_helps_a_case_that_is_lost_at_once_is_beside_its_row(margin, margin
     assert (begins in told) == (margin_ms is None and reason in REMEDIES)
     if begins in told:
         assert REMEDIES[reason] in told.partition(begins)[2]
+
+
+@pytest.mark.parametrize("is_swept", [True, False])
+def test_sweep_names_what_helps_at_the_points_that_a_law_lost(sweep, is_swept):
+    lost = [{"no gravity term": 2}, {"no gravity term": 1, "growing": 3}, {"no gravity term": 1}]
+    for point, losses in zip(sweep["points"], lost, strict=True):
+        point["losses"] = losses
+        point["values"][1] = "pid"
+    sweep["axes"][1] = {"keys": ["controller.law" if is_swept else "seed"], "values": ["pid"]}
+    sweep["conditions"] = {"law": "pid"}
+    told = " ".join(shown(sweep).split())
+    assert "pid is lost at 2 points (no gravity term): compare pid_gravity, which" in told
+    sweep["points"][0]["losses"] = sweep["points"][2]["losses"] = {"growing": 1}
+    assert "is lost at" not in shown(sweep)
