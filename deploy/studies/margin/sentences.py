@@ -72,7 +72,8 @@ def margin_headline(summary: MarginResult) -> str:
         margins = ", ".join(map(partial(number_text, result=summary), shown))
         texts.append(f"{f'{arm} ' if arms[1:] else ''}{margins}")
     who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
-    kept = f"{furthest(summary).capitalize()} {summary.title} kept by {who}{model_text(cases)}"
+    on = "" if arms[1:] else f" on {arms[0]}"
+    kept = f"{furthest(summary).capitalize()} {summary.title} kept by {who}{on}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
 
 

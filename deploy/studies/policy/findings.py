@@ -71,6 +71,8 @@ def longest(cases: Sequence[Merge]) -> Merge:
 def _point(time_ms: float, rows: list[Row]) -> Point:
     columns = {name: _OTHER_COLUMNS.get(name, name) for name in shown_in(Point)}
     largest = {name: worst([row.get(column) for row in rows]) for name, column in columns.items()}
+    margins = [row.get("margin_min") for row in rows]
+    largest["bound_used"] = worst([None if left is None else 1.0 - left for left in margins])
     return Point(
         inference_ms=time_ms, runs=len(rows), runs_kept=sum(map(held, rows)), ends=_reason(rows),
         worst_point=min(rows, key=tolerated)["point"],

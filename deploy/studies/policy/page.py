@@ -21,6 +21,8 @@ _HELPS: dict[str, str] = {
     " how far the policy sees ahead with the age of its answers; or make the robot's loop softer",
 }
 """What helps a policy in particular, by the reason why it does not hold."""
+_FAR_OUTSIDE = 3.0
+"""Times its bound from which an error is no matter of a wider bound."""
 
 
 def policy_page(study: DrawnStudy) -> Page[DrawnStudy]:
@@ -58,7 +60,8 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
         reasons = _first_ends(cases)
         remedies = (_HELPS.get(reason) or remedy_of(reason, result.policy) for reason in reasons)
         helps = [f"{each[0].upper()}{each[1:]}." for each in remedies if each]
-        return [f"{arm}: {_none_holds(cases, reasons)}.", *helps]
+        first = f"{arm}: {_none_holds(cases, reasons)}."
+        return [first, *_least_used(cases), *(helps or _what_to_change(cases))]
     if (best.inference_ms or 0.0) < best.at.inference_ms:
         why = f", then {best.ends}" if best.ends else ""
         return [
@@ -96,6 +99,28 @@ def _none_holds(cases: list[Merge], reasons: list[str]) -> str:
     longer = [each for each in kept_ms if each > shortest_ms]
     more = f"; bounds are kept at up to {longer[-1]:g} ms, see the figure" if longer else ""
     return f"no inference time to quote: at {shortest_ms:g} ms {flaw}{why}{more}"
+
+
+def _least_used(cases: list[Merge]) -> list[str]:
+    """Return how far the error goes at the shortest inference time, with the merge of the least."""
+    firsts = {case.merge: case.points[0] for case in cases}
+    known = {name: each.bound_used for name, each in firsts.items() if each.bound_used is not None}
+    if not known:
+        return []
+    merge = min(known, key=lambda name: known[name])
+    tip_mm = firsts[merge].tip_error_rms_mm
+    tip = f", {number(tip_mm)} mm at the tip (RMS)" if tip_mm else ""
+    return [f"There, the error with {merge} reaches {number(known[merge])} times its bound{tip}."]
+
+
+def _what_to_change(cases: list[Merge]) -> list[str]:
+    """Return what to do about a loss at the shortest inference time, if no reason says so."""
+    used = min((case.points[0].bound_used or 0.0 for case in cases), default=0.0)
+    if used <= 1.0:
+        return []
+    if used < _FAR_OUTSIDE:
+        return ["If your task allows that error, widen the bound: --set funnel.final_rad=…."]
+    return ["The answers do not follow the reference: run one alone with funnel-hil simulate."]
 
 
 def _up_to(case: Merge) -> str:

@@ -145,7 +145,7 @@ class PolicyStudy(StudyOfRuns):
                     for seed in wanted.seeds:
                         yield PlannedRun(
                             point, case.scenario, overrides, seed, columns, bool(wanted.confirm),
-                            ends_early=True,
+                            ends_early=time_ms > case.times_ms[0],  # the first is quoted if lost
                         )  # fmt: skip
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ class Point(Part):
         ends: the commonest reason why a run is not tolerated.
         jump_mm: of the tip.
         starved_share: share of ticks without an action.
+        bound_used: largest error over its bound; above 1 it is outside.
     """
 
     inference_ms: Finite
@@ -38,6 +39,7 @@ class Point(Part):
     age_largest_ms: Annotated[Known, Shown("Age, largest", "ms", "Age")]
     starved_share: Annotated[Known, Shown("Waiting", "%", factor=100.0)]
     tip_error_rms_mm: Annotated[Known, Shown("Tip error, RMS", "mm", "Tip\nerror")]
+    bound_used: Annotated[Known, Shown("Error, of its bound", "%", None, factor=100.0)] = None
 
 
 class OfTasks(Part):

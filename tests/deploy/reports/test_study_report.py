@@ -127,7 +127,7 @@ def test_the_headline_of_margins_has_those_of_the_table(margin):
                         {**first, "compensation": False, "margin": None}]  # fmt: skip
     page = margin_page(DrawnStudy(margin, str))
     assert page.verdict.headline == (
-        "Largest round trip kept by the best of 2 laws, if the arm is known exactly:"
+        "Largest round trip kept by the best of 2 laws on my_arm, if the arm is known exactly:"
         " ≥ 8 ms with compensation, none without compensation"
     )
     column = [each.heading for each in page.tables[0].columns].index("Margin")
@@ -167,7 +167,7 @@ def test_the_headline_tells_a_running_loop_from_one_that_starts(margin, page_of)
         "my_arm: the largest margin is 4 ms, of pid with compensation.",
     ):
         assert message in page
-    assert "kept by pid: 4 ms with compensation, 64 ms with compensation, running" in text
+    assert "kept by pid on my_arm: 4 ms with compensation, 64 ms with compensation, running" in text
 
 
 def test_the_headline_names_all_laws_of_the_largest_margin(margin, page_of):

@@ -147,6 +147,28 @@ def test_a_policy_without_a_time_to_quote_says_what_its_runs_did(kept, ends, sai
     assert said in " ".join(advice(result, "arm"))
 
 
+@pytest.mark.parametrize(("used", "said"), [
+    (1.2, "There, the error with replace reaches 1.2 times its bound, 5 mm at the tip (RMS)."),
+    (1.2, "If your task allows that error, widen the bound: --set funnel.final_rad="),
+    (9.0, "The answers do not follow the reference: run one alone with funnel-hil simulate."),
+])  # fmt: skip
+def test_a_policy_lost_at_once_says_by_how_much(used, said):
+    merge = case("replace", None, 0.0)
+    own = {"inference_ms": 0.0, "runs_kept": 0, "ends": "saturated", "bound_used": used}
+    points = [merge.at.model_copy(update={**own, "tip_error_rms_mm": 5.0})]
+    result = PolicyResult.model_construct(
+        completed=True, policy="m:P", cases=[merge.model_copy(update={"points": points})]
+    )
+    assert said in " ".join(advice(result, "arm"))
+
+
+def test_only_runs_at_longer_inference_times_end_at_their_loss(tmp_path):
+    setup = policy_setup(tmp_path, CHUNKS)
+    given = {"scenarios": [str(setup.source)], "merges": ["replace"], "resolution_ms": 100}
+    runs = list(PolicyStudy(given, Path("policy")).first())
+    assert [run.ends_early for run in runs] == [False, True, True, True]
+
+
 def test_a_policy_that_is_lost_at_the_time_of_comparisons_names_the_time_that_it_keeps():
     best = case("replace", 50.0, 0.0).model_copy(update={"ends": "vibration"})
     cases = [best, case("spline", None, 0.0)]
