@@ -58,7 +58,7 @@ def _conditions(runs: Sequence[JudgedRun]) -> list[str]:
     at = f"on the same link ({link_words(setup.link)})"
     if has_no_effect(setup.link):
         at = "without a link delay, which says nothing about how much delay each survives"
-    own = [law for law in laws if setup.scenario.controller.gains.get(law)]
+    own = [law for law, run in zip(laws, runs, strict=True) if _gives_gains(law, run, runs)]
     gains = (
         f"Nothing records whether the scenario's gains of {', '.join(own)} were tuned alike"
         if own
@@ -68,6 +68,12 @@ def _conditions(runs: Sequence[JudgedRun]) -> list[str]:
         f"All laws were compared {at}. This compares their margins: funnel-hil margin {asked}",
         f"{gains}. This tunes all laws alike: funnel-hil tune {asked}",
     ]
+
+
+def _gives_gains(law: str, run: JudgedRun, runs: Sequence[JudgedRun]) -> bool:
+    """Whether the scenario gives a law's gains; a recorded run also has those it derived itself."""
+    others = [each for each in runs if each is not run] or runs
+    return any(each.data.setup.scenario.controller.gains.get(law) for each in others)
 
 
 def _scenario_file(run: JudgedRun) -> str:

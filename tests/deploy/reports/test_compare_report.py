@@ -194,6 +194,13 @@ def test_commands_that_compare_margins_and_tune_are_taken(tmp_path):
     scenario = compared / "smc" / "scenario.yaml"
     assert f"funnel-hil margin {scenario} --laws smc,pid Nothing records" in told
     assert f"funnel-hil tune {scenario} --laws smc,pid" in told
+    for arm, said in (
+        ("paper_arm", "gains of smc, pid"),
+        ("panda", "follow from the arm's inertia"),
+    ):
+        out = tmp_path / arm
+        code, output = here("compare", arm, *laws, "--set", "duration_s=0.1", "--out", out)
+        assert said in " ".join(output.split())
     tries = ("--values", "0,2", "--plants", "1", "--uncertainty", "half")
     code, output = here("margin", scenario, *laws, *tries, "--out", tmp_path / "margin")
     assert code == 0, output
