@@ -116,7 +116,8 @@ class Reason(StrEnum):
     GRAVITY = (
         "no gravity term", "under its weight, for which the law has no term",
         "a slow error in the direction of the joint's weight, which the law does not know and which"
-        " exceeds friction and disturbance: compare the same law with a gravity term",
+        " exceeds friction, disturbance and the payload's part, while the joint could hold the"
+        " weight: compare the same law with a gravity term",
     )  # fmt: skip
     SLOW = (
         "friction or model", "slowly, as by friction or an error of the model",

@@ -54,7 +54,7 @@ def run_page(
         _panels_of_run,
         ComparedRuns([run]),
         conditions_of_recording(run.data, manifest),
-        heading=(f"{result.scenario} · {result.law} · {link_words(run.data.setup.link)} ·"
+        heading=(f"{result.scenario} · {result.law} · {link_words(run.data.setup.link, manifest)} ·"
                  f" {result.duration_s:g} s · {result.clock}"),
         results=[
             Cards([of_run.joint_table(result, from_s)]),

@@ -198,8 +198,8 @@ def _too_slow(summary: MarginResult) -> list[str]:
     if not most_hz:
         return []
     return [
-        "Not tested: runs at the margins are too short to show an oscillation below"
-        f" {most_hz:.2g} Hz that grows inside its bounds. A longer --duration shows slower ones."
+        "Runs at the margins are too short to show an oscillation below"
+        f" {most_hz:.2g} Hz that grows inside its bounds: a longer --duration shows slower ones."
     ]
 
 

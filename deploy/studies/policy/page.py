@@ -58,15 +58,17 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
     best = recommended(cases)
     if best is None or best.at is None:
         reasons = _first_ends(cases)
-        remedies = (_HELPS.get(reason) or remedy_of(reason, result.policy) for reason in reasons)
-        helps = [f"{each[0].upper()}{each[1:]}." for each in remedies if each]
+        helps = _helps(reasons, result)
         first = f"{arm}: {_none_holds(cases, reasons)}."
         return [first, *_least_used(cases), *(helps or _what_to_change(cases))]
     if (best.inference_ms or 0.0) < best.at.inference_ms:
-        why = f", then {best.ends}" if best.ends else ""
+        why = f" ({best.ends})" if best.ends else ""
+        is_kept = any(case.at and case.at.runs_kept == case.at.runs for case in cases)
+        flaw = "bounds are kept but no merge holds" if is_kept else "no merge keeps the bounds"
         return [
-            f"{arm}: {best.merge} keeps the bounds longest, up to {_up_to(best)} of inference{why}."
-            f" At {best.at.inference_ms:g} ms no merge does."
+            f"{arm}: {best.merge} holds longest, up to {_up_to(best)} of inference. At"
+            f" {best.at.inference_ms:g} ms {flaw}{why}.",
+            *_helps([best.ends] if best.ends else [], result),
         ]
     key, last = jump_column(cases), longest(cases)
     jump = _jump(best.at, key)
@@ -78,6 +80,12 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
         f"{arm}: at an inference time of {best.at.inference_ms:g} ms use {best.merge}.",
         f"Its chunks jump by {jump[1]}{others}. It keeps the bounds up to {_up_to(best)}{more}.",
     ]
+
+
+def _helps(reasons: list[str], result: PolicyResult) -> list[str]:
+    """Return what helps against reasons of a loss, a sentence each."""
+    remedies = (_HELPS.get(reason) or remedy_of(reason, result.policy) for reason in reasons)
+    return [f"{each[0].upper()}{each[1:]}." for each in remedies if each]
 
 
 def _first_ends(cases: list[Merge]) -> list[str]:

@@ -14,9 +14,34 @@ from deploy.judge.link_words import has_no_effect, link_words
         ({}, {"loss": 0.1}, "losses"),
         ({"delay_ms": 2, "jitter_ms": 1}, {"loss": 0.1}, "round trip 2 ms, jitter, losses"),
         ({"trace": {"file": "/a/wifi.csv"}}, {"trace": {"file": "/a/wifi.csv"}}, "network wifi"),
+        ({"trace": {"file": "wifi-52ea602a.parquet"}}, {}, "network wifi"),
+        (
+            {"trace": {"file": "uplink_trace"}},
+            {"trace": {"file": "downlink_trace"}},
+            "a recorded network",
+        ),
+        ({"duplicate": 0.2}, {}, "duplicates"),
     ],
 )
 def test_words_name_the_round_trip_and_what_else_happens(uplink, downlink, words):
     link = LinkConfiguration.model_validate({"uplink": uplink, "downlink": downlink})
     assert link_words(link) == words
     assert has_no_effect(link) is (words == "no link delay")
+
+
+def test_a_playout_delays_every_command():
+    assert link_words(LinkConfiguration(playout_ms=30.0)) == "play-out 30 ms"
+    assert not has_no_effect(LinkConfiguration(playout_ms=30.0))
+
+
+@pytest.mark.parametrize(
+    ("manifest", "words"),
+    [
+        ({"scenario": {"link": {"uplink": {"trace": {"file": "lab.csv"}}}}}, "network lab"),
+        ({"scenario": {"link": {"uplink": ["not a section"]}}}, "a recorded network"),
+        ({"scenario": None}, "a recorded network"),
+    ],
+)
+def test_a_recorded_network_has_the_name_that_the_user_gave(manifest, words):
+    link = LinkConfiguration.model_validate({"uplink": {"trace": {"file": "uplink_trace"}}})
+    assert link_words(link, manifest) == words

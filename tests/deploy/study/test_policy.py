@@ -173,10 +173,18 @@ def test_a_policy_that_is_lost_at_the_time_of_comparisons_names_the_time_that_it
     best = case("replace", 50.0, 0.0).model_copy(update={"ends": "vibration"})
     cases = [best, case("spline", None, 0.0)]
     result = PolicyResult.model_construct(completed=True, policy="m:P", cases=cases)
-    assert advice(result, "arm") == [
-        "arm: replace keeps the bounds longest, up to 50 ms of inference, then vibration. At 100 ms"
-        " no merge does."
+    first, help_ = advice(result, "arm")
+    assert first == (
+        "arm: replace holds longest, up to 50 ms of inference. At 100 ms bounds are kept but no"
+        " merge holds (vibration)."
+    )
+    assert help_.startswith("Compare the velocities")
+    lost = [
+        each.model_copy(update={"at": each.at.model_copy(update={"runs_kept": 0}), "ends": "jump"})
+        for each in cases
     ]
+    result = PolicyResult.model_construct(completed=True, policy="m:P", cases=lost)
+    assert advice(result, "arm")[0].endswith("At 100 ms no merge keeps the bounds (jump).")
 
 
 def test_a_flaw_of_a_kept_run_is_named():
