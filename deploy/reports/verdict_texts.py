@@ -211,6 +211,8 @@ def _bounds_text(result: RunResult, known: KnownTicks) -> str:
 def loss_words(loss: LossReason) -> str:
     """Return how a joint's error left its funnel, in words."""
     words, hertz, lag_ms = loss.reason.words, loss.frequency_hz, loss.lag_ms
+    if loss.fault is not None:
+        return f"{words} {loss.fault}"
     if (own_ms := loss.own_lag_ms) is not None:
         return f"{words} of {own_ms:.0f} ms"
     words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words

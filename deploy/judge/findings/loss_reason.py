@@ -66,6 +66,10 @@ class Reason(StrEnum):
         "start", "before any command acted",
         "no command had acted yet: brakes held the arm while the reference moved",
     )  # fmt: skip
+    INJECTED = (
+        "injected fault", "after the injected fault",
+        "a fault of the scenario had begun, and had not ended more than a second before",
+    )  # fmt: skip
     UNSTABLE = (
         "unstable", "as an error of an unstable loop grew",
         "the error grew exponentially without a delay, or without swinging, which no delay causes:"
@@ -139,6 +143,7 @@ class LossReason(Section):
             is the reason
         without_delay: whether commands acted without a delay, also of the robot's own controller,
             so that none is the cause
+        fault: the injected fault after which it was lost; null for none
     """
 
     reason: Annotated[Reason, Column(of_any_part=True)]
@@ -149,6 +154,7 @@ class LossReason(Section):
     lag_ms: float | None = None
     own_lag_ms: float | None = None
     without_delay: bool = False
+    fault: str | None = None
 
 
 def loss_reason(run: RunData) -> LossReason | None:
@@ -240,8 +246,24 @@ class _Loss:
         faults = self.run.setup.scenario.faults
         return bool(stopped.any() or any(f.at_s <= self.times_s[self.tick] for f in faults))
 
+    @cached_property
+    def fault(self) -> str | None:
+        """The last injected fault that still acts at the loss, or did shortly before."""
+        loss_s = float(self.times_s[self.tick])
+        acting = [
+            each
+            for each in self.run.setup.scenario.faults
+            if each.at_s <= loss_s <= 1e-9 * each.end_ns + _BEFORE_S
+        ]
+        if not acting:
+            return None
+        last = max(acting, key=lambda fault: fault.at_s)
+        return f"{last} at {last.at_s:g} s"
+
     def reason(self) -> LossReason:
         """Return the first reason that fits, the most certain ones first."""
+        if self.fault is not None:
+            return self._because(Reason.INJECTED).model_copy(update={"fault": self.fault})
         found = (
             self._ran_out() or self._of_chunks() or self._lag() or self._divergence()
             or self._oscillation() or self._late() or self._at_limits()
