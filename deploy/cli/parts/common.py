@@ -171,9 +171,11 @@ class ResultGate:
             write_markdown(options.markdown, found, failures)
         for sentence in failures.values():
             console.print(f"gate: {sentence}", style="bold red", markup=False, soft_wrap=True)
-        if note and self._gate.is_given:
-            verdict = "failed" if failures else "passed"
-            console.print(f"gate: {verdict}; {note}", markup=False, soft_wrap=True)
+        if self._gate.is_given and (note or not failures):
+            numbers = ", ".join(each.text for each in found)
+            verdict = "failed" if failures else f"passed with {numbers}"
+            text = "; ".join(filter(None, [verdict, note]))
+            console.print(f"gate: {text}", markup=False, soft_wrap=True)
         return not failures
 
 

@@ -170,8 +170,12 @@ def _margin_sentence(result: RobotSheetResult) -> str:
     margin = result.margin
     numbers = [texts.number_text(case, margin) for case in margin.cases]
     law, caveat = margin.cases[0].law, caveat_text(result, margin)
-    return f"{result.arm}, {result.interface} under {law}: quote a round trip of" + (
-        f" {'; '.join(numbers)}{f' ({caveat})' if caveat else ''}."
+    known = unknown = ""
+    if any(run.preview for run in result.asked if run.law == law):
+        known = ", for a trajectory that is known in advance"
+        unknown = " For one that is not: --set controller.preview_ms=0."
+    return f"{result.arm}, {result.interface} under {law}{known}: quote a round trip of" + (
+        f" {'; '.join(numbers)}{f' ({caveat})' if caveat else ''}.{unknown}"
     )
 
 

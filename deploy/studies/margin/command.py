@@ -84,7 +84,9 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
     ] = None
     smaller_rotors: Annotated[
         bool | None,
-        typer.Option(help="Search again with a tenth of estimated rotors; on as --what-helps."),
+        typer.Option(
+            help="Search again with a tenth of estimated rotors; on unless --study or --plants."
+        ),
     ] = None
     exhaustive: Annotated[
         bool | None,
@@ -108,9 +110,11 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
     interface: InterfaceOption = None
 
     def definition(self) -> dict[str, Any]:
-        costly = (self.study, self.plants, self.at_least, self.baseline)
+        is_own = self.study is None and self.plants is None
+        is_gate = self.at_least is not None or self.baseline is not None
         given: dict[str, Any] = {
-            **dict.fromkeys(_FOLLOW_UPS, True if all(each is None for each in costly) else None),
+            "what_helps": True if is_own and not is_gate else None,
+            "smaller_rotors": True if is_own else None,  # it may be the margin to quote, or to gate
             "scenarios": self.scenario or None,
             "laws": parse_laws(self.laws) or laws_for(self.interface),
             "seeds": None if self.seeds is None else option_value("--seeds", self.seeds),

@@ -71,10 +71,23 @@ def margin_headline(summary: MarginResult) -> str:
         shown = best if len(best) <= 2 else [furthest_case(best)]
         margins = ", ".join(map(partial(number_text, result=summary), shown))
         texts.append(f"{f'{arm} ' if arms[1:] else ''}{margins}")
-    who = f"the best of {len(laws)} laws" if laws[1:] else laws[0]
-    on = "" if arms[1:] else f" on {arms[0]}"
+    who = _best_law(cases, laws) if laws[1:] else laws[0]
+    on = "" if arms[1:] else f", on {arms[0]}" if laws[1:] else f" on {arms[0]}"
     kept = f"{furthest(summary).capitalize()} {summary.title} kept by {who}{on}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
+
+
+def _best_law(cases: Sequence[MarginCase], laws: Sequence[str]) -> str:
+    """Name the best of several laws, where it is one and the same on every arm."""
+    best = {law for arm in {case.arm for case in cases} for law in _furthest_laws(cases, arm)}
+    named = f"{best.pop()}, " if len(best) == 1 else ""
+    return f"{named}the best of {len(laws)} laws"
+
+
+def _furthest_laws(cases: Sequence[MarginCase], arm: str) -> set[str]:
+    own = [case for case in cases if case.arm == arm]
+    most = furthest_case(own).best_known
+    return {case.law for case in own if most is not None and case.best_known == most}
 
 
 def model_text(cases: Sequence[MarginCase]) -> str:

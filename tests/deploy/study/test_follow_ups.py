@@ -304,6 +304,23 @@ def test_the_command_asks_what_helps_where_it_costs_little(options, asks):
     assert found.get("what_helps") is asks
 
 
+@pytest.mark.parametrize(
+    ("options", "asks"),
+    [
+        ({}, True),
+        ({"at_least": "20ms"}, True),
+        ({"baseline": Path("before")}, True),
+        ({"plants": 3}, None),
+        ({"study": "delay_margin"}, None),
+        ({"at_least": "20ms", "smaller_rotors": False}, False),
+    ],
+)
+def test_a_gate_is_on_the_margin_to_quote(options, asks):
+    """A margin with a tenth of estimated rotors is the one to quote where it is smaller."""
+    found = definition_with(MarginOptions(**options), {})
+    assert found.get("smaller_rotors") is asks
+
+
 ESTIMATE = {"robot.drive_data": "rotor inertia ESTIMATED as 0.008 kg m² per N m"}
 ROTORS = "plant.actuator.rotor_inertia_kg_m2"
 
@@ -356,12 +373,3 @@ def test_known_rotors_are_not_varied(tmp_path, values):
     assert case_of(study, folder).get("smaller_rotors") is None
     table = margin_table(MarginResult.model_validate(study.summary(folder.rows)))
     assert not any("rotors" in each.title for each in table.columns)
-
-
-@pytest.mark.parametrize(
-    ("given", "is_tried"),
-    [({}, True), ({"at_least": "40 ms"}, None), ({"plants": 20}, None), ({"study": "a"}, None),
-     ({"at_least": "40 ms", "smaller_rotors": True}, True)],
-)  # fmt: skip
-def test_gate_varies_rotors_only_on_request(given, is_tried):
-    assert MarginOptions(**given).definition().get("smaller_rotors") is is_tried

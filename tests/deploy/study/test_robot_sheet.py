@@ -67,7 +67,8 @@ def test_a_joint_at_constant_speed_is_behind_by_round_trip_and_lag_unless_it_is_
     assert sentence.replace(" ", "") in output.replace("\n", "").replace(" ", "")
     assert "Reflexes: none." in summary["headline"]
     [quoted] = [each for each in summary["headline"] if "quote a round trip" in each]
-    assert quoted.endswith(" ms (--quick: one start, one seed, runs of 3 s).")
+    assert "for a trajectory that is known in advance: quote" in quoted
+    assert "ms (--quick: one start, one seed, runs of 3 s). For one that is not: --set" in quoted
     assert summary["conditions"]["effort"] == "--quick: one start, one seed, runs of 3 s"
 
 
