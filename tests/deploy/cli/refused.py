@@ -202,7 +202,9 @@ REFUSED = [
      "at most 4 ms, the last value tried (--values)"),
     ("policy funnel_hil:Demonstrator paper_arm_mit --merges replace --at-least 301ms", "",
      "at most 300 ms, the last value tried (--limit)"),
-    ("datasheet --at-least 129ms", "", "must be at most 128 ms"),
+    *[(f"datasheet {options}", "", f"must be at most {most} ms, the largest value that a data sheet"
+       " tries (funnel-hil margin --limit tries more): no result can pass") for options, most in (
+        ("--at-least 129ms", 128), ("--interface servoj --at-least 501ms", 500))],
     ("margin --at-least much", "", "--at-least 'much': must be a number"),
     ("sweep delay_sweep --tolerance 1%", "", "needs --baseline"),
     ("compare --baseline nowhere.json", "", "nowhere.json: No such file or directory: must be"),
