@@ -48,6 +48,7 @@ FILES = {
     "nothing/notes.txt": "",
     "arms/a.urdf": "<robot",
     "arms/law.py": "",
+    "smc/law.py": "",
     "file": "",
 }
 REFUSED = [
@@ -62,7 +63,8 @@ REFUSED = [
      "a.urdf in it"),
     ("robot arms", "arms: is a folder: must be a file, such as a.urdf in it"),
     ("simulate paper_arm --set robot.urdf=arms", "", "is a folder: must be a file, such as a.urdf"),
-    ("simulate arms/b.urdf", "arms/b.urdf: no such file", "did you mean arms/a.urdf?"),
+    ("policy smc paper_arm --merges none", "policy: controller.chunks.merge = 'none'"),
+    ("simulate arms/aa.urdf", "arms/aa.urdf: no such file", "did you mean arms/a.urdf?"),
     ("policy arms", "POLICY arms: is a folder (modules in it: law): must be MODULE:CLASS"),
     ("robot nothing", "nothing: is a folder without a file .urdf, .xacro, .xml"),
     (f"simulate {LONG}", "", "no such file"),
