@@ -21,6 +21,7 @@ from pydantic import (
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import BusError
+from bus_schema.foreign_text import shortened
 
 
 class ConfigurationError(BusError, ValueError):
@@ -179,8 +180,3 @@ def expand_fields(gains: Gains, joints: int, key: str) -> Gains:
 def shown(value: Any) -> str:
     """Format a value for messages: its Python form, `null` for None, shortened where it is long."""
     return "null" if value is None else shortened(repr(value))
-
-
-def shortened(text: str, longest: int = 120) -> str:
-    """Shorten a long text."""
-    return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
+from bus_schema.foreign_text import shortened
+
 _SHOWN_KEYS = 12
 _LONGEST = 120
 _LOGGED_PER_REASON = 5
@@ -109,7 +111,7 @@ def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
         alike: similarity that is required, from 0 (any name) to 1 (the same name).
     """
     found = get_close_matches(unknown[:_LONGEST], list(names), n=1, cutoff=alike)
-    return f"; did you mean {found[0]}?" if found else ""
+    return f"; did you mean {shortened(found[0])}?" if found else ""
 
 
 class InputError(Exception):

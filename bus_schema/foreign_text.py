@@ -25,6 +25,17 @@ def printable(text: str) -> str:
     return _INVISIBLE.sub("\ufffd", _ESCAPE.sub("", _BYTES.sub(_number, text)))
 
 
+def in_one_line(text: str) -> str:
+    """A text with line feeds and other invisible characters as in Python's strings."""
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
+
+
+def shortened(text: str, longest: int = 120) -> str:
+    """A text in one line, without the rest of a long one."""
+    line = in_one_line(text[: longest + 1])
+    return line if len(line) <= longest else line[: longest - 3] + "..."
+
+
 def _number(match: re.Match[str]) -> str:
     return f"\\u{ord(match[0]):04x}"
 

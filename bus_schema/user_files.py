@@ -9,6 +9,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from bus_schema.foreign_text import shortened
+
 MOST_BYTES = 20_000_000
 _MOST_VALUES = 40_000_000
 """Ten million rows of four columns."""
@@ -58,7 +60,7 @@ def named_in_folder(path: Path, suffixes: Collection[str] = ARM_FILES) -> str:
     if not files:
         return f"is a folder without a file {', '.join(suffixes)}"
     more = f" and {len(files) - _MOST_LISTED} more" if len(files) > _MOST_LISTED else ""
-    listed = ", ".join(map(str, files[:_MOST_LISTED]))
+    listed = ", ".join(shortened(str(each)) for each in files[:_MOST_LISTED])
     return f"is a folder: must be a file, such as {listed}{more} in it"
 
 

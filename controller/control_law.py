@@ -195,7 +195,9 @@ class ControlLaw(Protocol):
     a resource, such as a process, also has a method `close`.
     """
 
-    diagnostics: Diagnostics
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Its internal state; a law may have new ones after a reset."""
 
     def torque(self, tracking: Tracking) -> Vector:
         """Return joint torques in N m, shape (joints,); the next call may reuse the array."""

@@ -16,7 +16,7 @@ from controller.chunks.answer import NEAR, Answer, Holding, checked_rows
 from controller.chunks.merge import ChunkMerge
 from controller.chunks.merges import Replace
 from controller.chunks.switches import ChunkLog
-from controller.control_law import ControlLaw, Tracking
+from controller.control_law import ControlLaw, Diagnostics, Tracking
 from controller.timed_calls import CallThread
 
 
@@ -118,10 +118,14 @@ class SlowLaw:
         self._guide = guide if callable(guide) else None
         self._row_s = self._rules.action_s or timing.period_s
         self._calls = CallThread[tuple[Matrix, Matrix]]()
-        self.diagnostics = law.diagnostics
         self._in_force: Answer | None = None
         self._open: OpenQuestion | None = None
         self._forget()
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Those of the law, which may be new after a reset."""
+        return self._law.diagnostics
 
     def reset(self) -> None:
         """Forget all answers, and have the law forget everything."""

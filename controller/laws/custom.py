@@ -118,17 +118,21 @@ class TargetsAlone:
         joints: number of joints.
     """
 
-    diagnostics: Diagnostics
-
     def __init__(self, law: Any, joints: int) -> None:
         self._law: Any = law
         self._torque: Vector = np.zeros(joints)
-        self.diagnostics = getattr(law, "diagnostics", None) or Diagnostics(joints)
+        self._diagnostics = Diagnostics(joints)
 
     def __getattr__(self, name: str) -> Any:
         if name == "_law":  # not set yet, as in a copy
             raise AttributeError(name)
         return getattr(self._law, name)
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Those of the law, which may be new after a reset; NaN where it has none."""
+        own: Diagnostics | None = getattr(self._law, "diagnostics", None)
+        return self._diagnostics if own is None else own
 
     def torque(self, _tracking: Tracking) -> Vector:
         """Return zeros: a loop at the drives or the robot's own controller finds its torques."""
@@ -180,22 +184,22 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
     def has(method: str) -> bool:
         return callable(getattr(law, method, None))
 
-    if has("target") and not has("torque"):
-        targets: ControlLaw = TargetsAlone(law, model.joints)
-        return targets
-    missing = [name for name in ("torque", "reset") if not has(name)]
-    if not isinstance(getattr(law, "diagnostics", None), Diagnostics):
-        missing.append("diagnostics, a controller.control_law.Diagnostics")
+    is_alone = has("target") and not has("torque")
+    missing = [name for name in ("torque", "reset") if not (is_alone or has(name))]
+    own = getattr(law, "diagnostics", None)
+    if not (isinstance(own, Diagnostics) or (is_alone and own is None)):
+        found = "" if own is None else f", not {type(own).__name__}"
+        missing.append(f"diagnostics, a controller.control_law.Diagnostics{found}")
     if missing:
         hint = (
             ""
-            if has("torque")
+            if has("torque") or is_alone
             else "; a law of positions or velocities has target instead of torque"
         )
         raise ConfigurationError(
             _LAW_KEY, name, f"is not a control law: it lacks {', '.join(missing)}{hint}"
         )
-    built: ControlLaw = law
+    built: ControlLaw = TargetsAlone(law, model.joints) if is_alone else law
     return built
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from controller.control_law import ControlLaw, Tracking
+from controller.control_law import ControlLaw, Diagnostics, Tracking
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies.vectors import invert, product
 
@@ -25,12 +25,16 @@ class Admittance:
 
     def __init__(self, law: ControlLaw, model: ManipulatorModel, limits_nm: Vector) -> None:
         self._law, self._model, self._limits_nm = law, model, limits_nm
-        self.diagnostics = law.diagnostics
         self._zero: Vector = np.zeros(model.joints)
         self._torque: Vector = np.zeros(model.joints)
         self._target: Matrix = np.zeros((2, model.joints))
         self._inverse_mass: Matrix = np.zeros((model.joints, model.joints))
         self._begins = True
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Those of the law, which may be new after a reset."""
+        return self._law.diagnostics
 
     @property
     def log(self) -> object:

@@ -12,7 +12,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from bus_schema.configuration import shortened
+from bus_schema.foreign_text import shortened
 from deploy.judge.conditions import EFFORT, conditions_line
 from deploy.reports.page import Level, Page, ReportHead
 from deploy.reports.tables import Column, Status, Table, without_middle

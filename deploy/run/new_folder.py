@@ -13,8 +13,8 @@ from collections.abc import Callable
 from itertools import chain, count
 from pathlib import Path
 
-from bus_schema.configuration import shortened
 from bus_schema.errors import did_you_mean
+from bus_schema.foreign_text import shortened
 from deploy.scenario.effective import is_copy
 from deploy.scenario.yaml_files import ScenarioError
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from sys import float_info
 from typing import Any
 
+from bus_schema.foreign_text import shortened
 from bus_schema.units import split_unit
 
 _DEGREE = math.pi / 180.0
@@ -32,7 +34,9 @@ _WORDS = {
 """Other spellings of a unit, or of its first part."""
 _POSES = ("robot", "hold")
 """Each of these keys is the name of a joint."""
-_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z°][\w/]*)")
+_NUMBER = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+_QUANTITY = re.compile(rf"{_NUMBER}\s*([A-Za-z°][\w/]*)")
+_WITH_ANY_UNIT = re.compile(rf"\s*{_NUMBER}\s*[^\d\s.,eE+-]")
 
 
 def in_base_units(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,27 +83,38 @@ def with_unit_of_key(unknown: str, value: Any, known: Iterable[str]) -> tuple[st
         stem, of_key = split_unit(key)
         for unit in _FACTORS.get(of_key, {}):
             if unknown in {f"{stem}_{each}" for each in _spellings(unit)}:
-                listed = isinstance(value, list)
-                numbers = value if listed else [value]
-                texts = [
-                    f"{it}{unit}" if isinstance(it, int | float) else str(it) for it in numbers
-                ]
-                return key, f"[{', '.join(texts)}]" if listed else texts[0]
+                texts = [_written(it, unit, of_key) for it in _listed(value)]
+                if not all(texts) or not texts:
+                    return None
+                joined = ", ".join(texts)
+                return key, shortened(f"[{joined}]" if isinstance(value, list) else joined)
     return None
+
+
+def _written(value: Any, unit: str, of_key: str) -> str:
+    """Write a value of a key in a unit; empty unless it is a finite number, or has a unit."""
+    if isinstance(value, str):
+        number = in_unit(value, of_key)
+        is_number = isinstance(number, float) and math.isfinite(number)
+        return "".join(value.split()) if is_number else ""
+    is_finite = type(value) in (int, float) and abs(value) <= float_info.max
+    return f"{value}{unit}" if is_finite else ""
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def hint_of_unit(key: str, value: Any) -> str:
     """Say how a number with a unit is written for a key; empty for other values."""
-    texts = [each for each in (value if isinstance(value, list) else [value]) if type(each) is str]
-    found = next(
-        filter(None, (re.match(r"\s*([+-]?[\d.]+)\s*[^\d\s.,eE]", text) for text in texts)), None
-    )
+    texts = [each for each in _listed(value) if type(each) is str]
+    found = next(filter(None, map(_WITH_ANY_UNIT.match, texts)), None)
     unit = split_unit(f"_{key}")[1]
-    if found is None or not unit:
+    if found is None or not unit or not math.isfinite(float(found[1])):
         return ""
     if unit not in _FACTORS:
         return f"; write the number alone, in {unit}"
-    return f"; write {' or '.join(f'{found[1]}{each}' for each in _FACTORS[unit])}"
+    return f"; write {' or '.join(f'{shortened(found[1])}{each}' for each in _FACTORS[unit])}"
 
 
 def _short(unit: str) -> str:

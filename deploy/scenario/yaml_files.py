@@ -6,6 +6,8 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,8 +15,9 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from bus_schema.configuration import ConfigurationError, SettingsError, shortened, shown
+from bus_schema.configuration import ConfigurationError, SettingsError, shown
 from bus_schema.errors import InputError, did_you_mean
+from bus_schema.foreign_text import in_one_line, shortened
 from bus_schema.user_files import ARM_FILES, is_file, named_in_folder, read_text
 from deploy.scenario.checking.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
@@ -22,6 +25,7 @@ from deploy.scenario.yaml_text import problem_in, values_of
 # Several times as fast, where it is available.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
+_YAML, _MOST_COMPARED = ".yaml", 2000
 _XML = ("<?xml", "<!--", "<robot")
 FAULTS = "faults"
 """Folder of the shipped scenarios with faults."""
@@ -49,7 +53,7 @@ def naming(source: Path | Origin) -> Iterator[None]:
     except ConfigurationError as error:
         raise ScenarioError(f"{origin.of(error.key, error.beside)}: {error}") from error
     except ScenarioError as error:
-        raise ScenarioError(f"{origin.file}: {error}") from error
+        raise ScenarioError(f"{in_one_line(str(origin.file))}: {error}") from error
 
 
 def find_yaml(
@@ -76,7 +80,7 @@ def find_yaml(
     if is_file(by_name):
         return by_name
     for path in (beside / name_or_path, Path(name_or_path)):
-        if held := named_in_folder(path, (".yaml", *ARM_FILES)):
+        if held := named_in_folder(path, (_YAML, *ARM_FILES)):
             raise ScenarioError(f"{shortened(name_or_path)}: {held}")
     names = sorted(file.stem for file in filter(fits, shipped.glob("*.yaml")))
     faults = sorted(f"{FAULTS}/{file.stem}" for file in shipped.glob(f"{FAULTS}/*.yaml"))
@@ -85,20 +89,27 @@ def find_yaml(
         listed = faults
     is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
     what = "is not a regular file" if is_there else "no such file"
-    hint = did_you_mean(name_or_path, [*names, *faults, *_files_beside(name_or_path)])
+    hints = [did_you_mean(name_or_path, [*names, *faults]), _file_beside(name_or_path)]
+    hint = next(filter(None, hints[::-1] if Path(name_or_path).suffix else hints), "")
     raise ScenarioError(
         f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name}"
         f" {', '.join(listed)}{hint}"
     )
 
 
-def _files_beside(name: str) -> list[str]:
-    """Return the files that could be given, in the folder of one that is not there."""
-    folder, kinds = Path(name).parent, (".yaml", *ARM_FILES)
+def _file_beside(name: str) -> str:
+    """Return ``; did you mean …?`` for a similar file of the same kind in the folder of a path."""
+    given = Path(name)
+    same = [kinds for kinds in ((_YAML,), ARM_FILES) if given.suffix in kinds]
+    kinds = same[0] if same else (_YAML, *ARM_FILES)
     try:
-        return [str(each) for each in sorted(folder.iterdir()) if each.suffix in kinds]
+        held = sorted(islice(given.parent.iterdir(), _MOST_COMPARED))
     except (OSError, ValueError):
-        return []
+        return ""
+    held.sort(key=lambda each: each.suffix == given.suffix)
+    by_name = {each.stem: each for each in held if each.suffix in kinds}
+    found = get_close_matches(shortened(given.stem), by_name, n=1)
+    return f"; did you mean {shortened(str(by_name[found[0]]))}?" if found else ""
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -107,21 +118,22 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         ScenarioError: it cannot be read, or is no mapping.
     """
+    name = in_one_line(str(path))
     try:
         text = read_text(path)
         if text.lstrip().startswith(_XML):
             raise ScenarioError(
-                f"{path}: must be a mapping of keys to values in YAML, but is XML. A URDF or xacro"
-                f" file belongs under robot.urdf of a scenario; funnel-hil robot {path} shows it"
+                f"{name}: must be a mapping of keys to values in YAML, but is XML. A URDF or xacro"
+                f" file belongs under robot.urdf of a scenario; funnel-hil robot {name} shows it"
             )
         with naming(path):
             values = values_of(text)
     except yaml.YAMLError as error:
-        raise ScenarioError(f"{path}: cannot be read as YAML: {problem_in(error)}") from error
+        raise ScenarioError(f"{name}: cannot be read as YAML: {problem_in(error)}") from error
     except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
+        raise ScenarioError(f"{name}: cannot be read as YAML: {error}") from error
     if not isinstance(values, dict):
-        raise ScenarioError(f"{path}: must be a mapping of keys to values")
+        raise ScenarioError(f"{name}: must be a mapping of keys to values")
     return values
 
 

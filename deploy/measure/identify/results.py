@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.configuration import shortened
+from bus_schema.foreign_text import shortened
 from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.robot_description import load_robot
 from bus_schema.urdf.checks import joint_ends

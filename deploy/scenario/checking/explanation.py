@@ -10,8 +10,9 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 
-from bus_schema.configuration import Sections, shortened, shown
+from bus_schema.configuration import Sections, shown
 from bus_schema.errors import did_you_mean
+from bus_schema.foreign_text import in_one_line, shortened
 from deploy.scenario.base_units import hint_of_unit, with_unit_of_key
 
 _MOST_PROBLEMS = 20
@@ -71,7 +72,9 @@ class Origin:
         if own is not None:
             return own
         others = [other for each in beside if (other := self._set(each)) is not None]
-        return ", ".join([str(self.file), *dict.fromkeys(f"with {other}" for other in others)])
+        return ", ".join(
+            [in_one_line(str(self.file)), *dict.fromkeys(f"with {other}" for other in others)]
+        )
 
     def is_set(self, key: str) -> bool:
         """Whether it was set beside the file."""
@@ -99,7 +102,9 @@ def explain(
     problems = error.errors(include_url=False)
     lines = [_sentence(each, model, origin, within) for each in problems[:_MOST_PROBLEMS]]
     more = len(problems) - len(lines)
-    return "\n".join([*lines, f"{origin.file}: and {more} more problems"] if more else lines)
+    return "\n".join(
+        [*lines, f"{in_one_line(str(origin.file))}: and {more} more problems"] if more else lines
+    )
 
 
 def _sentence(problem: Any, model: type[BaseModel], origin: Origin, within: Sequence[str]) -> str:

@@ -22,6 +22,7 @@ from deploy.cli.parts.options import (
 from deploy.cli.parts.progress import CommandProgress
 from deploy.cli.parts.study_command import RunCounter, SharedWorkers, carried_out
 from deploy.cli.parts.study_options import WorkerOptions
+from deploy.judge.gate import Gauged
 from deploy.judge.run_rows import Row
 from deploy.reports.results import Results
 from deploy.reports.studies.results import write_study
@@ -43,6 +44,7 @@ from deploy.studies.datasheet.robot_sheet import RobotSheet, run_row
 from deploy.study.study import StudyOfRuns
 
 _LAW = "fixed_time_adaptive"
+_FURTHEST = "the largest value that a data sheet tries (funnel-hil margin --limit tries more)"
 
 
 @dataclass(kw_only=True)
@@ -76,9 +78,7 @@ def datasheet(options: DatasheetOptions) -> None:
     sheet = torque_sheet(options)
     margin, windows = sheet.margin(), sheet.windows()
     tested = sheet.tested_with(margin.tested_with) or {}
-    gate = ResultGate(
-        options, "datasheet", "ms", tested, "datasheet", furthest=getattr(margin, "furthest", None)
-    )
+    gate = ResultGate(options, "datasheet", "ms", tested, "datasheet", furthest=_furthest(margin))
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(*margin.bases, *(() if windows is None else windows.bases))
@@ -118,9 +118,8 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
     )
     margin, planned = sheet.margin(), list(sheet.runs())
     gate = ResultGate(
-        options, "datasheet", "ms", margin.tested_with, OF_ROBOT,
-        furthest=getattr(margin, "furthest", None),
-    )  # fmt: skip
+        options, "datasheet", "ms", margin.tested_with, OF_ROBOT, furthest=_furthest(margin)
+    )
     console, stop = Console(), threading.Event()
     out = sheet_folder(sheet, options.out, overwrite=options.overwrite)
     say_warnings(planned[0][2])
@@ -133,6 +132,12 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
             progress.update(done)
             rows.append(run_row(*run))
     _written(out, gate, console, lambda folder: write_robot_sheet(folder, sheet, found, rows))
+
+
+def _furthest(margin: StudyOfRuns) -> Gauged | None:
+    """Return the last value that its search for margins tries, which no option of it sets."""
+    found: Gauged | None = getattr(margin, "furthest", None)
+    return None if found is None else replace(found, name=_FURTHEST)
 
 
 def _written(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bus_schema.configuration import shortened
+from bus_schema.foreign_text import shortened
 from deploy.judge.bounds import bound_usage
 from deploy.judge.conditions import conditions_of_runs
 from deploy.reports.runs import run_numbers

@@ -8,7 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
+from bus_schema.foreign_text import shortened
 from bus_schema.user_files import is_folder
+from controller.law_choice import is_law_name
 from controller.policies.configuration import is_address
 from deploy.cli.parts.common import parse_laws
 from deploy.cli.parts.options import GateOptions, NetworkOption, taking
@@ -50,14 +52,14 @@ class PolicyOptions(GateOptions, WorkerOptions):
 
     def definition(self) -> dict[str, Any]:
         """Return the study that the options describe."""
-        if is_folder(Path(self.law)):
+        if not is_law_name(self.law) and is_folder(Path(self.law)):
             modules = sorted(file.stem for file in Path(self.law).glob("*.py"))
-            found = f" (modules in it: {', '.join(modules)})" if modules else ""
+            found = f" (modules in it: {shortened(', '.join(modules))})" if modules else ""
             allowed = "must be MODULE:CLASS, or a server that has it, as lerobot://HOST:PORT"
-            raise ScenarioError(f"POLICY {self.law}: is a folder{found}: {allowed}")
+            raise ScenarioError(f"POLICY {shortened(self.law)}: is a folder{found}: {allowed}")
         laws = parse_laws(self.law, "POLICY") or []
         if len(laws) != 1:
-            raise ScenarioError(f"POLICY {self.law}: must be one policy")
+            raise ScenarioError(f"POLICY {shortened(self.law)}: must be one policy")
         given = {
             "merges": None if self.merges is None else [m.strip() for m in self.merges.split(",")],
             "network": self.network, "tasks": self.tasks,

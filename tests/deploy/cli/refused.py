@@ -48,6 +48,7 @@ FILES = {
     "nothing/notes.txt": "",
     "arms/a.urdf": "<robot",
     "arms/law.py": "",
+    "smc/law.py": "",
     "file": "",
 }
 REFUSED = [
@@ -62,7 +63,8 @@ REFUSED = [
      "a.urdf in it"),
     ("robot arms", "arms: is a folder: must be a file, such as a.urdf in it"),
     ("simulate paper_arm --set robot.urdf=arms", "", "is a folder: must be a file, such as a.urdf"),
-    ("simulate arms/b.urdf", "arms/b.urdf: no such file", "did you mean arms/a.urdf?"),
+    ("policy smc paper_arm --merges none", "policy: controller.chunks.merge = 'none'"),
+    ("simulate arms/aa.urdf", "arms/aa.urdf: no such file", "did you mean arms/a.urdf?"),
     ("policy arms", "POLICY arms: is a folder (modules in it: law): must be MODULE:CLASS"),
     ("robot nothing", "nothing: is a folder without a file .urdf, .xacro, .xml"),
     (f"simulate {LONG}", "", "no such file"),
@@ -202,7 +204,9 @@ REFUSED = [
      "at most 4 ms, the last value tried (--values)"),
     ("policy funnel_hil:Demonstrator paper_arm_mit --merges replace --at-least 301ms", "",
      "at most 300 ms, the last value tried (--limit)"),
-    ("datasheet --at-least 129ms", "", "must be at most 128 ms"),
+    *[(f"datasheet {options}", "", f"must be at most {most} ms, the largest value that a data sheet"
+       " tries (funnel-hil margin --limit tries more): no result can pass") for options, most in (
+        ("--at-least 129ms", 128), ("--interface servoj --at-least 501ms", 500))],
     ("margin --at-least much", "", "--at-least 'much': must be a number"),
     ("sweep delay_sweep --tolerance 1%", "", "needs --baseline"),
     ("compare --baseline nowhere.json", "", "nowhere.json: No such file or directory: must be"),

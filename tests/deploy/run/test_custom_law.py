@@ -136,6 +136,49 @@ def test_a_law_of_targets_is_refused_where_only_torques_are_taken():
     law_of_targets("TargetsAlone", "controller.drive_feedback.enabled=true")
 
 
+class WrongDiagnostics(TargetsAlone):
+    def __init__(self, model):
+        super().__init__(model)
+        self.diagnostics = {"x": 1}
+
+
+def test_diagnostics_of_another_kind_are_refused():
+    with pytest.raises(ScenarioError, match=r"lacks diagnostics, .*Diagnostics, not dict$"):
+        law_of_targets("WrongDiagnostics", *ROBOT)
+
+
+class NewDiagnostics(TargetsAlone):
+    """Its diagnostics are other ones after a reset; they count its answers."""
+
+    def reset(self):
+        self.diagnostics = Diagnostics(2)
+        self.diagnostics.network_norm[0] = 0.0
+
+    def target(self, tracking):
+        self.diagnostics.network_norm[0] += 1.0
+        return super().target(tracking)
+
+
+class NewDiagnosticsOfTorques:
+    """The same, for a law of torques."""
+
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+
+    reset = NewDiagnostics.reset
+
+    def torque(self, tracking):
+        self.diagnostics.network_norm[0] += 1.0
+        return np.zeros_like(tracking.error)
+
+
+@pytest.mark.parametrize("more", [(), ("controller.chunks={horizon: 1}",)])
+@pytest.mark.parametrize("name", ["NewDiagnostics", "NewDiagnosticsOfTorques"])
+def test_new_diagnostics_after_a_reset_are_published(name, more):
+    status = simulate(law_of_targets(name, *ROBOT, *more)).data().tables["control_status"]
+    assert np.nanmax(status["network_norm"]) > 10
+
+
 def test_law_of_the_tutorial_runs_as_shown(folder):
     page = Path(controller.__file__).parents[1] / "deploy/docs/tutorials/your-law.md"
     law = page.read_text().partition(":caption: my_laws.py\n\n")[2].split("```")[0]

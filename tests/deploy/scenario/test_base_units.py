@@ -81,6 +81,14 @@ def test_unit_that_does_not_fit_is_refused_with_its_key():
         ("link.uplink.delay_ms=10 milliseconds", "write the number alone, in ms"),
         ("plant.payload_kg=20 g", "write the number alone, in kg"),
         ("duration_s=abc", "as a number"),
+        *[(f"robot.initial_offset_deg={given}", "unknown key; did you mean initial_offset_rad?")
+          for given in ('"3\\nbounds kept"', "true", ".nan", ".inf", "null", "[]", "[1, abc]",
+                        "[[1, 2]]", "3mm", "1e999deg")],
+        ("robot.initial_offset_deg=[0.5 deg, 3]", "write initial_offset_rad: [0.5deg, 3deg]"),
+        *[(f"robot.initial_offset_rad={given}", "or a list of numbers with one per joint")
+          for given in ("1.2.3 foo", ". foo", "1e999 foo", "nan deg", "1-2 foo")],
+        (f"robot.initial_offset_deg=[{', '.join(['1'] * 3000)}]",
+         f"write initial_offset_rad: [{'1deg, ' * 19}1d..."),
     ],
 )  # fmt: skip
 def test_keys_and_values_in_other_units_are_refused_with_the_spelling_that_is_taken(given, hint):

@@ -90,3 +90,43 @@ def test_without_pybullet_data_shipped_arms_are_no_odder_and_its_own_say_what_to
         assert "<mesh" not in robot.resolved_urdf(shapes="drawable")
     with pytest.raises(RobotDescriptionError, match=r"pip install 'funnel-hil\[bullet\]'"):
         referenced_files.find_urdf("pybullet_data:cartpole.urdf", Path())
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [("d/zebra.yaml", None), ("d/nope.urdf", None), ("d/anyting.yaml", None),
+     ("d/anyting.urdf", "d/anything.xml"), ("d/anyting", "d/anything.xml"),
+     ("d/miin.yml", "d/mine.yaml"), ("panda.urdf", "panda"),
+     ("d/linefed.urdf", r"d/line\nfeed.urdf")],
+)  # fmt: skip
+def test_similar_names_of_the_same_kind_are_suggested(tmp_path, monkeypatch, given, meant):
+    (tmp_path / "d").mkdir()
+    for name in ("anything.xml", "ok.urdf", "mine.yaml", "line\nfeed.urdf"):
+        (tmp_path / "d" / name).touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError) as refused:
+        load_setup(given)
+    assert str(refused.value).partition("; did you mean ")[2] == (f"{meant}?" if meant else "")
+
+
+@pytest.mark.parametrize(
+    ("given", "setting", "begins"),
+    [("c\nd", [], r"c\nd: is a folder: must be a file, such as e\nf.yaml, g\nh.yaml in it"),
+     ("c\nd/e\nf.yaml", [], r"HERE/c\nd/e\nf.yaml: must be a mapping"),
+     ("c\nd/g\nh.yaml", [], r"HERE/c\nd/g\nh.yaml: law: unknown key"),
+     ("a\nb.yaml", [], r"a\nb.yaml: no such file"),
+     ("paper_arm", ["robot.initial_offset_rad=[a,\n1]"],
+      r"--set robot.initial_offset_rad=[a,\n1]: robot.initial_offset_rad"),
+     ("paper_arm", ["a\nb=1"], r"--set a\nb=1: a\nb: unknown key")],
+)  # fmt: skip
+def test_line_feeds_in_names_and_values_begin_no_line(
+    tmp_path, monkeypatch, given, setting, begins
+):
+    (tmp_path / "c\nd").mkdir()
+    (tmp_path / "c\nd/e\nf.yaml").write_text("- 1\n")
+    (tmp_path / "c\nd/g\nh.yaml").write_text("extends: paper_arm\nlaw: 1\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ScenarioError) as refused:
+        load_setup(given, setting)
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith(begins.replace("HERE", str(tmp_path)))
