@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deploy.reports.figures.style import BOUNDS, INK, palette
+from deploy.reports.paper.paper_axes import share_labels, turn_crowded_names
 from deploy.reports.paper.paper_legend import HIGHEST_MM, INCH_MM, put_legend
 
 WIDTHS_MM = {1: 88.0, 2: 181.0}
@@ -86,9 +87,10 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
         height_mm = _FRAME_MM + _ROW_MM * (len(grid) if len(grid) > 1 else 1.6)
         size = (WIDTHS_MM[columns] / INCH_MM, min(height_mm, HIGHEST_MM) / INCH_MM)
         drawn = Figure(size, layout="constrained")
+        is_shared = not is_folded and all(len(_titles(figure, row)) < 2 for row in grid)
         axes = drawn.subplots(
             len(grid), len(grid[0]), squeeze=False, sharex=len(grid) > 1,
-            sharey="none" if is_folded else "row",
+            sharey="row" if is_shared else "none",
         )  # fmt: skip
         titles = [_text(each.text) for each in figure.layout.annotations]
         heads = [name for row in grid for name in (row if is_folded else row[:1])]
@@ -97,11 +99,12 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
                 _draw_row(figure, name, at)
                 if len(titles) == len(heads) and name in heads:
                     at.set_title(titles[heads.index(name)], loc="left", pad=2.0)
-                if not is_folded:
+                if is_shared:
                     at.label_outer()
             for at in places[len(row) :]:
                 at.set_visible(False)
-        _share_labels(drawn, axes, is_folded)
+        share_labels(drawn, axes, has_own_scales=not is_shared)
+        turn_crowded_names(drawn, axes)
         put_legend(drawn, axes, titles)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
 
@@ -146,32 +149,9 @@ def _folded(grid: list[list[str]], width: int) -> list[list[str]]:
     return [names[first : first + width] for first in range(0, len(names), width)]
 
 
-def _share_labels(drawn: Figure, axes: Any, is_folded: bool) -> None:
-    """Put one label beside or below all subplots of a grid: at each of them, they would meet."""
-    if axes.shape[1] == 1:
-        return
-    shown = [at for at in axes.flat if at.get_visible()]
-    size = _STYLE["axes.labelsize"]
-    drawn.supxlabel(max((at.get_xlabel() for at in shown), key=len), fontsize=size)
-    labels = {label for at in shown if (label := at.get_ylabel())}
-    if is_folded and len(labels) == 1:
-        drawn.supylabel(*labels, fontsize=size)
-    for column in axes.T:
-        lowest = [at for at in column if at.get_visible()]
-        if lowest:  # the place below the last one may be empty
-            lowest[-1].tick_params(labelbottom=True)
-    for at in shown:
-        at.set_xlabel("")
-        _thin_out(at, "x")
-        if is_folded:
-            at.set_ylabel("" if len(labels) == 1 else at.get_ylabel())
-            _thin_out(at, "y")
-
-
-def _thin_out(at: Axes, axis: Literal["x", "y"]) -> None:
-    """Leave at most three ticks; a logarithmic axis has few already."""
-    if (at.get_xscale() if axis == "x" else at.get_yscale()) == "linear":
-        at.locator_params(axis=axis, nbins=3)
+def _titles(figure: go.Figure, row: Sequence[str]) -> set[str]:
+    """Return the different titles of vertical axes; several quantities share no scale."""
+    return {title for name in row if (title := _axis(figure, name).title.text)}
 
 
 def _axis(figure: go.Figure, name: str) -> Any:

@@ -134,6 +134,34 @@ def test_grid_of_subplots_stays_a_grid_and_fits_on_a_page(tmp_path, monkeypatch)
     assert 25.4 * found.get_figheight() <= 120.0
 
 
+def test_subplots_of_several_quantities_keep_their_own_titles_and_scales(tmp_path, monkeypatch):
+    figure = make_subplots(rows=1, cols=2)
+    for column, (title, top) in enumerate((("jump (mm)", 2.0), ("jerk (rad/s³)", 900.0)), 1):
+        figure.add_scatter(x=[0, 1], y=[0.0, top], row=1, col=column)
+        figure.update_yaxes(title=title, row=1, col=column)
+        figure.update_xaxes(title="time (ms)", row=1, col=column)
+    found = written(figure, tmp_path, monkeypatch, columns=2)
+    left, right = found.axes
+    assert [at.get_ylabel() for at in (left, right)] == ["jump (mm)", "jerk (rad/s³)"]
+    assert left.get_ylim()[1] < 10.0 < right.get_ylim()[1]
+    assert found.get_supxlabel() == "time (ms)"
+    figure.update_xaxes(title="length (m)", row=1, col=2)
+    found = written(figure, tmp_path, monkeypatch)
+    assert [at.get_xlabel() for at in found.axes] == ["time (ms)", "length (m)"]
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_names_below_bars_do_not_overprint(tmp_path, monkeypatch, columns):
+    figure = new_figure(300, "link", "mm")
+    names = ["no delays", *(f"wifi_campus from {start} s" for start in range(0, 50, 10))]
+    figure.add_bar(x=names, y=list(range(6)))
+    found = written(figure, tmp_path, monkeypatch, columns)
+    labels = found.axes[0].get_xticklabels()
+    assert [label.get_text() for label in labels] == names
+    assert {label.get_rotation() for label in labels} == {35.0}
+    assert found.axes[0].get_window_extent().height > 0.3 * found.bbox.height
+
+
 def of_seven_joints(names):
     """A figure with a row for each of seven joints, which has a line of each name."""
     figure = make_subplots(rows=7, cols=1, subplot_titles=[f"joint {n}" for n in range(7)])
