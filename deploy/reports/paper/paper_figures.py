@@ -105,7 +105,8 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
                 at.set_visible(False)
         share_labels(drawn, axes, has_own_scales=not is_shared)
         turn_crowded_names(drawn, axes)
-        put_legend(drawn, axes, titles)
+        has_level = any(shape.showlegend for shape in figure.layout.shapes)
+        put_legend(drawn, axes, titles, least=1 if has_level else 2)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
 
 
@@ -223,9 +224,13 @@ def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
         heights = [math.nan if y is None else y for y in trace.y]
         own = trace.marker.color
         colour = [*map(_colour, own)] if isinstance(own, list | tuple) else _colour(own)
-        at.bar([places[x] + off for x in trace.x], heights, width, label=_text(trace.name),
+        at.bar([places[x] + off for x in trace.x], heights, width, label=_label(trace),
                color=colour, hatch=_HATCHES[number % len(_HATCHES)], edgecolor="white",
                linewidth=0.0)  # fmt: skip
+        for x, height, text in zip(trace.x, heights, trace.text or (), strict=False):
+            if text and not height:  # an empty place, unless it says why
+                at.annotate(_text(text), (places[x] + off, 0.0), (0.0, 1.5), ha="center",
+                            textcoords="offset points", va="bottom")  # fmt: skip
     if has_names:
         at.set_xticks(list(places.values()), [_text(name) for name in names])
 
@@ -238,6 +243,7 @@ def _draw_levels(figure: go.Figure, row: str, at: Axes, scale: Callable[[Any], A
         style = {
             "color": _colour(shape.line.color), "linewidth": 0.6,
             "linestyle": _DASHES.get(shape.line.dash or "solid", "-"),
+            "label": _text(shape.name if shape.showlegend else None),
         }  # fmt: skip
         if shape.type == "line" and shape.yref == row and shape.y0 == shape.y1:
             if low - room <= scale(shape.y0) <= high + room:
@@ -261,8 +267,7 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     colour, is_thick = _line_colour(trace), (trace.line.width or 0.0) >= _THICK_PX
     symbols = trace.marker.symbol
     by_point = isinstance(symbols, list | tuple)
-    label = "_nolegend_" if trace.showlegend is False else _text(trace.name)
-    style: dict[str, Any] = {"label": label, "color": colour}
+    style: dict[str, Any] = {"label": _label(trace), "color": colour}
     if trace.name == BOUNDS:  # on top of a line that swings across them
         style |= {"color": INK, "zorder": 3.0}
     if is_thick:
@@ -299,6 +304,10 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
         marker=marker, markevery=(min(place, every - 1), every),
         drawstyle="steps-post" if trace.line.shape == "hv" else "default", **style,
     )  # fmt: skip
+
+
+def _label(trace: Any) -> str:
+    return "_nolegend_" if trace.showlegend is False else _text(trace.name)
 
 
 def _text(text: str | None) -> str:

@@ -475,6 +475,17 @@ def test_bars_stand_side_by_side_and_those_without_a_value_are_left_out(tmp_path
     assert [line.get_ydata()[0] for line in at.lines] == [2.5]
 
 
+def test_bars_without_height_say_why_and_levels_have_their_names(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    figure.add_bar(x=["a", "b", "c"], y=[0.0, 0.0, 8.0], text=["none", "0", "8"], name="one",
+                   showlegend=False)  # fmt: skip
+    figure.add_hline(9.0, line_dash="dot", name="ceiling", showlegend=True)
+    found = written(figure, tmp_path, monkeypatch)
+    assert [text.get_text() for text in found.axes[0].texts] == ["none", "0"]
+    (legend,) = found.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ceiling"]
+
+
 def test_bars_at_numbers_are_as_wide_as_their_distance(tmp_path, monkeypatch):
     figure = new_figure(300)
     figure.add_bar(x=[0.1, 0.2, 0.3], y=[1.0, 2.0, 3.0])
