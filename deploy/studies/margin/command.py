@@ -84,7 +84,10 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
     ] = None
     smaller_rotors: Annotated[
         bool | None,
-        typer.Option(help="Search again with a tenth of estimated rotors; on as --what-helps."),
+        typer.Option(
+            help="Where rotors are estimated, also find the margin with a tenth of them;"
+            " on unless --study, --plants or gate."
+        ),
     ] = None
     exhaustive: Annotated[
         bool | None,
