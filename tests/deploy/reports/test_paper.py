@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,7 +14,7 @@ import pytest
 from plotly.subplots import make_subplots
 
 from deploy.reports.figures.style import band, joint_rows, line, new_figure, palette
-from deploy.reports.paper.latex import as_latex, latex_text, narrow_parts
+from deploy.reports.paper.latex import as_latex, latex_text, narrow_parts, write_latex
 from deploy.reports.paper.paper import digest_of_results
 from deploy.reports.results import Results
 from deploy.reports.runs.run_tables import confirmation_tables
@@ -345,7 +346,7 @@ def test_wide_table_becomes_tables_of_six_columns_with_short_captions():
     assert [list(part.rows[0]) for part in parts] == [
         ["row 0", 0, 1, 2, 3, 4], ["row 0", 5, 6, 7, 8, 9], ["row 0", 10],
     ]  # fmt: skip
-    text = as_latex(parts[0])
+    text = as_latex(parts[0], "tab:any")
     assert [part.title for part in parts] == [
         "Laws: c1, c2, c3, c4, c5", "Laws: c6, c7, c8, c9, c10", "Laws: c11",
     ]  # fmt: skip
@@ -389,7 +390,7 @@ def test_confirmation_of_several_scenarios_names_them():
 def test_texts_too_long_for_a_page_go_on_below():
     """Words break after an underscore or a slash, so that no name is wider than its column."""
     columns = [Column("Law", is_text=True), Column("Detail", is_text=True), Column("Time", "s")]
-    text = as_latex(Table("Laws", columns, [["fixed_time", "a_b/c " * 30, 1.0]]))
+    text = as_latex(Table("Laws", columns, [["fixed_time", "a_b/c " * 30, 1.0]]), "tab:any")
     width_pt = int(re.findall(r"begin\{tabular\}\{lp\{(\d+)pt\}r\}", text)[0])
     assert 300 < width_pt < 516 - 3 * 12
     assert r"fixed\_time & \raggedright a\_\allowbreak b/\allowbreak c" in text
@@ -406,7 +407,7 @@ def test_no_table_is_wider_than_a_page_of_ieee(tmp_path):
         for word in ("mmmm", "WWW", "00000", "e_e_e") for words in (1, 2, 5, 9, 40)
         for count in (1, 4, 8)
     ]  # fmt: skip
-    parts = [as_latex(part) for table in tables for part in narrow_parts(table)]
+    parts = [as_latex(part, "tab:any") for table in tables for part in narrow_parts(table)]
     assert {"table", "table*"} <= set(re.findall(r"begin{(.*?)}", " ".join(parts)))
     (tmp_path / "t.tex").write_text(PAGE + "\\clearpage\n".join(parts) + r"\end{document}")
     subprocess.run(["pdflatex", "-interaction=nonstopmode", "t.tex"], cwd=tmp_path,
@@ -429,12 +430,12 @@ def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
     columns = [Column("Law", is_text=True), point, Column("Kept"), Column("Held"), outside]
     (part,) = narrow_parts(Table("Laws", columns, [["pid", "0001", 1.0, None, 5.0]]))
     assert [column.heading for column in part.columns] == ["Law", "Kept", "Ticks outside"]
-    assert r"Law & Kept & Outside (\%) \\" in as_latex(part)
+    assert r"Law & Kept & Outside (\%) \\" in as_latex(part, "tab:any")
 
 
 @pytest.mark.parametrize(("letters", "kind"), [(20, "table"), (80, "table*")])
 def test_a_table_wider_than_a_column_stands_over_two(letters, kind):
-    text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]))
+    text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]), "tab:any")
     assert rf"\begin{{{kind}}}" in text
 
 
@@ -499,13 +500,24 @@ def test_no_letter_of_a_table_is_a_command_of_latex():
         "A & B", [Column("Law", is_text=True), Column("Share", "%")],
         [[r"\input{/etc/passwd}_x", Cell(0.5)]], "100 % of #1",
     )  # fmt: skip
-    text = as_latex(table)
+    text = as_latex(table, "tab:any")
     assert r"\textbackslash{}input\{/etc/passwd\}\_x & 0.5 \\" in text
     assert r"\caption{A \& B}" in text
     assert text.startswith("% 100 % of #1\n")  # a comment
     assert r"Law & Share (\%) \\" in text
     assert latex_text("|e| < 1") == r"\textbar{}e\textbar{} \textless{} 1"
     assert latex_text("τ × 10⁻³") == r"$\tau$ $\times$ 10$^{-}$$^{3}$"
+
+
+def test_each_table_has_a_label_of_its_title(tmp_path):
+    columns = [Column("Law", is_text=True), Column("Share", "%")]
+    titles = ["Ways to drive: A_1 & B (°)", "Runs", "Runs"]
+    tables = [Table(each, columns, [["pid", 1.0]]) for each in titles]
+    page = SimpleNamespace(name="page", conditions={}, tables=tables)
+    text = write_latex(page, tmp_path / "tables.tex").read_text()
+    labels = [r"\label{tab:ways-to-drive-a-1-b}", r"\label{tab:runs}", r"\label{tab:runs-2}"]
+    assert re.findall(r"\\label.*", text) == labels
+    assert re.search(r"\\caption{Runs}\n\\label{tab:runs}", text)
 
 
 def test_digest_of_a_data_sheet_does_not_change_with_its_date():
