@@ -65,17 +65,16 @@ def _judged(tree: LinkTree, name: str, moving: set[str], *, repair: bool) -> str
     if excess <= _ROUNDING:
         return ""
     change, joint = _largest_change(tree, name, moving)
+    effect = f", the inertia of joint {joint} by {100 * change:.2g} %" if change else ""
     if excess > _SLIGHT and change > _LARGEST_CHANGE and not repair:
         raise RobotDescriptionError(
             f"link {name} has principal moments of inertia {principal.tolist()}; none may be"
             " negative or exceed the sum of the others. --repair (robot.repair: true) raises the"
-            f" smaller ones as far as necessary, the inertia of joint {joint} by"
-            f" {100 * change:.2g} %"
+            f" smaller ones as far as necessary{effect}"
         )
     return (
         f"the inertia of link {name} breaks the triangle rule by {100 * excess:.2g} % of its"
-        " largest moment: its smaller moments are raised as far as necessary, the inertia of joint"
-        f" {joint} by {100 * change:.2g} %"
+        f" largest moment: its smaller moments are raised as far as necessary{effect}"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,7 +23,8 @@ STYLES: dict[Status | Level, str] = {
     "good": "bold green", "bad": "bold red", "broken": "bold red",
 }  # fmt: skip
 """Styles of cells and verdicts."""
-_WHOLE_LETTERS, _WHOLE_IN_HEADINGS = 24, 7
+_WHOLE_LETTERS = 24
+_PART_OF_NAME = re.compile(r"[^\s_]*(?:_+|\s+|$)")
 _WIDEST = 10_000
 _LEAST = 8
 _MAIN = ("version", "scenario", "law", "physics", "duration", "seeds", EFFORT, "set")
@@ -68,8 +70,8 @@ def print_table(console: Console, table: Table) -> None:
     shown = _rendered(table)
     if _width(console, shown) > console.width:
         shown.padding, shown.show_edge = 0, False
-    if console.is_terminal and _width(console, shown) > console.width:
-        shown = _rendered(table, _WHOLE_LETTERS)
+    if _width(console, shown) > console.width:
+        shown = _rendered(table, _WHOLE_LETTERS if console.is_terminal else None, is_narrow=True)
         shown.padding, shown.show_edge = 0, False
     console.print(Text(table.title, "table.title"))  # not as the table's, which may be narrower
     console.print(shown, crop=False)  # a number without its end would be another one
@@ -91,8 +93,13 @@ def open_table(
     return shown
 
 
-def _rendered(table: Table, longest: int | None = None) -> rich_table.Table:
-    """A table as rich has it, its words of `longest` letters at most."""
+def _rendered(
+    table: Table, longest: int | None = None, *, is_narrow: bool = False
+) -> rich_table.Table:
+    """A table as rich has it, its words of `longest` letters at most.
+
+    Headings break between words; in a narrow table, names in them after a _, too.
+    """
     chosen = [index for index, column in enumerate(table.columns) if column.brief is not None]
     rows = [
         [Text(_shortened(row[index].text, longest), STYLES[row[index].status]) for index in chosen]
@@ -104,9 +111,11 @@ def _rendered(table: Table, longest: int | None = None) -> rich_table.Table:
         cells = [row[place].plain for row in rows]
         words = [word for cell in cells for word in cell.split()]
         is_name = len(words) <= len(rows) and max(map(len, cells), default=0) <= _WHOLE_LETTERS
-        words += [word[:_WHOLE_IN_HEADINGS] for word in heading.plain.split()]
+        if is_narrow:
+            heading = _with_breaks(heading, max(map(cell_len, words), default=0))
+        words += heading.split()
         shown.add_column(
-            heading,
+            Text(heading),
             justify="left" if column.is_text else "right",
             overflow="fold",
             no_wrap=column.is_text and is_name,
@@ -142,8 +151,20 @@ def print_conditions(console: Console, conditions: Mapping[str, str]) -> None:
     )
 
 
-def _heading(column: Column) -> Text:
-    return Text("\n".join(filter(None, (column.brief or column.heading, column.unit))))
+def _heading(column: Column) -> str:
+    return "\n".join(filter(None, (column.brief or column.heading, column.unit)))
+
+
+def _with_breaks(heading: str, width: int) -> str:
+    """Return a heading whose names go on below after a _, in as many letters as its parts need."""
+    parts = _PART_OF_NAME.findall(heading)
+    width = max(width, *(cell_len(part.rstrip()) for part in parts), 0)
+    lines = [""]
+    for part in parts:
+        if lines[-1].endswith("_") and cell_len(lines[-1].split()[-1] + part.rstrip()) > width:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def width_of(rows: Sequence[Sequence[str]]) -> int:

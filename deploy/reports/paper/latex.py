@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -39,9 +41,19 @@ def write_latex(page: Page[Any], file: Path) -> Path:
     """Write all tables of a page, for the package booktabs."""
     conditions = " ".join(conditions_line(page.conditions).splitlines())
     head = f"% {page.name}\n% {conditions}\n"
-    parts = [as_latex(part) for table in page.tables for part in narrow_parts(table)]
-    file.write_text(head + "\n".join(parts), encoding="utf-8")
+    parts = [part for table in page.tables for part in narrow_parts(table)]
+    texts = map(as_latex, parts, _labels(parts))
+    file.write_text(head + "\n".join(texts), encoding="utf-8")
     return file
+
+
+def _labels(tables: Sequence[Table]) -> Iterator[str]:
+    """Yield the titles in small letters, digits and hyphens; a second one alike has a number."""
+    seen = Counter[str]()
+    for table in tables:
+        name = "-".join(re.findall("[a-z0-9]+", table.title.lower()))
+        seen[name] += 1
+        yield f"tab:{name}" + f"-{seen[name]}" * (seen[name] > 1)
 
 
 def narrow_parts(table: Table) -> Iterator[Table]:
@@ -103,8 +115,13 @@ def _column_groups(table: Table, heads: int) -> list[list[int]]:
     return groups
 
 
-def as_latex(table: Table) -> str:
-    """Return a table with rules of booktabs, numbers to the right; its note is a comment."""
+def as_latex(table: Table, label: str) -> str:
+    """Return a table with rules of booktabs, numbers to the right; its note is a comment.
+
+    Args:
+        table: one that fits on a page.
+        label: to refer to it by.
+    """
     heads = [column.brief_title for column in table.columns]
     lines = [heads, *([cell.text for cell in row] for row in table.cells)]
     widths = _widths_pt(table)
@@ -119,7 +136,7 @@ def as_latex(table: Table) -> str:
     body = [" & ".join(map(_cell, line, breaks)) + end for line in lines]
     note = [f"% {line}" for line in table.note.splitlines()]
     begin = [rf"\begin{{{kind}}}", r"\centering", rf"\caption{{{latex_text(table.title)}}}",
-             r"\footnotesize", rf"\begin{{tabular}}{{{sides}}}"]  # fmt: skip
+             rf"\label{{{label}}}", r"\footnotesize", rf"\begin{{tabular}}{{{sides}}}"]  # fmt: skip
     rules = [r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule"]
     return "\n".join([*note, *begin, *rules, r"\end{tabular}", rf"\end{{{kind}}}", ""])
 

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deploy.reports.figures.style import BOUNDS, INK, palette
+from deploy.reports.paper.paper_axes import share_labels, turn_crowded_names
 from deploy.reports.paper.paper_legend import HIGHEST_MM, INCH_MM, put_legend
 
 WIDTHS_MM = {1: 88.0, 2: 181.0}
@@ -86,9 +87,10 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
         height_mm = _FRAME_MM + _ROW_MM * (len(grid) if len(grid) > 1 else 1.6)
         size = (WIDTHS_MM[columns] / INCH_MM, min(height_mm, HIGHEST_MM) / INCH_MM)
         drawn = Figure(size, layout="constrained")
+        is_shared = not is_folded and all(len(_titles(figure, row)) < 2 for row in grid)
         axes = drawn.subplots(
             len(grid), len(grid[0]), squeeze=False, sharex=len(grid) > 1,
-            sharey="none" if is_folded else "row",
+            sharey="row" if is_shared else "none",
         )  # fmt: skip
         titles = [_text(each.text) for each in figure.layout.annotations]
         heads = [name for row in grid for name in (row if is_folded else row[:1])]
@@ -97,12 +99,14 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
                 _draw_row(figure, name, at)
                 if len(titles) == len(heads) and name in heads:
                     at.set_title(titles[heads.index(name)], loc="left", pad=2.0)
-                if not is_folded:
+                if is_shared:
                     at.label_outer()
             for at in places[len(row) :]:
                 at.set_visible(False)
-        _share_labels(drawn, axes, is_folded)
-        put_legend(drawn, axes, titles)
+        share_labels(drawn, axes, has_own_scales=not is_shared)
+        turn_crowded_names(drawn, axes)
+        has_level = any(shape.showlegend for shape in figure.layout.shapes)
+        put_legend(drawn, axes, titles, least=1 if has_level else 2)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])
 
 
@@ -146,32 +150,9 @@ def _folded(grid: list[list[str]], width: int) -> list[list[str]]:
     return [names[first : first + width] for first in range(0, len(names), width)]
 
 
-def _share_labels(drawn: Figure, axes: Any, is_folded: bool) -> None:
-    """Put one label beside or below all subplots of a grid: at each of them, they would meet."""
-    if axes.shape[1] == 1:
-        return
-    shown = [at for at in axes.flat if at.get_visible()]
-    size = _STYLE["axes.labelsize"]
-    drawn.supxlabel(max((at.get_xlabel() for at in shown), key=len), fontsize=size)
-    labels = {label for at in shown if (label := at.get_ylabel())}
-    if is_folded and len(labels) == 1:
-        drawn.supylabel(*labels, fontsize=size)
-    for column in axes.T:
-        lowest = [at for at in column if at.get_visible()]
-        if lowest:  # the place below the last one may be empty
-            lowest[-1].tick_params(labelbottom=True)
-    for at in shown:
-        at.set_xlabel("")
-        _thin_out(at, "x")
-        if is_folded:
-            at.set_ylabel("" if len(labels) == 1 else at.get_ylabel())
-            _thin_out(at, "y")
-
-
-def _thin_out(at: Axes, axis: Literal["x", "y"]) -> None:
-    """Leave at most three ticks; a logarithmic axis has few already."""
-    if (at.get_xscale() if axis == "x" else at.get_yscale()) == "linear":
-        at.locator_params(axis=axis, nbins=3)
+def _titles(figure: go.Figure, row: Sequence[str]) -> set[str]:
+    """Return the different titles of vertical axes; several quantities share no scale."""
+    return {title for name in row if (title := _axis(figure, name).title.text)}
 
 
 def _axis(figure: go.Figure, name: str) -> Any:
@@ -243,9 +224,13 @@ def _draw_bars(bars: Sequence[Any], gap: float | None, at: Axes) -> None:
         heights = [math.nan if y is None else y for y in trace.y]
         own = trace.marker.color
         colour = [*map(_colour, own)] if isinstance(own, list | tuple) else _colour(own)
-        at.bar([places[x] + off for x in trace.x], heights, width, label=_text(trace.name),
+        at.bar([places[x] + off for x in trace.x], heights, width, label=_label(trace),
                color=colour, hatch=_HATCHES[number % len(_HATCHES)], edgecolor="white",
                linewidth=0.0)  # fmt: skip
+        for x, height, text in zip(trace.x, heights, trace.text or (), strict=False):
+            if text and not height:  # an empty place, unless it says why
+                at.annotate(_text(text), (places[x] + off, 0.0), (0.0, 1.5), ha="center",
+                            textcoords="offset points", va="bottom")  # fmt: skip
     if has_names:
         at.set_xticks(list(places.values()), [_text(name) for name in names])
 
@@ -258,6 +243,7 @@ def _draw_levels(figure: go.Figure, row: str, at: Axes, scale: Callable[[Any], A
         style = {
             "color": _colour(shape.line.color), "linewidth": 0.6,
             "linestyle": _DASHES.get(shape.line.dash or "solid", "-"),
+            "label": _text(shape.name if shape.showlegend else None),
         }  # fmt: skip
         if shape.type == "line" and shape.yref == row and shape.y0 == shape.y1:
             if low - room <= scale(shape.y0) <= high + room:
@@ -281,8 +267,7 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
     colour, is_thick = _line_colour(trace), (trace.line.width or 0.0) >= _THICK_PX
     symbols = trace.marker.symbol
     by_point = isinstance(symbols, list | tuple)
-    label = "_nolegend_" if trace.showlegend is False else _text(trace.name)
-    style: dict[str, Any] = {"label": label, "color": colour}
+    style: dict[str, Any] = {"label": _label(trace), "color": colour}
     if trace.name == BOUNDS:  # on top of a line that swings across them
         style |= {"color": INK, "zorder": 3.0}
     if is_thick:
@@ -319,6 +304,10 @@ def _draw_line(trace: Any, before: Any, at: Axes, place: int) -> None:
         marker=marker, markevery=(min(place, every - 1), every),
         drawstyle="steps-post" if trace.line.shape == "hv" else "default", **style,
     )  # fmt: skip
+
+
+def _label(trace: Any) -> str:
+    return "_nolegend_" if trace.showlegend is False else _text(trace.name)
 
 
 def _text(text: str | None) -> str:

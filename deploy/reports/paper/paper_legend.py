@@ -16,14 +16,21 @@ _WIDER = 1.3
 """Than its plot is an empty place of a grid, which has no numbers beside it."""
 
 
-def put_legend(drawn: Figure, axes: Any, titles: Collection[str]) -> None:
-    """Put a legend with each name once over all rows, or in an empty place; none for one name."""
+def put_legend(drawn: Figure, axes: Any, titles: Collection[str], least: int = 2) -> None:
+    """Put a legend with each name once over all rows, or in an empty place.
+
+    Args:
+        drawn: the figure.
+        axes: its subplots.
+        titles: names that stand over subplots already.
+        least: fewer names have no legend.
+    """
     entries: dict[str, Any] = {}
     for at in axes.flat:
         for handle, label in zip(*at.get_legend_handles_labels(), strict=True):
             if label not in titles:
                 entries.setdefault(label, handle)
-    if len(entries) < 2 or _fills_empty_place(drawn, axes.flat[-1], entries):
+    if len(entries) < least or _fills_empty_place(drawn, axes.flat[-1], entries):
         return
     for columns in (3, 2, 1):
         legend = drawn.legend(

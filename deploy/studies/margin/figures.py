@@ -15,6 +15,7 @@ from deploy.studies.margin.texts import quoted_text
 
 _FARTHEST_CEILING = 2.5
 """Of the largest margin: a ceiling above this would flatten the bars."""
+_CEILING = "held-arm ceiling"
 _HEADROOM = 1.1
 _MOST_UPRIGHT = 6
 """Bars whose figures have room side by side on a telephone; those of more are turned."""
@@ -44,21 +45,23 @@ def margin_bars(study: DrawnStudy, margins: MarginResult, cases: Sequence[Margin
             textfont={"size": 10},
             customdata=list(map(study.rerun_worst, decided)), hovertemplate="%{x}: %{text}",
             marker={"color": style.palette(index) if len(groups) > 1 else own},
+            showlegend=len(groups) > 1,
         )  # fmt: skip
-    if len(groups) > 1:
-        style.add_legend(figure, [bars.name for bars in figure.data])
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(rangemode="tozero")
     ceilings = [ceiling for case in cases if (ceiling := case.held_arm_ceiling_ms)]
     highest = max((case.best_known or 0.0 for case in cases), default=0.0)
     if ceilings and min(ceilings) <= _FARTHEST_CEILING * highest:
-        figure.add_hline(y=min(ceilings), line=style.DOTTED)
+        figure.add_hline(y=min(ceilings), line=style.DOTTED, name=_CEILING, showlegend=True)
         highest = max(min(ceilings), highest)
         figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
+    shown = [each.name for each in (*figure.data, *figure.layout.shapes) if each.showlegend]
+    if shown:
+        style.add_legend(figure, shown)
     return figure
 
 
 def _without_unit(margins: MarginResult, case: MarginCase) -> str:
     """The number to quote of a case, for a bar on an axis that has the unit."""
     unit = f" {margins.unit}"
-    return quoted_text(case, margins).removesuffix(unit).replace("none", "–")
+    return quoted_text(case, margins).removesuffix(unit)

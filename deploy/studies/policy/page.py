@@ -21,6 +21,7 @@ _HELPS: dict[str, str] = {
     " how far the policy sees ahead with the age of its answers; or make the robot's loop softer",
 }
 """What helps a policy in particular, by the reason why it does not hold."""
+_MERGE_LIMIT = "limit of the merge"
 _FAR_OUTSIDE = 3.0
 """Times its bound from which an error is no matter of a wider bound."""
 
@@ -156,7 +157,7 @@ def policy_table(result: PolicyResult) -> Table:
         return f"≥ {case.inference_ms:g}" if case.is_limit and case.is_whole else case.inference_ms
 
     def ends(case: Merge) -> str:
-        return "d > H − s" if case.is_limit and not case.is_whole else case.ends or ABSENT
+        return _MERGE_LIMIT if _is_merge_limit(case) else case.ends or ABSENT
 
     def tasks(case: Merge) -> str:
         found = case.of_tasks_ms
@@ -167,7 +168,7 @@ def policy_table(result: PolicyResult) -> Table:
         (Column("Arm", is_text=True), lambda case: case.arm),
         (Column("Merge", is_text=True),
          lambda case: Cell(case.merge, "best" if case in best else "")),
-        (Column("Largest inference", "ms", "Largest\ninference"), largest),
+        (Column("Largest inference", "ms", "Longest\ntime"), largest),
         *([(Column("Of tasks: least · median · most", "ms", "Of tasks"), tasks)]
           if all(case.of_tasks_ms for case in result.cases) else []),
         (Column("Ends by", is_text=True, brief="Ends\nby"), ends),
@@ -177,7 +178,16 @@ def policy_table(result: PolicyResult) -> Table:
         f"Largest inference times are up to {result.limit_ms:g} ms, on a grid; jumps, jerk,"
         f" ages, waiting and errors are those at {result.at_ms:g} ms, the largest of its runs."
     )
+    if any(map(_is_merge_limit, result.cases)):
+        note += (
+            f" {_MERGE_LIMIT[0].upper()}{_MERGE_LIMIT[1:]}: a longer inference leaves too few"
+            " actions of a chunk to go over to the next one."
+        )
     return table_of(f"{result.policy}: merges of chunks", columns, result.cases, note)
+
+
+def _is_merge_limit(case: Merge) -> bool:
+    return case.is_limit and not case.is_whole
 
 
 def _panel(index: int, arm: str, cases: list[Merge]) -> Panel[DrawnStudy]:

@@ -164,6 +164,12 @@ def test_replaced_inertia_states_by_how_much_it_changes_a_joint(load):
     assert moved - plain == pytest.approx(0.5e-6 + 0.001 * 0.3**2, abs=1e-8)
 
 
+def test_replaced_inertia_that_no_joint_feels_names_none(load):
+    slides = two_links(c=inertial(izz="0.4")).replace('"revolute"', '"prismatic"')
+    (text,) = (each for each in load(slides).warnings if "triangle rule" in each)
+    assert text.endswith("raised as far as necessary")
+
+
 def test_replacement_that_changes_a_joint_much_needs_repair(load):
     far = two_links(c=inertial(izz="0.4"))
     with pytest.raises(RobotDescriptionError, match=r"--repair .* joint second by 1.6e"):

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,7 +14,7 @@ import pytest
 from plotly.subplots import make_subplots
 
 from deploy.reports.figures.style import band, joint_rows, line, new_figure, palette
-from deploy.reports.paper.latex import as_latex, latex_text, narrow_parts
+from deploy.reports.paper.latex import as_latex, latex_text, narrow_parts, write_latex
 from deploy.reports.paper.paper import digest_of_results
 from deploy.reports.results import Results
 from deploy.reports.runs.run_tables import confirmation_tables
@@ -132,6 +133,34 @@ def test_grid_of_subplots_stays_a_grid_and_fits_on_a_page(tmp_path, monkeypatch)
     for at, place in zip(found.axes, places, strict=True):
         assert max(at.lines[0].get_ydata()) == place.rowspan.start + 1
     assert 25.4 * found.get_figheight() <= 120.0
+
+
+def test_subplots_of_several_quantities_keep_their_own_titles_and_scales(tmp_path, monkeypatch):
+    figure = make_subplots(rows=1, cols=2)
+    for column, (title, top) in enumerate((("jump (mm)", 2.0), ("jerk (rad/s³)", 900.0)), 1):
+        figure.add_scatter(x=[0, 1], y=[0.0, top], row=1, col=column)
+        figure.update_yaxes(title=title, row=1, col=column)
+        figure.update_xaxes(title="time (ms)", row=1, col=column)
+    found = written(figure, tmp_path, monkeypatch, columns=2)
+    left, right = found.axes
+    assert [at.get_ylabel() for at in (left, right)] == ["jump (mm)", "jerk (rad/s³)"]
+    assert left.get_ylim()[1] < 10.0 < right.get_ylim()[1]
+    assert found.get_supxlabel() == "time (ms)"
+    figure.update_xaxes(title="length (m)", row=1, col=2)
+    found = written(figure, tmp_path, monkeypatch)
+    assert [at.get_xlabel() for at in found.axes] == ["time (ms)", "length (m)"]
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_names_below_bars_do_not_overprint(tmp_path, monkeypatch, columns):
+    figure = new_figure(300, "link", "mm")
+    names = ["no delays", *(f"wifi_campus from {start} s" for start in range(0, 50, 10))]
+    figure.add_bar(x=names, y=list(range(6)))
+    found = written(figure, tmp_path, monkeypatch, columns)
+    labels = found.axes[0].get_xticklabels()
+    assert [label.get_text() for label in labels] == names
+    assert {label.get_rotation() for label in labels} == {35.0}
+    assert found.axes[0].get_window_extent().height > 0.3 * found.bbox.height
 
 
 def of_seven_joints(names):
@@ -317,7 +346,7 @@ def test_wide_table_becomes_tables_of_six_columns_with_short_captions():
     assert [list(part.rows[0]) for part in parts] == [
         ["row 0", 0, 1, 2, 3, 4], ["row 0", 5, 6, 7, 8, 9], ["row 0", 10],
     ]  # fmt: skip
-    text = as_latex(parts[0])
+    text = as_latex(parts[0], "tab:any")
     assert [part.title for part in parts] == [
         "Laws: c1, c2, c3, c4, c5", "Laws: c6, c7, c8, c9, c10", "Laws: c11",
     ]  # fmt: skip
@@ -361,7 +390,7 @@ def test_confirmation_of_several_scenarios_names_them():
 def test_texts_too_long_for_a_page_go_on_below():
     """Words break after an underscore or a slash, so that no name is wider than its column."""
     columns = [Column("Law", is_text=True), Column("Detail", is_text=True), Column("Time", "s")]
-    text = as_latex(Table("Laws", columns, [["fixed_time", "a_b/c " * 30, 1.0]]))
+    text = as_latex(Table("Laws", columns, [["fixed_time", "a_b/c " * 30, 1.0]]), "tab:any")
     width_pt = int(re.findall(r"begin\{tabular\}\{lp\{(\d+)pt\}r\}", text)[0])
     assert 300 < width_pt < 516 - 3 * 12
     assert r"fixed\_time & \raggedright a\_\allowbreak b/\allowbreak c" in text
@@ -378,7 +407,7 @@ def test_no_table_is_wider_than_a_page_of_ieee(tmp_path):
         for word in ("mmmm", "WWW", "00000", "e_e_e") for words in (1, 2, 5, 9, 40)
         for count in (1, 4, 8)
     ]  # fmt: skip
-    parts = [as_latex(part) for table in tables for part in narrow_parts(table)]
+    parts = [as_latex(part, "tab:any") for table in tables for part in narrow_parts(table)]
     assert {"table", "table*"} <= set(re.findall(r"begin{(.*?)}", " ".join(parts)))
     (tmp_path / "t.tex").write_text(PAGE + "\\clearpage\n".join(parts) + r"\end{document}")
     subprocess.run(["pdflatex", "-interaction=nonstopmode", "t.tex"], cwd=tmp_path,
@@ -401,12 +430,12 @@ def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
     columns = [Column("Law", is_text=True), point, Column("Kept"), Column("Held"), outside]
     (part,) = narrow_parts(Table("Laws", columns, [["pid", "0001", 1.0, None, 5.0]]))
     assert [column.heading for column in part.columns] == ["Law", "Kept", "Ticks outside"]
-    assert r"Law & Kept & Outside (\%) \\" in as_latex(part)
+    assert r"Law & Kept & Outside (\%) \\" in as_latex(part, "tab:any")
 
 
 @pytest.mark.parametrize(("letters", "kind"), [(20, "table"), (80, "table*")])
 def test_a_table_wider_than_a_column_stands_over_two(letters, kind):
-    text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]))
+    text = as_latex(Table("Laws", [Column("Law", is_text=True)], [[letters * "x"]]), "tab:any")
     assert rf"\begin{{{kind}}}" in text
 
 
@@ -447,6 +476,17 @@ def test_bars_stand_side_by_side_and_those_without_a_value_are_left_out(tmp_path
     assert [line.get_ydata()[0] for line in at.lines] == [2.5]
 
 
+def test_bars_without_height_say_why_and_levels_have_their_names(tmp_path, monkeypatch):
+    figure = new_figure(300)
+    figure.add_bar(x=["a", "b", "c"], y=[0.0, 0.0, 8.0], text=["none", "0", "8"], name="one",
+                   showlegend=False)  # fmt: skip
+    figure.add_hline(9.0, line_dash="dot", name="ceiling", showlegend=True)
+    found = written(figure, tmp_path, monkeypatch)
+    assert [text.get_text() for text in found.axes[0].texts] == ["none", "0"]
+    (legend,) = found.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ceiling"]
+
+
 def test_bars_at_numbers_are_as_wide_as_their_distance(tmp_path, monkeypatch):
     figure = new_figure(300)
     figure.add_bar(x=[0.1, 0.2, 0.3], y=[1.0, 2.0, 3.0])
@@ -460,13 +500,24 @@ def test_no_letter_of_a_table_is_a_command_of_latex():
         "A & B", [Column("Law", is_text=True), Column("Share", "%")],
         [[r"\input{/etc/passwd}_x", Cell(0.5)]], "100 % of #1",
     )  # fmt: skip
-    text = as_latex(table)
+    text = as_latex(table, "tab:any")
     assert r"\textbackslash{}input\{/etc/passwd\}\_x & 0.5 \\" in text
     assert r"\caption{A \& B}" in text
     assert text.startswith("% 100 % of #1\n")  # a comment
     assert r"Law & Share (\%) \\" in text
     assert latex_text("|e| < 1") == r"\textbar{}e\textbar{} \textless{} 1"
     assert latex_text("τ × 10⁻³") == r"$\tau$ $\times$ 10$^{-}$$^{3}$"
+
+
+def test_each_table_has_a_label_of_its_title(tmp_path):
+    columns = [Column("Law", is_text=True), Column("Share", "%")]
+    titles = ["Ways to drive: A_1 & B (°)", "Runs", "Runs"]
+    tables = [Table(each, columns, [["pid", 1.0]]) for each in titles]
+    page = SimpleNamespace(name="page", conditions={}, tables=tables)
+    text = write_latex(page, tmp_path / "tables.tex").read_text()
+    labels = [r"\label{tab:ways-to-drive-a-1-b}", r"\label{tab:runs}", r"\label{tab:runs-2}"]
+    assert re.findall(r"\\label.*", text) == labels
+    assert re.search(r"\\caption{Runs}\n\\label{tab:runs}", text)
 
 
 def test_digest_of_a_data_sheet_does_not_change_with_its_date():

@@ -13,7 +13,9 @@ from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.html import write_page
 from deploy.reports.studies.results import study_page
 from deploy.reports.terminal import print_page
+from deploy.studies.margin.figures import margin_bars
 from deploy.studies.margin.page import margin_page
+from deploy.studies.margin.result import MarginResult
 from deploy.studies.sweep.page import sweep_page
 from tests.deploy.reports.page_order import assert_shows_before_it_tells
 
@@ -248,3 +250,18 @@ def test_sweep_names_what_helps_at_the_points_that_a_law_lost(sweep, is_swept):
     assert "pid is lost at 2 points (no gravity term): compare pid_gravity, which" in told
     sweep["points"][0]["losses"] = sweep["points"][2]["losses"] = {"growing": 1}
     assert "is lost at" not in shown(sweep)
+
+
+def test_figure_of_margins_tells_none_from_zero_and_names_the_ceiling(margin):
+    (known,) = margin["cases"]
+    none, zero = ({**known, "law": law, "quoted": quoted, "quoted_because": "theory"}
+                  for law, quoted in (("lost", None), ("slow", 0.0)))  # fmt: skip
+    margin["cases"] = [{**known, "held_arm_ceiling_ms": 5.0}, none, zero]
+    study = DrawnStudy(margin, FOLDER.rerun_command)
+    result = MarginResult.model_validate(margin)
+    figure = margin_bars(study, result, result.cases)
+    (bars,), (level,) = figure.data, figure.layout.shapes
+    assert list(bars.text) == ["4", "none", "0"]
+    assert (level.name, level.showlegend) == ("held-arm ceiling", True)
+    assert figure.layout.showlegend
+    assert not bars.showlegend

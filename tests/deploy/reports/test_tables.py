@@ -62,6 +62,19 @@ def test_a_wide_table_stays_within_a_terminal(width):
     assert "…" not in text
 
 
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_headings_break_between_words_only(is_terminal):
+    heading, name = "Largest inference_time", "a_rather_long_joint_name"
+    columns = [Column("Merge", is_text=True), *[Column(heading, "ms")] * 3, *[Column(name)] * 5]
+    table = Table("Merges", columns, [["temporal_ensemble", *[1.0] * 8]])
+    text = printed(table, 80, force_terminal=is_terminal, color_system=None)
+    parts = {"Largest", "inference_", "time", "ms", "Merge", "a_rather_", "long_", "joint_",
+             "name", "a_", "rather_", "long_joint_", "Merges"}  # fmt: skip
+    head = text.split("─")[0]
+    assert set(head.split()) <= parts
+    assert head.split().count("inference_") == 3
+
+
 def test_names_stay_on_a_line_of_a_narrow_terminal_and_are_whole_in_a_wide_one():
     law = "my_own_package.my_control_laws:MyGreatController"
     table = Table(

@@ -51,7 +51,9 @@ def test_perfect_chunks_are_tolerated_until_they_run_out(tmp_path, funnel_hil):
     text = " ".join(shown.split())
     assert "one: at an inference time of 100 ms use replace Its chunks jump by" in text
     assert "It keeps the bounds up to 200 ms." in text
-    assert "frozen_prefix | 160" in (out / "table.md").read_text()
+    table = (out / "table.md").read_text()
+    assert "frozen_prefix | 160 | limit of the merge" in table
+    assert "Limit of the merge: a longer inference" in table
     assert "jumps-0" in (out / "report.html").read_text()
     again = funnel_hil.output(*words, "--at-least", "180 ms", code=3)
     assert "14 of 14 runs, 14 runs were there from before" in again
