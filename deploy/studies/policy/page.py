@@ -17,6 +17,8 @@ from deploy.studies.policy.result import Merge, Point, PolicyResult
 
 _HEIGHT_PX = 430
 _HELPS: dict[str, str] = {
+    Reason.LATE: "The network delays commands for longer than a chunk bridges: try a longer horizon"
+    " (controller.chunks.horizon), or ask earlier (controller.chunks.ask_every)",
     Reason.VIBRATION: "Compare the velocities in the answers with the slope of the positions, and"
     " how far the policy sees ahead with the age of its answers; or make the robot's loop softer",
 }
@@ -129,7 +131,7 @@ def _what_to_change(cases: list[Merge]) -> list[str]:
         return []
     if used < _FAR_OUTSIDE:
         return ["If your task allows that error, widen the bound: --set funnel.final_rad=…."]
-    return ["The answers do not follow the reference: run one alone with funnel-hil simulate."]
+    return ["Run one of the policy alone, with funnel-hil simulate: its report shows the answers."]
 
 
 def _up_to(case: Merge) -> str:

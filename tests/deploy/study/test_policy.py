@@ -152,7 +152,7 @@ def test_a_policy_without_a_time_to_quote_says_what_its_runs_did(kept, ends, sai
 @pytest.mark.parametrize(("used", "said"), [
     (1.2, "There, the error with replace reaches 1.2 times its bound, 5 mm at the tip (RMS)."),
     (1.2, "If your task allows that error, widen the bound: --set funnel.final_rad="),
-    (9.0, "The answers do not follow the reference: run one alone with funnel-hil simulate."),
+    (9.0, "Run one of the policy alone, with funnel-hil simulate: its report shows the answers."),
 ])  # fmt: skip
 def test_a_policy_lost_at_once_says_by_how_much(used, said):
     merge = case("replace", None, 0.0)
