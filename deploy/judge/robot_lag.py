@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bus_schema.messages import topics
 from controller.laws import LAWS
 from controller.outer_laws.streaming import Streaming
-from deploy.judge.joint_lag import lags_s
+from deploy.judge.joint_lag import follows, lags_s
 from deploy.judge.result.section import Section
 from deploy.judge.run_data import RunData
 from deploy.judge.tip_error import tips_apart_m
@@ -58,7 +58,7 @@ def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
         return None
     needs_all = interface.lag_s(_SOME_LOST * interface.true_period_s) is None
     ages_ns = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"]
-    ages_ns = ages_ns[(ages_ns >= 0) & _is_judged(run)]
+    ages_ns = ages_ns[(ages_ns >= 0) & follows(run)]
     late_ms = max(0.0, 1e-6 * float(ages_ns.mean() - np.median(ages_ns))) if len(ages_ns) else None
     reads_ahead = run.controller in LAWS and LAWS[run.controller].gives != TORQUE
     ahead_s = preview_s(run.setup, run.setup.link) if reads_ahead else None
@@ -75,15 +75,11 @@ def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
     )
 
 
-def _is_judged(run: RunData) -> NDArray[np.bool_]:
-    return np.asarray(run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s)
-
-
 def _without_preview_ms(run: RunData, ahead_s: float) -> float | None:
     """Return the lag of the motion if it came later by the preview; None for a law with a loop."""
     if LAWS[run.controller].build is not Streaming:
         return None
-    times_s, rows = run.times_s(topics.PLANT_TRUTH), _is_judged(run)
+    times_s, rows = run.times_s(topics.PLANT_TRUTH), follows(run)
     moved = run.tables[topics.PLANT_TRUTH.name]["position"]
     wanted = (moved - run.true_errors_rad)[rows]
     later = [np.interp(times_s[rows] - ahead_s, times_s, joint) for joint in moved.T]
@@ -97,7 +93,7 @@ def _tip_rms_mm(run: RunData, lags_ms: NDArray[np.float64]) -> float | None:
 
     None where that is not known, or no joint moves the tip.
     """
-    rows = _is_judged(run)
+    rows = follows(run)
     positions = run.tables[topics.PLANT_TRUTH.name]["position"]
     wanted = (positions - run.true_errors_rad)[rows]
     late = wanted - lags_ms / _MS * run.reference_velocities_rad_s[rows]
