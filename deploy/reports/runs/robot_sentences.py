@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
@@ -69,19 +69,21 @@ def _on_losses(run: RunData, result: RunResult, parts: RobotLag) -> list[str]:
     """Return the part of lost messages in the tip's error, and how to tell what is unknown."""
     ways = (result.transport.uplink, result.transport.downlink)
     lost = sum((each.lost or 0) + (each.resent or 0) for each in ways)
-    if not lost or parts.late_ms is None:
+    without, late_ms, late_mm = _without_losses(run), parts.late_ms, parts.late_tip_rms_mm
+    if not lost or late_ms == 0.0:
         return []
-    late_mm, tip_mm = parts.late_tip_rms_mm, result.tip_error_mm.rms
-    at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
-    said = (
-        f"With {lost:,} messages lost, commands in force were {number(parts.late_ms)} ms older than"
-        f" usual on average{at_tip}."
-    )
-    without = _without_losses(run)
-    is_lag = (parts.tip_rms_mm or 0.0) >= _MOST * (tip_mm or 0.0)
-    if not without or (late_mm is not None and is_lag):
-        return [said]
-    return [said, f"The same command with {without} shows which part of the error losses cause."]
+    said = []
+    if late_ms is not None:
+        at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
+        messages = "1 message" if lost == 1 else f"{lost:,} messages"
+        said.append(
+            f"With {messages} lost, commands in force were {number(late_ms)} ms older on average"
+            f" than without losses{at_tip}."
+        )
+    is_lag = (parts.tip_rms_mm or 0.0) >= _MOST * (result.tip_error_mm.rms or 0.0)
+    if without and (late_mm is None or not is_lag):
+        said.append(f"The same command with {without} shows which part of the error losses cause.")
+    return said
 
 
 def _without_losses(run: RunData) -> str:
@@ -89,7 +91,8 @@ def _without_losses(run: RunData) -> str:
     link = run.setup.scenario.link
 
     def of_way(name: str, way: ChannelConfiguration) -> list[str]:
-        keys = {"loss=0": way.loss, "burst_loss=null": way.burst_loss}
+        has_outages = bool(way.schedule) and all(isinstance(e, Outage) for e in way.schedule)
+        keys = {"loss=0": way.loss, "burst_loss=null": way.burst_loss, "schedule=[]": has_outages}
         return [f"--set link.{name}.{key}" for key, is_set in keys.items() if is_set]
 
     return " ".join([*of_way("uplink", link.uplink), *of_way("downlink", link.downlink)])

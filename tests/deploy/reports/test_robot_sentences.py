@@ -2,6 +2,9 @@
 
 import re
 
+import pytest
+
+from bus_schema.messages import topics
 from deploy.judge.metrics import RunResult, summarise
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
@@ -40,3 +43,42 @@ def test_a_robot_that_no_command_moves_has_no_lag():
     assert result.robot_lag.tip_rms_mm is None
     assert "their reference by" not in said
     assert "joints would" not in said
+
+
+def mean_age_ms(data):
+    """Mean age of the commands in force from 2 s on."""
+    truth = data.tables[topics.PLANT_TRUTH.name]
+    return 1e-6 * truth["command_age_ns"][data.times_s(topics.PLANT_TRUTH) >= 2.0].mean()
+
+
+@pytest.mark.parametrize("delay", [(), ("link.downlink.delay_ms=2.4",)])
+@pytest.mark.parametrize(
+    "losses", [("link.uplink.loss=0.3", "link.downlink.loss=0.3"), ("link.uplink.loss=0.8",)]
+)
+def test_the_cost_of_frequent_losses_is_that_beyond_a_run_without(losses, delay):
+    words = (*SERVOJ, "duration_s=4", "metrics.from_s=2", *delay)
+    data, result, said = judged(*words, *losses)
+    wanted_ms = mean_age_ms(data) - mean_age_ms(simulate(load_setup("paper_arm", words)).data())
+    assert wanted_ms > 0.9
+    assert result.robot_lag.late_ms == pytest.approx(wanted_ms, rel=0.1)
+    assert "older on average than without losses, about" in said
+
+
+@pytest.mark.parametrize("varies", [
+    ("link.uplink.jitter_ms=10", "link.uplink.delay_ms=20"),
+    ("link.uplink.trace={file: wifi_campus}",),
+    ("link.uplink.delay_ms=5", "link.uplink.pattern={shape: square, period_ms: 100}"),
+    ("controller.every=4",),
+    ("link.transport=tcp", "plant.command_timeout_ms=2000"),
+])  # fmt: skip
+def test_no_cost_is_named_where_the_age_without_losses_is_unknown(varies):
+    _, result, said = judged(*SERVOJ, "duration_s=2", "link.downlink.loss=0.05", *varies)
+    assert result.robot_lag.late_ms is result.robot_lag.late_tip_rms_mm is None
+    assert "commands in force were" not in said
+    assert "The same command with --set link.downlink.loss=0 shows" in said
+
+
+def test_one_lost_message_is_one_message():
+    words = (*SERVOJ, "duration_s=2", "metrics.from_s=0.5")
+    _, _, said = judged(*words, "link.uplink.schedule=[{kind: outage, at_s: 1, for_s: 0.001}]")
+    assert "With 1 message lost, commands in force were 0.00" in said
