@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
-from deploy.judge.findings.loss_reason import Reason
+from deploy.judge.findings.loss_reason import Reason, is_mostly
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.robot_lag import RobotLag
@@ -12,7 +12,6 @@ from deploy.reports.runs.run_numbers import worst_lag_ms
 from deploy.reports.tables import number
 from deploy.scenario.robot_interface import uncovered_lag_s
 
-_MUCH = 0.5
 _MOST = 0.85
 """Of the tip's error; the rest of its square is less than a third."""
 
@@ -30,17 +29,17 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     joint = run.setup.robot.joint_names[result.lag_ms.index(lag)]
     way = "behind" if lag >= 0.0 else "ahead of"
     own_ms = 1e3 * uncovered_lag_s(run.setup)
-    own = own_ms >= _MUCH * lag > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
+    is_own = lag > 0.0 and is_mostly(own_ms, lag)
+    own = f"; the robot's own lag is {own_ms:.0f} ms" if is_own else ""
     tip = (
         ""
         if parts.tip_rms_mm is None
         else f", which alone is {number(parts.tip_rms_mm)} mm at the tip"
     )
     sentences.append(
-        f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}"
-        f"{own or ''}."
+        f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}{own}."
     )
-    if own and result.loss is None:
+    if is_own and result.loss is None:
         sentences += helps(Reason.OWN_LAG, run)
     return [*sentences, *_on_the_preview(parts), *_on_losses(run, result, parts)]
 

@@ -2,9 +2,11 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from bus_schema.messages import topics
+from controller.control_law import Diagnostics
 from deploy.judge.metrics import RunResult, summarise
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
@@ -82,3 +84,39 @@ def test_one_lost_message_is_one_message():
     words = (*SERVOJ, "duration_s=2", "metrics.from_s=0.5")
     _, _, said = judged(*words, "link.uplink.schedule=[{kind: outage, at_s: 1, for_s: 0.001}]")
     assert "With 1 message lost, commands in force were 0.00" in said
+
+
+class Ahead:
+    """A law of targets that makes up for a share of the robot's own lag."""
+
+    def __init__(self, model, share):
+        self.diagnostics, self.share, self.lead_s = Diagnostics(model.joints), share, 0.0
+
+    def make_up_for(self, lag_s):
+        self.lead_s = self.share * lag_s
+
+    def target(self, tracking):
+        return tracking.reference_at(np.array([tracking.time_s + self.lead_s]))[0]
+
+    def reset(self):
+        pass
+
+
+@pytest.mark.parametrize(("share", "is_blamed"), [(0.0, True), (0.4, True), (0.7, False)])
+def test_a_lag_that_a_policy_makes_up_for_is_not_blamed(share, is_blamed):
+    """Joints are behind by (1 - share) of the robot's own lag of 138 ms."""
+    law = f"controller.law={__name__}:Ahead"
+    words = ("plant.interface.kind=servoj", law, f"controller.gains.custom={{share: {share}}}")
+    wide = (
+        "funnel={convergence_margin_rad: 1, overshoot_margin_rad: 1, final_rad: 1}",
+        "robot.initial_offset_rad=0",
+    )
+    _, result, said = judged(*words, "duration_s=3", *wide)
+    assert result.loss is None
+    assert "behind their reference by" in said
+    for blame in ("; the robot's own lag is 138 ms", "Send targets for that much later"):
+        assert (blame in said) == is_blamed
+    narrow = ("funnel.final_rad=0.003", "robot.initial_offset_rad=0")
+    _, lost, _ = judged(*words, "duration_s=3", *narrow)
+    assert lost.loss.reason == ("robot's lag" if is_blamed else "lag")
+    assert (lost.loss.own_lag_ms is not None) == is_blamed
