@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from shlex import quote
+
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from deploy.judge.findings.loss_reason import Reason, is_mostly
 from deploy.judge.findings.remedies import remedy_of
@@ -92,6 +94,6 @@ def _without_losses(run: RunData) -> str:
     def of_way(name: str, way: ChannelConfiguration) -> list[str]:
         has_outages = bool(way.schedule) and all(isinstance(e, Outage) for e in way.schedule)
         keys = {"loss=0": way.loss, "burst_loss=null": way.burst_loss, "schedule=[]": has_outages}
-        return [f"--set link.{name}.{key}" for key, is_set in keys.items() if is_set]
+        return [f"--set {quote(f'link.{name}.{key}')}" for key, is_set in keys.items() if is_set]
 
     return " ".join([*of_way("uplink", link.uplink), *of_way("downlink", link.downlink)])

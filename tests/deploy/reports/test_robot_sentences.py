@@ -84,6 +84,7 @@ def test_one_lost_message_is_one_message():
     words = (*SERVOJ, "duration_s=2", "metrics.from_s=0.5")
     _, _, said = judged(*words, "link.uplink.schedule=[{kind: outage, at_s: 1, for_s: 0.001}]")
     assert "With 1 message lost, commands in force were 0.00" in said
+    assert "The same command with --set 'link.uplink.schedule=[]' shows" in said
 
 
 class Ahead:
