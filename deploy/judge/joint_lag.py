@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.messages import topics
+from bus_schema.runtime.modes import Mode
 from deploy.judge.run_data import ROBOT_SERVER, RunData
 
 _MS = 1e3
@@ -16,18 +17,24 @@ _HALF_S = 0.05
 
 
 def lag_ms(run: RunData) -> list[float | None]:
-    """Return the lag of each joint's true error, ms, from ``metrics.from_s`` on.
+    """Return the lag of each joint's true error, ms, at `follows`.
 
     None for a joint whose reference rests, and negative for one that is ahead.
     """
     times_s, truth = run.times_s(topics.PLANT_TRUTH), run.tables[topics.PLANT_TRUTH.name]
-    judged = times_s >= run.setup.scenario.metrics.from_s
-    errors, speeds = run.true_errors_rad, run.reference_velocities_rad_s
+    rows, errors, speeds = follows(run), run.true_errors_rad, run.reference_velocities_rad_s
     if run.link == ROBOT_SERVER:  # what a client asks for arrives in steps and bursts
-        judged &= truth["command_age_ns"] >= 0
         speeds = mean_speeds_rad_s(times_s, truth["position"] - errors)
-    lags = lags_s(errors[judged], speeds[judged])
+    lags = lags_s(errors[rows], speeds[rows])
     return [_MS * float(each) if np.isfinite(each) else None for each in lags]
+
+
+def follows(run: RunData) -> NDArray[np.bool_]:
+    """Return at which ticks commands move the arm, from ``metrics.from_s`` on; shape (ticks,)."""
+    truth, from_s = run.tables[topics.PLANT_TRUTH.name], run.setup.scenario.metrics.from_s
+    stops = np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))
+    is_judged = run.times_s(topics.PLANT_TRUTH) >= from_s
+    return np.asarray(is_judged & ~stops & (truth["command_age_ns"] >= 0))
 
 
 def mean_speeds_rad_s(

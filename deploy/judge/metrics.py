@@ -60,8 +60,8 @@ class RunResult(Section):
             if that is not known, and in real time
         loss: why the run left its funnel; null if it did not
         lag_ms: how far each joint is behind its reference, ms: least squares of the true error
-            against the reference's velocity from ``metrics.from_s`` on; negative ahead of it, null
-            where it rests
+            against the reference's velocity while commands move the arm, from ``metrics.from_s``
+            on; negative ahead of it, null where it rests
         robot_lag: where the lag of a robot that takes positions or velocities comes from; null for
             others
         beyond_ranges: joints that pass an end of their range by much; stops are not emulated

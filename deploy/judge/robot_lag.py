@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from bus_schema.messages import topics
 from controller.laws import LAWS
 from controller.outer_laws.streaming import Streaming
-from deploy.judge.joint_lag import lags_s
+from deploy.judge.joint_lag import follows, lags_s
 from deploy.judge.result.section import Section
 from deploy.judge.run_data import RunData
 from deploy.judge.tip_error import tips_apart_m
@@ -32,7 +33,8 @@ class RobotLag(Section):
         without_preview_ms: lag of the joint that is furthest behind, if the same motion came later
             by the preview; null without one, and for a law with a loop of its own
         tip_rms_mm: RMS of the tip's error that is due to the lags of ``lag_ms`` alone
-        late_ms: mean age of the commands in force beyond their median age: lost and late messages
+        late_ms: mean age of the commands in force beyond their age without losses; null where that
+            is unknown, as with jitter, a trace, TCP, in real time and for laws slower than the loop
         late_tip_rms_mm: RMS of the tip's error that is due to a lag of ``late_ms`` alone; null for
             robots whose own lag changes with the number of targets that arrive
     """
@@ -57,9 +59,7 @@ def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
     if interface.takes == TORQUE:
         return None
     needs_all = interface.lag_s(_SOME_LOST * interface.true_period_s) is None
-    ages_ns = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"]
-    ages_ns = ages_ns[(ages_ns >= 0) & _is_judged(run)]
-    late_ms = max(0.0, 1e-6 * float(ages_ns.mean() - np.median(ages_ns))) if len(ages_ns) else None
+    late_ms = _late_ms(run)
     reads_ahead = run.controller in LAWS and LAWS[run.controller].gives != TORQUE
     ahead_s = preview_s(run.setup, run.setup.link) if reads_ahead else None
     lags = np.array([0.0 if each is None else each for each in lags_ms])
@@ -75,15 +75,37 @@ def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
     )
 
 
-def _is_judged(run: RunData) -> NDArray[np.bool_]:
-    return np.asarray(run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s)
+def _late_ms(run: RunData) -> float | None:
+    """Return by how much losses made commands in force older on average; None if unknown."""
+    ages_ns, rows = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"], follows(run)
+    if not rows.any() or not _has_constant_age(run):
+        return None
+    without_ns = ages_ns[ages_ns >= 0].min()  # of each command that has just arrived
+    return 1e-6 * float(ages_ns[rows].mean() - without_ns)
+
+
+def _has_constant_age(run: RunData) -> bool:
+    """Whether commands in force would all have the same age if no message were lost."""
+    scenario, link = run.setup.scenario, run.setup.link
+    is_varied = run.clock == "realtime" or link.transport != "udp" or link.plays_automatically
+    controller, period_s = scenario.controller, 1e-9 * run.setup.grid.period_ns
+    is_slow = controller.chunks is not None or controller.answer_age_s(period_s) > 0.0
+    if is_varied or is_slow or run.controller not in LAWS or scenario.faults:
+        return False
+    return _only_loses(link.uplink) and _only_loses(link.downlink)
+
+
+def _only_loses(way: ChannelConfiguration) -> bool:
+    """Whether a direction delays all messages equally that it does not lose."""
+    without = way.model_copy(update={"loss": 0.0, "burst_loss": None, "schedule": ()})
+    return without.is_constant and all(isinstance(each, Outage) for each in way.schedule)
 
 
 def _without_preview_ms(run: RunData, ahead_s: float) -> float | None:
     """Return the lag of the motion if it came later by the preview; None for a law with a loop."""
     if LAWS[run.controller].build is not Streaming:
         return None
-    times_s, rows = run.times_s(topics.PLANT_TRUTH), _is_judged(run)
+    times_s, rows = run.times_s(topics.PLANT_TRUTH), follows(run)
     moved = run.tables[topics.PLANT_TRUTH.name]["position"]
     wanted = (moved - run.true_errors_rad)[rows]
     later = [np.interp(times_s[rows] - ahead_s, times_s, joint) for joint in moved.T]
@@ -97,7 +119,7 @@ def _tip_rms_mm(run: RunData, lags_ms: NDArray[np.float64]) -> float | None:
 
     None where that is not known, or no joint moves the tip.
     """
-    rows = _is_judged(run)
+    rows = follows(run)
     positions = run.tables[topics.PLANT_TRUTH.name]["position"]
     wanted = (positions - run.true_errors_rad)[rows]
     late = wanted - lags_ms / _MS * run.reference_velocities_rad_s[rows]

@@ -111,8 +111,8 @@ class Reason(StrEnum):
     )  # fmt: skip
     OWN_LAG = (
         "robot's lag", "by the robot's own lag",
-        "the same, and the lag of the robot's own controller is half of that time or more, or half"
-        " of a slow error or more is due to it; or a law of torques drives such a robot, whose lag"
+        "the same, and the lag of the robot's own controller is half to twice that time, or half of"
+        " a slow error or more is due to it; or a law of torques drives such a robot, whose lag"
         " is a delay of its loop, and lost it within four times that lag, before an oscillation"
         " shows: read the reference ahead by the lag (`controller.preview_ms`), or make the robot's"
         " own loop faster",
@@ -155,6 +155,11 @@ class LossReason(Section):
     own_lag_ms: float | None = None
     without_delay: bool = False
     fault: str | None = None
+
+
+def is_mostly(cause: float, effect: float) -> bool:
+    """Whether a cause is half of an effect or more, and not so much that others make up for it."""
+    return _MOSTLY * effect <= cause <= effect / _MOSTLY
 
 
 def loss_reason(run: RunData) -> LossReason | None:
@@ -278,7 +283,7 @@ class _Loss:
     def _is_lost_by_own_lag(self, found: LossReason) -> bool:
         """Whether the lag of the robot's own controller explains a loss."""
         if found.lag_ms is not None:
-            return 1e3 * self.uncovered_lag_s >= _MOSTLY * found.lag_ms
+            return is_mostly(1e3 * self.uncovered_lag_s, found.lag_ms)
         if not moves_model(self.run.setup.scenario):
             late_s = self.uncovered_lag_s if found.reason == Reason.SLOW else 0.0
             return late_s > 0.0 and self._is_error_of_lag(late_s)
@@ -293,7 +298,7 @@ class _Loss:
         wanted, error = self.wanted_rad, self.errors_rad[self.tick]
         times_s = self.times_s[: self.tick + 1]
         late = float(np.interp(times_s[-1] - late_s, times_s, wanted)) - wanted[-1]
-        return bool(late * error > 0.0 and _MOSTLY <= late / error <= 1.0 / _MOSTLY)
+        return bool(late * error > 0.0 and is_mostly(late / error, 1.0))
 
     def _sag(self) -> LossReason | None:
         is_sag = not self.is_disturbed and sags(self.run, self.joint, self.tick)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from bus_schema.link.channel_configuration import ChannelConfiguration
-from deploy.judge.findings.loss_reason import Reason
+from shlex import quote
+
+from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
+from deploy.judge.findings.loss_reason import Reason, is_mostly
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.robot_lag import RobotLag
@@ -12,7 +14,6 @@ from deploy.reports.runs.run_numbers import worst_lag_ms
 from deploy.reports.tables import number
 from deploy.scenario.robot_interface import uncovered_lag_s
 
-_MUCH = 0.5
 _MOST = 0.85
 """Of the tip's error; the rest of its square is less than a third."""
 
@@ -30,17 +31,17 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     joint = run.setup.robot.joint_names[result.lag_ms.index(lag)]
     way = "behind" if lag >= 0.0 else "ahead of"
     own_ms = 1e3 * uncovered_lag_s(run.setup)
-    own = own_ms >= _MUCH * lag > 0.0 and f"; the robot's own lag is {own_ms:.0f} ms"
+    is_own = lag > 0.0 and is_mostly(own_ms, lag)
+    own = f"; the robot's own lag is {own_ms:.0f} ms" if is_own else ""
     tip = (
         ""
         if parts.tip_rms_mm is None
         else f", which alone is {number(parts.tip_rms_mm)} mm at the tip"
     )
     sentences.append(
-        f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}"
-        f"{own or ''}."
+        f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}{own}."
     )
-    if own and result.loss is None:
+    if is_own and result.loss is None:
         sentences += helps(Reason.OWN_LAG, run)
     return [*sentences, *_on_the_preview(parts), *_on_losses(run, result, parts)]
 
@@ -69,19 +70,21 @@ def _on_losses(run: RunData, result: RunResult, parts: RobotLag) -> list[str]:
     """Return the part of lost messages in the tip's error, and how to tell what is unknown."""
     ways = (result.transport.uplink, result.transport.downlink)
     lost = sum((each.lost or 0) + (each.resent or 0) for each in ways)
-    if not lost or parts.late_ms is None:
+    without, late_ms, late_mm = _without_losses(run), parts.late_ms, parts.late_tip_rms_mm
+    if not lost or late_ms == 0.0:
         return []
-    late_mm, tip_mm = parts.late_tip_rms_mm, result.tip_error_mm.rms
-    at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
-    said = (
-        f"With {lost:,} messages lost, commands in force were {number(parts.late_ms)} ms older than"
-        f" usual on average{at_tip}."
-    )
-    without = _without_losses(run)
-    is_lag = (parts.tip_rms_mm or 0.0) >= _MOST * (tip_mm or 0.0)
-    if not without or (late_mm is not None and is_lag):
-        return [said]
-    return [said, f"The same command with {without} shows which part of the error losses cause."]
+    said = []
+    if late_ms is not None:
+        at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
+        messages = "1 message" if lost == 1 else f"{lost:,} messages"
+        said.append(
+            f"With {messages} lost, commands in force were {number(late_ms)} ms older on average"
+            f" than without losses{at_tip}."
+        )
+    is_lag = (parts.tip_rms_mm or 0.0) >= _MOST * (result.tip_error_mm.rms or 0.0)
+    if without and (late_mm is None or not is_lag):
+        said.append(f"The same command with {without} shows which part of the error losses cause.")
+    return said
 
 
 def _without_losses(run: RunData) -> str:
@@ -89,7 +92,8 @@ def _without_losses(run: RunData) -> str:
     link = run.setup.scenario.link
 
     def of_way(name: str, way: ChannelConfiguration) -> list[str]:
-        keys = {"loss=0": way.loss, "burst_loss=null": way.burst_loss}
-        return [f"--set link.{name}.{key}" for key, is_set in keys.items() if is_set]
+        has_outages = bool(way.schedule) and all(isinstance(e, Outage) for e in way.schedule)
+        keys = {"loss=0": way.loss, "burst_loss=null": way.burst_loss, "schedule=[]": has_outages}
+        return [f"--set {quote(f'link.{name}.{key}')}" for key, is_set in keys.items() if is_set]
 
     return " ".join([*of_way("uplink", link.uplink), *of_way("downlink", link.downlink)])
