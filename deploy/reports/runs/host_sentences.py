@@ -75,8 +75,11 @@ def _link_is_steady(setup: Setup, result: RunResult) -> bool:
 
 def _repetition(judged: JudgedRun, manifest: Mapping[str, Any]) -> list[str]:
     """Name the command that repeats a run in lockstep; a real delay has no place there."""
-    is_served = judged.data.link == ROBOT_SERVER  # to a client, which has a clock of its own
-    if judged.path is None or "real_delay" in manifest or is_served:
+    if judged.data.link == ROBOT_SERVER:  # its client has a clock of its own
+        return [
+            "Stop other programs, or give this one a CPU; funnel-hil doctor says what is missing."
+        ]
+    if judged.path is None or "real_delay" in manifest:
         return []
     scenario = RunFolder(judged.path).scenario
     if not scenario.exists():

@@ -9,11 +9,13 @@ from deploy.judge.findings.loss_reason import Reason, is_mostly
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.robot_lag import RobotLag
-from deploy.judge.run_data import RunData
+from deploy.judge.run_data import ROBOT_SERVER, RunData
 from deploy.reports.runs.run_numbers import worst_lag_ms
 from deploy.reports.tables import number
 from deploy.scenario.robot_interface import uncovered_lag_s
 
+_OVER_TCP = {"servoj", "speedj"}
+"""Interfaces of robots whose clients send commands over TCP."""
 _MOST = 0.85
 """Of the tip's error; the rest of its square is less than a third."""
 
@@ -84,6 +86,13 @@ def _on_losses(run: RunData, result: RunResult, parts: RobotLag) -> list[str]:
     is_lag = (parts.tip_rms_mm or 0.0) >= _MOST * (result.tip_error_mm.rms or 0.0)
     if without and (late_mm is None or not is_lag):
         said.append(f"The same command with {without} shows which part of the error losses cause.")
+    scenario, is_simulated = run.setup.scenario, run.link != ROBOT_SERVER
+    is_udp = is_simulated and scenario.link.transport == "udp"
+    if is_udp and scenario.plant.interface.kind in _OVER_TCP:
+        said.append(
+            "This link drops what is lost. Clients of such robots use TCP, which sends it again, so"
+            " that all behind it is late: --set link.transport=tcp."
+        )
     return said
 
 

@@ -121,3 +121,11 @@ def test_a_lag_that_a_policy_makes_up_for_is_not_blamed(share, is_blamed):
     _, lost, _ = judged(*words, "duration_s=3", *narrow)
     assert lost.loss.reason == ("robot's lag" if is_blamed else "lag")
     assert (lost.loss.own_lag_ms is not None) == is_blamed
+
+
+@pytest.mark.parametrize(("transport", "is_said"), [("udp", True), ("tcp", False)])
+def test_losses_before_a_robot_with_a_client_over_tcp_name_that_transport(transport, is_said):
+    """A dropped message costs one target, a resent one holds up all behind it."""
+    link = ("link.uplink.loss=0.05", f"link.transport={transport}")
+    _, _, said = judged(*SERVOJ, "duration_s=2.5", *link)
+    assert ("--set link.transport=tcp" in said) is is_said
