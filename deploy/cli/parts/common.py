@@ -172,9 +172,9 @@ class ResultGate:
         for sentence in failures.values():
             console.print(f"gate: {sentence}", style="bold red", markup=False, soft_wrap=True)
         if self._gate.is_given and (note or not failures):
-            numbers = ", ".join(each.text for each in found)
-            verdict = "failed" if failures else f"passed with {numbers}"
-            text = "; ".join(filter(None, [verdict, note]))
+            numbers = "" if failures else "with " + ", ".join(each.text for each in found)
+            verdict = "failed" if failures else "passed"
+            text = "; ".join(filter(None, [verdict, note, numbers]))
             console.print(f"gate: {text}", markup=False, soft_wrap=True)
         return not failures
 
