@@ -94,7 +94,7 @@ def _garbage_kept() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _optimized_once() -> Iterator[None]:
-    """Let LLVM optimize at its first level: an eighth of the time less, for code as fast.
+    """Let LLVM optimize at its first level: a tenth of the time less, for code as fast.
 
     More levels and vectors are for long loops; those of kernels run over a few joints.
     """

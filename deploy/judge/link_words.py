@@ -21,7 +21,7 @@ _KINDS: dict[str, Callable[[ChannelConfiguration], object]] = {
     "scheduled changes": lambda way: way.schedule,
 }
 _UNNAMED = "a recorded network"
-RECORDED_TRACES = {DATA_FILES[f"link.{direction}.trace.file"] for direction in DIRECTIONS}
+_RECORDED_TRACES = {DATA_FILES[f"link.{direction}.trace.file"] for direction in DIRECTIONS}
 """Names of traces in a recording."""
 _DIGEST = re.compile(r"-[0-9a-f]{8}$")
 """What a copied scenario appends to the names of files."""
@@ -58,7 +58,7 @@ def _network(file: str, direction: str, manifest: Mapping[str, Any]) -> str | No
     for key in ("link", direction, "trace", "file"):
         section = section.get(key) if isinstance(section, Mapping) else None
     given = Path(section if isinstance(section, str) else file).stem
-    return None if given in RECORDED_TRACES else _DIGEST.sub("", given)
+    return None if given in _RECORDED_TRACES else _DIGEST.sub("", given)
 
 
 def has_no_effect(link: LinkConfiguration) -> bool:
