@@ -13,6 +13,7 @@ from deploy.judge.verdict import Verdict
 from deploy.study.study import OF_BOUND
 
 EVERY_PATTERN = ", every pattern of delays"
+TO_QUOTE = ", margin to quote"
 _RUNS, MM, _MS, JERK = "runs", "mm", "ms", "rad/s3"
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Generic, Protocol, TypeVar
 from pydantic import Field
 
 from deploy.judge.gate import Gauged
-from deploy.reports.gauges import EVERY_PATTERN, Part
+from deploy.reports.gauges import TO_QUOTE, Part
 from deploy.reports.studies.study_result import Runs, StudyResult
 
 COMPENSATION = {None: "", False: "without", True: "with"}
@@ -104,7 +104,7 @@ class CasesResult(StudyResult, Generic[Case]):
 
     def numbers(self) -> Iterator[Gauged]:
         for case in self.cases:
-            name = case_title(case) + (EVERY_PATTERN if case.covers_patterns else "")
+            name = case_title(case) + (TO_QUOTE if case.covers_patterns else "")
             yield Gauged(name, case.number, self.unit or "", case.sign, "; ".join(case.doubts))
 
     @property

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
 
+from deploy.judge.conditions import EFFORT
 from deploy.reports.figures import joints, link, space, style
 from deploy.reports.page import Cards, Fact, Page, Panel, ReportHead
 from deploy.reports.studies.case_result import COMPENSATION, equipment_text, setting_text
@@ -63,6 +64,7 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
         result.name,
         verdict=ReportHead("mixed", head, more),
         facts=[
+            Fact("Round trip to quote", quote_text(result)),
             Fact("Arm", result.arm),
             Fact("Law", result.law or ""),
             Fact("Network", result.network or "none given"),
@@ -77,18 +79,20 @@ def data_sheet_page(sheet: DrawnSheet) -> Page[DrawnSheet]:
 
 
 def headline(result: DataSheetResult) -> list[str]:
-    """Return the answer in one sentence, then its conditions and the rest.
+    """Return the answer, then its conditions and the rest.
 
-    The answer is the network's verdict, or without a network the number to quote. That number has
-    what is not known of the arm at its worst; the exact arm is the best case.
+    The answer is the network's verdict, if there is a network, and the number to quote. That number
+    has what is not known of the arm at its worst; the arm as given is the best case.
     """
     parts, margin = result.parts, result.parts.margin
     cases = {case.compensation: case for case in margin.cases}
-    sentences = []
-    if parts.network is not None:
-        sentences += _network_sentences(result, parts.network)
-    sentences += [
-        *_quoted_sentences(result),
+    network = [] if parts.network is None else _network_sentences(result, parts.network)
+    quote, *numbers = _quoted_sentences(result)
+    sentences = [
+        *network[:1],
+        quote,
+        *network[1:],
+        *numbers,
         *lost_at_once(margin),
         _best_case_sentence(margin, cases[True]),
     ]
@@ -111,14 +115,29 @@ def _quoted_sentences(result: DataSheetResult) -> list[str]:
     best = texts.furthest_case(margin.cases)
     (other,) = (case for case in margin.cases if case is not best)
     numbers = [texts.number_text(case, margin) for case in (best, other)]
-    quote = f"{texts.quoted_text(best, margin)} {setting_text(best)}"
-    caveats = "; ".join(filter(None, [texts.untested_text(best), caveat_text(result, margin)]))
     return [
-        f"{result.arm} under {result.law}: quote a round trip of"
-        f" {quote}{f' ({caveats})' if caveats else ''}.",
+        f"{result.arm} under {result.law}: quote a round trip of {quote_text(result)}.",
         f"Round trips: {'; '.join(numbers)}.",
         *texts.unknowns_sentences(margin),
     ]
+
+
+def quote_text(result: DataSheetResult) -> str:
+    """The number to quote, with what it holds and what it rests on."""
+    margin = result.parts.margin
+    best = texts.furthest_case(margin.cases)
+    caveats = "; ".join(filter(None, [texts.untested_text(best), caveat_text(result, margin)]))
+    quote = f"{texts.quoted_text(best, margin)} {setting_text(best)}"
+    return f"{quote} ({caveats})" if caveats else quote
+
+
+def quote_of(result: DataSheetResult) -> dict[str, Any]:
+    """The same for ``summary.json``."""
+    best = texts.furthest_case(result.parts.margin.cases)
+    return {
+        "round_trip_ms": best.number, "setting": setting_text(best), "because": best.because,
+        "effort": result.conditions.get(EFFORT), "text": quote_text(result),
+    }  # fmt: skip
 
 
 def _best_case_sentence(margin: MarginResult, on: MarginCase) -> str:
@@ -209,8 +228,9 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
     panels = [
         Panel(
             "Delay", "share-kept", "Share of runs or plants that keep their bounds", _share_kept,
-            "Lines: runs of the exact arm at a constant delay, and uncertain plants. Dotted: the"
-            " margin for any pattern of delays. Grey: round trips of the network's worst window.",
+            "Thick: the number to quote. Lines: runs of the arm as given at a constant delay, which"
+            " is the best case, and uncertain plants. Dotted: the best case for any pattern of"
+            " delays. Grey: round trips of the network's worst window.",
         )
     ]  # fmt: skip
     if (window := sheet.window) is None:
@@ -249,9 +269,10 @@ def _share_kept(sheet: DrawnSheet) -> go.Figure:
         figure.add_scatter(
             x=[probe.value for probe in probes],
             y=[100.0 * probe.runs_kept / probe.runs for probe in probes],
-            name=name, mode="lines+markers", line_color=colour, line_shape="hv",
+            name=f"arm as given, {name}", mode="lines+markers", line_color=colour, line_shape="hv",
         )  # fmt: skip
-        _mark(figure, f"any pattern, {name}", case.any_pattern, colour, "dot")
+        _mark(figure, f"quote {name}", case.number, colour, "solid", width=4)
+        _mark(figure, f"best case, {name}", case.any_pattern, colour, "dot")
         theory_ms = None if case.theory is None else case.theory.constant_ms
         _mark(figure, "linear theory, constant delay", theory_ms, style.INK, "dash")
     for robust in () if plants is None else plants.cases:
@@ -265,10 +286,12 @@ def _share_kept(sheet: DrawnSheet) -> go.Figure:
     return figure
 
 
-def _mark(figure: go.Figure, name: str, at_ms: float | None, colour: str, dash: str) -> None:
+def _mark(
+    figure: go.Figure, name: str, at_ms: float | None, colour: str, dash: str, width: int = 1
+) -> None:
     """Draw a margin as an upright line, with its value in the legend."""
     if at_ms is not None:
         figure.add_scatter(
             x=[at_ms, at_ms], y=[0.0, 100.0], name=f"{name}: {at_ms:g} ms", mode="lines",
-            line={"color": colour, "dash": dash, "width": 1},
+            line={"color": colour, "dash": dash, "width": width},
         )  # fmt: skip

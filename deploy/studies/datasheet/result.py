@@ -71,6 +71,7 @@ class DataSheetResult(SheetResult):
     """A data sheet: its margin with compensation, and that of its uncertain plants."""
 
     group = "datasheet"
+    quote: dict[str, Any] = Field(default={})
     folders: dict[str, str] = Field(default={})
     worst_window: dict[str, Any] | None = None
     parts: Parts

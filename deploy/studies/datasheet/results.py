@@ -20,7 +20,7 @@ from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.studies.datasheet import robot_page
 from deploy.studies.datasheet.data_sheet import DataSheet, network_files, worst_window
-from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
+from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline, quote_of
 from deploy.studies.datasheet.result import (
     DataSheetResult,
     Parts,
@@ -145,7 +145,7 @@ def write_data_sheet(
         tested_with=sheet.tested_with(margin.tested_with),
         parts=found,
     )  # fmt: skip
-    result.headline = headline(result)
+    result.headline, result.quote = headline(result), quote_of(result)
     summary = {**result.to_json(), "parts": dict(parts)}  # which have their nulls
     return write_results(folder, Results(summary, data_sheet_page(DrawnSheet(result, window))))
 

@@ -44,7 +44,7 @@ def margin_table(summary: MarginResult) -> Table:
     held: TableColumn = Column("Held"), lambda case: margin_text(case, summary)
     in_theory: TableColumn = Column("Stable in theory", brief="In\ntheory"), theory_text
     every_pattern: TableColumn = (
-        Column("Every pattern", brief="Every\npattern"),
+        Column("Every pattern, arm as given", brief="Every\npattern"),
         lambda case: pattern_text(case, summary),
     )
     smaller_rotors: TableColumn = (
@@ -64,7 +64,7 @@ def margin_table(summary: MarginResult) -> Table:
         _margin_title(summary),
         [
             *case_columns(summary),
-            (Column("Margin"),
+            (Column("Margin to quote", brief="To\nquote"),
              lambda case: quoted_text(case, summary)),
             *([held] if any(map(because_text, summary.cases)) else []),
             *([in_theory] if any(map(theory_text, summary.cases)) else []),
@@ -80,7 +80,8 @@ def margin_table(summary: MarginResult) -> Table:
              lambda case: ", ".join(f"{value:g}" for value in case.held_again) or ABSENT),
         ],
         summary.cases,
-        "The margin is the smallest of all that is known. A loop starts with the full"
+        "The margin to quote is the smallest of all that is known; held and every pattern are of"
+        " the arm as given, the best case. A loop starts with the full"
         " value, or is running, and the value grows while the arm moves. A value holds if the"
         " bounds are kept from every start with every seed; held is the"
         f" {furthest(summary)} value up to"
@@ -155,7 +156,8 @@ def margins_by_law(summary: MarginResult) -> Table:
     margins = {}
     for case in summary.cases:
         pattern, margin = pattern_text(case, summary), quoted_text(case, summary)
-        cell = margin if pattern is None else f"{margin}; every pattern: {pattern}"
+        best = "" if case.number == case.any_pattern else " with the arm as given"
+        cell = margin if pattern is None else f"{margin}; every pattern{best}: {pattern}"
         margins[case.law, case.arm, setting_text(case)] = cell
     headings = [f"{arm}, {setting}" if setting else arm for arm, setting in columns]
     laws = dict.fromkeys(case.law for case in summary.cases)

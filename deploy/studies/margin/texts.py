@@ -72,7 +72,7 @@ def unknowns_sentences(result: MarginResult) -> list[str]:
     if not tried:
         return []
     return [
-        f"Each is the smallest of {1 + len(tried)} searches: {listed(['the exact arm', *tried])}."
+        f"Each is the smallest of {1 + len(tried)} searches: {listed(['the arm as given', *tried])}."
     ]
 
 

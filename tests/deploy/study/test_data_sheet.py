@@ -9,7 +9,7 @@ import pytest
 
 from deploy.reports.kinds import gauged
 from deploy.studies.datasheet.data_sheet import DataSheet
-from deploy.studies.datasheet.page import headline
+from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
 from deploy.studies.datasheet.result import DataSheetResult
 from deploy.study.quoted import quoted
 from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK
@@ -52,7 +52,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     guaranteed = cases[True]["guaranteed"]
     # Asked with a network, that comes first: 4 ms are no trouble; Wilson's interval of 4 of 4
     # begins at 51 %. The worst stretch of a constant delay is its beginning, as of another window.
-    network, windows, quote, quoted, searches, best, *_ = summary["headline"]
+    network, quote, windows, quoted, searches, best, *_ = summary["headline"]
     assert network == (
         "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
         " (--quick)."
@@ -68,7 +68,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     assert quoted.startswith(f"Round trips: {numbers[True]:g} ms with compensation")
     assert f"; {numbers[False]:g} ms without compensation" in quoted
     assert searches == (
-        "Each is the smallest of 3 searches: the exact arm, model masses × 0.8 and model masses"
+        "Each is the smallest of 3 searches: the arm as given, model masses × 0.8 and model masses"
         " × 1.25."
     )
     # The model of paper_arm errs by design, so that nothing is claimed of an exact one.
@@ -144,7 +144,8 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     summary = summary_of(out)
     for point in summary["parts"]["network"]["points"]:
         point["runs_kept"] = int(point["values"][3])  # with feedback at the drives alone
-    assert headline_of(summary)[:3] == [
+    verdict, _, *rest = headline_of(summary)
+    assert [verdict, *rest[:2]] == [
         "calm.txt: lost in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
         " (--quick).",
         "95 % interval of the share of windows that are kept: 0–49 %.",
@@ -202,6 +203,32 @@ def test_the_command_does_nothing_again_and_its_gate_fails(made):
     assert "gate: " in output
     assert summary_of(out)["parts"] == before["parts"]
     assert "runs were there from before" in output
+
+
+def test_there_is_one_number_to_quote_in_all_places(made):
+    out, words, output = made
+    summary = summary_of(out)
+    case = summary["parts"]["margin"]["cases"][1]
+    number = f"{case['quoted']:g} ms"
+    assert case["quoted"] < case["margin"]  # else this shows nothing
+    quote = summary["quote"]
+    assert (quote["round_trip_ms"], quote["setting"]) == (case["quoted"], "with compensation")
+    assert quote["because"] == "model error"
+    assert quote["effort"] == "--quick: one start, one seed, runs of 0.4 s"
+    sheet = DrawnSheet(DataSheetResult.model_validate(summary), None)
+    page = data_sheet_page(sheet)
+    for place in (page.verdict.reasons[0], page.facts[0].value, " ".join(output.split())):
+        assert quote["text"] in place
+    figure = page.panels()[0].draw(sheet)
+    names = [line.name for line in figure.data]
+    assert f"quote with compensation: {number}" in names
+    assert f"best case, with compensation: {case['guaranteed']:g} ms" in names
+    table = next(each for each in page.tables if "round trip" in each.title)
+    column = [each.heading for each in table.columns].index("Margin to quote")
+    assert table.cells[1][column].text == number
+    gate = output_of(*words, "--at-least", "127.5ms", code=3)
+    assert f"with compensation, margin to quote: {number}" in gate
+    assert "every pattern of delays" not in gate
 
 
 def test_a_gate_takes_it_with_compensation_and_plants(made):

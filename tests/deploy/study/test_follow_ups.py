@@ -264,7 +264,7 @@ def test_a_gate_takes_the_figure_for_every_pattern(tmp_path, set_, limit, worst)
     summary = judge_rows(study, folder)
     assert summary["cases"][0]["margin"] == 12.0
     (number,) = gauged(json.loads(json.dumps(summary)))
-    name = "paper_arm, pid with compensation, every pattern of delays"
+    name = "paper_arm, pid with compensation, margin to quote"
     assert (number.name, number.value) == (name, worst)
     assert number.is_below(12.0) == (worst < 12.0)
 
@@ -279,7 +279,7 @@ def test_gate_of_every_pattern_ends_the_command_and_compares_with_its_like(funne
     words = [*words, "--set", "funnel.rate_per_s=10"]  # else runs of 1 s are too short
     assert funnel_hil(*words, "--out", tmp_path / "out")[0] == 0
     output = funnel_hil.output(*words, "--pattern", "any", "--out", tmp_path / "out", code=3)
-    assert "with compensation, every pattern of delays: 0 ms, must be at least 1 ms" in output
+    assert "with compensation, margin to quote: 0 ms, must be at least 1 ms" in output
     assert len(list(Path(tmp_path / "out").glob("worst_pattern-000-*.csv"))) == 2
     output = funnel_hil.output(
         *words, "--baseline", tmp_path / "out", "--out", tmp_path / "new", code=2
