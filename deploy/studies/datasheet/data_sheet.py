@@ -51,6 +51,11 @@ class Sheet:
         name = str(file.resolve()) if file.is_file() else network
         return name, window_starts_s(name, 5 if self.is_quick else 12)
 
+    @property
+    def all_set(self) -> dict[str, Any]:
+        """Values of the scenario that were set, by dotted key."""
+        return dict(self.fixed or {})
+
     def _set(self) -> dict[str, Any]:
         return {key: each for key, each in (self.fixed or {}).items() if key != "duration_s"}
 

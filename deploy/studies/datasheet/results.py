@@ -16,7 +16,7 @@ from deploy.run.execute import JudgedRun, execute
 from deploy.run.new_folder import new_folder, resolved_out
 from deploy.run.run_folder import ResultFolder, RunFolder, load_run, read_summary
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
+from deploy.scenario.yaml_files import ScenarioError, override, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.studies.datasheet import robot_page
 from deploy.studies.datasheet.data_sheet import DataSheet, network_files, worst_window
@@ -118,7 +118,8 @@ def _written_window(study: StudyOfRuns | None, rows: list[Row], folder: Path) ->
 def _conditions(sheet: DataSheet | RobotSheet, margin: MarginResult) -> dict[str, str]:
     effort = effort_text(margin, sheet.duration_s, is_quick=sheet.is_quick)
     networks = networks_of(network_files(sheet.network))
-    return {**margin.conditions, **networks, EFFORT: effort}
+    given = ", ".join(override(key, value) for key, value in sheet.all_set.items()) or "nothing"
+    return {**margin.conditions, **networks, EFFORT: effort, "set": given}
 
 
 def write_data_sheet(

@@ -65,6 +65,10 @@ class RobotSheet(Sheet):
         """The law whose margin is searched."""
         return self.law or LOOPS.get(takes_of(self.interface), _USUAL_LAW)
 
+    @property
+    def all_set(self) -> dict[str, Any]:
+        return {**interface_values(self.interface), **super().all_set}
+
     def ways(self) -> list[Way]:
         """Return the ways to drive the robot, without what is set already."""
         has_torque = takes_of(self.interface) == TORQUE

@@ -198,7 +198,7 @@ class PatternSearch(MarginSearch):
         by_start = rows_by(rows, lambda row: f"{row['offset_scale']} {row['seed']}")
         motions = max(len({row.get("motion") for row in own}) for own in by_start.values())
         holds = is_over and self.is_levelled and motions == 1 and self.outcomes[limit]
-        tried = sum(self.requested.values()) // len(starts)
+        tried = max(self.requested.values(), default=0) // len(starts)
         has_worst = is_over and not holds and self.rows
         return {
             "guaranteed": self.steps.value(limit) if holds else None,

@@ -205,6 +205,12 @@ def test_the_command_does_nothing_again_and_its_gate_fails(made):
     assert "runs were there from before" in output
 
 
+def test_its_conditions_name_all_that_was_set(made):
+    out, _, output = made
+    assert summary_of(out)["conditions"]["set"] == "duration_s=0.4, metrics.from_s=0.2"
+    assert "set: duration_s=0.4, metrics.from_s=0.2" in " ".join(output.split())
+
+
 def test_there_is_one_number_to_quote_in_all_places(made):
     out, words, output = made
     summary = summary_of(out)
