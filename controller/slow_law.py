@@ -12,7 +12,7 @@ from typing import Literal, Protocol
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.randomness import plain_generator
-from controller.chunks.answer import NEAR, Answer, Holding, checked_rows
+from controller.chunks.answer import NEAR, Answer, AnswerShapeError, Holding, checked_rows
 from controller.chunks.merge import ChunkMerge
 from controller.chunks.merges import Replace
 from controller.chunks.switches import ChunkLog
@@ -236,12 +236,12 @@ class SlowLaw:
         """Return the answer to a question.
 
         Raises:
-            ValueError: it has another number of rows than the horizon.
+            AnswerShapeError: it has another number of rows than the horizon.
         """
         answer = Answer(asked_s, asked_s, self._row_s, torques, targets, self._timing.holding)
         horizon = self._rules.horizon
         if horizon is not None and answer.rows != horizon:
-            raise ValueError(
+            raise AnswerShapeError(
                 f"an answer has {answer.rows} rows: must be {horizon}, as controller.chunks.horizon"
             )
         return answer

@@ -102,6 +102,10 @@ class Answer:
         return change
 
 
+class AnswerShapeError(ValueError):
+    """A law's answer has another shape than its scenario needs, as each of its answers will."""
+
+
 def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
     """Return a copy of a law's answer, as one row or more.
 
@@ -111,14 +115,16 @@ def checked_rows(what: str, answer: object, shape: tuple[int, ...]) -> Matrix:
         shape: of a row.
 
     Raises:
-        ValueError: the answer has another shape, or an entry is not finite; the first one is named.
+        AnswerShapeError: the answer has another shape.
+        ValueError: an entry is not finite; the first one is named.
     """
     rows: Matrix = np.array(answer, dtype=np.float64)
     given = rows.shape
     if given == shape:
         rows = rows[np.newaxis]
     if rows.shape[1:] != shape or not rows.size:
-        raise ValueError(f"{what} have shape {given}: must be {shape}, or {shape} for each row")
+        allowed = f"must be {shape}, or {shape} for each row"
+        raise AnswerShapeError(f"{what} have shape {given}: {allowed}")
     if not np.isfinite(rows).all():
         place = tuple(int(each) for each in np.argwhere(~np.isfinite(rows))[0])
         raise ValueError(f"{what}{list(place)} = {rows[place]}: must be finite")

@@ -92,7 +92,7 @@ def test_commands_without_targets_have_none():
 def test_targets_of_a_law_are_checked_before_the_run(target, complaint):
     law = Spectator()
     law.target = lambda _tracking: target
-    with pytest.raises(LawError, match=f"failed before the first tick: ValueError: .*{complaint}"):
+    with pytest.raises(LawError, match=f"failed before the first tick: .*{complaint}"):
         Bench(own_law=law, sends_targets=True).loop.warm_up()
 
 

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.run.first_answer import require_answers
 from deploy.study.execution.folder import StudyFolder, find_folder, opened, require_same_provenance
 from deploy.study.execution.runner import Progress, Workers, WorkersLostError, carry_out
 from deploy.study.study import StudyOfRuns
@@ -51,8 +52,11 @@ def open_session(
         stop: set to end early, with all finished rows kept.
 
     Raises:
-        ScenarioError: the folder holds another study, or rows made with other code or files.
+        ScenarioError: the folder holds another study, or rows made with other code or files; or a
+            law answers with another shape than its scenario needs.
     """
+    if not is_elsewhere:
+        require_answers(study.variants)
     stop = threading.Event() if stop is None else stop
     path = None if overwrite else find_folder(study, out)
     with ExitStack() as open_:

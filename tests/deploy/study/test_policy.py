@@ -87,6 +87,25 @@ def test_margin_of_each_task_from_python(tmp_path):
     assert case["ends"] == "chunk ran out"
 
 
+@pytest.mark.parametrize("command", ["policy", "margin"])
+def test_a_policy_with_another_number_of_rows_is_refused_before_any_run(
+    tmp_path, funnel_hil, command
+):
+    policy_setup(tmp_path, CHUNKS, rows=10, spacing_s=0.02, knows_velocity=True)
+    out, law = tmp_path / "out", "tests.joint_laws:Policy"
+    words = {
+        "policy": ("policy", law, tmp_path / "one.yaml"),
+        "margin": (
+            "margin", tmp_path / "one.yaml", "--laws", law, "--quantity", "controller.inference_ms",
+            "--resolution", "40", "--limit", "240",
+        ),
+    }  # fmt: skip
+    found = " ".join(funnel_hil.output(*words[command], *SHORT, "--out", out, code=2).split())
+    assert f"controller.law = '{law}': an answer has 10 rows: must be 16, as" in found
+    assert "runs/s" not in found
+    assert not out.exists()
+
+
 def test_unknown_merges_are_refused(funnel_hil, tmp_path):
     words = ("policy", "smc", "paper_arm", "--out", tmp_path / "out")
     assert "did you mean" in funnel_hil.output(*words, "--merges", "replac", code=2)
