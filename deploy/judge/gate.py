@@ -171,6 +171,26 @@ def unit_of(at_least: str | None, tolerance: str | None) -> str:
     return _size("--at-least", at_least)[1] or _size("--tolerance", tolerance)[1]
 
 
+def require_units(at_least: str | None, tolerance: str | None, units: Sequence[str]) -> None:
+    """Check that the options of a gate have a unit where the numbers have one.
+
+    Args:
+        at_least: the smallest allowed value as given.
+        tolerance: the tolerance as given.
+        units: units of the numbers that a gate can read; empty for none.
+
+    Raises:
+        ScenarioError: a number other than 0 has no unit.
+    """
+    words = [unit.partition(" ")[0] for unit in units if unit]
+    of_share = [] if _PERCENT in words else [_PERCENT]
+    for option, text, more in (("--at-least", at_least, []), ("--tolerance", tolerance, of_share)):
+        number, unit = _size(option, text)
+        if number and words and not unit:
+            texts = [f"{number:g}{each}" for each in (*words, *more)]
+            raise ScenarioError(f"{option} {text}: must have a unit: write {' or '.join(texts)}")
+
+
 def require_fit(gate: Gate, unit: str, kind: str) -> None:
     """Check that a gate's numbers are of the unit and kind of a result.
 
@@ -220,7 +240,7 @@ def _size(option: str, text: str | None) -> tuple[float | None, str]:
         return None, ""
     found = _SIZE.fullmatch(text)
     if found is None:
-        raise ScenarioError(f"{option} {shown(text)}: must be a number, such as 20 or 20ms")
+        raise ScenarioError(f"{option} {shown(text)}: must be a number with its unit, such as 20ms")
     return float(found[1]), found[2]
 
 

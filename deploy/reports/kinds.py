@@ -78,8 +78,11 @@ class ResultKind:
             asked: unit of its limit; empty for none.
             unit: of the numbers that it reads otherwise.
         """
-        others = () if self.gauged is None else self.gauged.other_units
-        return asked if asked in others else unit
+        return asked if asked in self.units(unit) else unit
+
+    def units(self, unit: str) -> list[str]:
+        """Return the units of all numbers that a gate can read, beginning with the usual one."""
+        return [unit, *(() if self.gauged is None else self.gauged.other_units)]
 
     def compared_with(self, quantity: str | None, *, patterns: bool = False) -> str:
         """Return what its results can be compared with, as `GaugedSummary.compared_with`."""

@@ -123,6 +123,7 @@ class ResultGate:
         furthest: gating.Gauged | None = None,
     ) -> None:  # fmt: skip
         result = kind_named(kind)
+        gating.require_units(options.at_least, options.tolerance, result.units(unit))
         unit = result.unit_for(gating.unit_of(options.at_least, options.tolerance), unit)
         before = None if options.baseline is None else read_baseline(options.baseline, unit)
         if options.allow_changes and before is None:

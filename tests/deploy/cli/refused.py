@@ -198,7 +198,11 @@ REFUSED = [
     # gates
     ("simulate --at-least 20Hz", "", "unit 'Hz': must be %"),
     ("margin --at-least 20%", "", "unit '%': must be ms"),
-    ("margin --at-least 20 --limit 16", "", "at most 16 ms, the last value tried (--limit)"),
+    ("margin --at-least 20", "", "--at-least 20: must have a unit: write 20ms"),
+    ("simulate --at-least 20", "", "--at-least 20: must have a unit: write 20% or 20mm or 20ms or"),
+    ("datasheet --interface servoj --at-least 20", "", "must have a unit: write 20ms or 20mm"),
+    ("margin --tolerance 1", "", "--tolerance 1: must have a unit: write 1ms or 1%"),
+    ("margin --at-least 20ms --limit 16", "", "at most 16 ms, the last value tried (--limit)"),
     ("margin --at-least 129ms", "", "--at-least 129 ms: must be at most 128 ms, the last value"),
     ("margin --at-least 5ms --plants 3 --values 2,4 --uncertainty half", "",
      "at most 4 ms, the last value tried (--values)"),
