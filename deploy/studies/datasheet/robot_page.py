@@ -56,14 +56,14 @@ def robot_sheet_page(result: RobotSheetResult) -> Page[RobotSheetResult]:
 
 
 def headline(result: RobotSheetResult) -> list[str]:
-    """Return what the tip does with and without a preview, the reflexes, and the margin."""
+    """Return the answer: windows of the network, or a margin; then the tip, reflexes and theory."""
     margin = result.margin
     tip = (_tip_sentence(result, *own) for own in rows_by(result.asked, lambda r: r.law).items())
     return [
-        *filter(None, tip),
         *_kept_sentences(result),
+        *_margin_sentences(result),
+        *filter(None, tip),
         *_reflex_sentences(result),
-        _margin_sentence(result),
         *theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]})),
     ]
 
@@ -109,7 +109,7 @@ def _tip_sentence(result: RobotSheetResult, law: str, runs: list[RobotRun]) -> s
         return ""
     before, after = _tip_text(_way_of(without)), _tip_text(_way_of(having))
     each = f"one run of {result.duration_s:g} s each"
-    return f"{law} over {where}, {each}: {before} without preview; {after} with it."
+    return f"{law} over {where}, {each}: without preview {before}; with it {after}."
 
 
 def _tip_text(found: WayResult) -> str:
@@ -119,9 +119,8 @@ def _tip_text(found: WayResult) -> str:
         parts.append(f"the tip is up to {number(largest_mm, unit=' mm')} away")
     if (lag_ms := found.lag_ms) is not None:
         side = "behind" if lag_ms >= 0.0 else "ahead"
-        lag = f"{number(abs(lag_ms), unit=' ms')} {side} ({found.lag_joint})"
-        parts.append(lag if parts else f"joints are up to {lag}")
-    return " and ".join(parts) or "nothing is known, as every run ended by a fault or at rest,"
+        parts.append(f"{found.lag_joint} is {number(abs(lag_ms), unit=' ms')} {side}")
+    return " and ".join(parts) or "nothing is known, as every run ended by a fault or at rest"
 
 
 def _where(result: RobotSheetResult) -> str:
@@ -131,13 +130,26 @@ def _where(result: RobotSheetResult) -> str:
 
 
 def _kept_sentences(result: RobotSheetResult) -> list[str]:
-    """Count the windows of a network that are kept, by the best way and by the others."""
+    """Count the windows of a network that the best way keeps, and those of the others."""
     if result.network is None:
         return []
-    ways = sorted(result.ways, key=lambda way: -way.kept)
-    kept = "; ".join(f"{way.kept} of {way.runs} {way.way}" for way in ways)
-    name = Path(result.network).name
-    return [f"{name}: windows of {result.duration_s:g} s in which bounds are kept: {kept}."]
+    best, *others = sorted(result.ways, key=lambda way: -way.kept)
+    windows = f"windows of {result.duration_s:g} s of {Path(result.network).name}"
+    quick = " (--quick)" if result.quick else ""
+    if not best.kept:
+        each = f", in each of the {len(others) + 1} ways tried" if others else f" ({best.way})"
+        return [f"{_subject(result)}: bounds are lost in all {best.runs} {windows}{each}{quick}."]
+    rest = "; ".join(f"{way.kept} of {way.runs} {way.way}" for way in others)
+    at_best = ", at best" if others else ""
+    return [
+        f"{_subject(result)}: bounds are kept in {best.kept} of {best.runs} {windows}{at_best}"
+        f" ({best.way}){quick}.",
+        *([f"Other ways: {rest}."] if rest else []),
+    ]
+
+
+def _subject(result: RobotSheetResult) -> str:
+    return f"{result.arm} over {result.interface}"
 
 
 def _reflex_sentences(result: RobotSheetResult) -> list[str]:
@@ -165,18 +177,22 @@ def _reflexes_text(runs: list[RobotRun]) -> str:
     return ", ".join(sentences) or "none"
 
 
-def _margin_sentence(result: RobotSheetResult) -> str:
-    """The number to quote of the loop around the robot."""
+def _margin_sentences(result: RobotSheetResult) -> list[str]:
+    """The number to quote of the loop around the robot; only beside it, if a network loses it."""
     margin = result.margin
-    numbers = [texts.number_text(case, margin) for case in margin.cases]
-    law, caveat = margin.cases[0].law, caveat_text(result, margin)
-    known = unknown = ""
-    if any(run.preview for run in result.asked if run.law == law):
-        known = ", for a trajectory that is known in advance"
-        unknown = " For one that is not: --set controller.preview_ms=0."
-    return f"{result.arm}, {result.interface} under {law}{known}: quote a round trip of" + (
-        f" {'; '.join(numbers)}{f' ({caveat})' if caveat else ''}.{unknown}"
-    )
+    numbers = "; ".join(texts.number_text(case, margin) for case in margin.cases)
+    law = margin.cases[0].law
+    is_previewed = any(run.preview for run in result.asked if run.law == law)
+    known = "trajectory known in advance" if is_previewed else ""
+    rests_on = "; ".join(filter(None, [known, caveat_text(result, margin)]))
+    conditions = f" ({rests_on})" if rests_on else ""
+    quote = f"{_subject(result)} under {law}: quote a round trip of {numbers}, constant"
+    if result.network is not None and any(way.kept < way.runs for way in result.ways):
+        quote = f"At a constant delay instead, {law} keeps them up to a round trip of {numbers}"
+    sentences = [f"{quote}{conditions}."]
+    if is_previewed:
+        sentences.append("For a trajectory not known in advance: --set controller.preview_ms=0.")
+    return sentences
 
 
 def _ways_table(result: RobotSheetResult) -> Table:

@@ -34,6 +34,8 @@ _PREVIEW = "controller.preview_ms"
 _LINK = ("link.uplink", "link.downlink")
 _USUAL_LAW = "fixed_time_adaptive"
 _ROUND_TRIPS_MS = (0.0, 10.0, 20.0, 40.0, 80.0)
+_WHOLE = {"metrics.from_s": 0.0}
+"""Errors of the tip count from the start: the robot starts on its reference."""
 _LIMIT_MS = 500.0
 """Largest round trip of the search for margins: loops around robots take more than torques do."""
 SHOWN_MS = 40.0
@@ -67,7 +69,7 @@ class RobotSheet(Sheet):
 
     @property
     def all_set(self) -> dict[str, Any]:
-        return {**interface_values(self.interface), **super().all_set}
+        return {**interface_values(self.interface), **_WHOLE, **super().all_set}
 
     def ways(self) -> list[Way]:
         """Return the ways to drive the robot, without what is set already."""
@@ -135,7 +137,7 @@ class RobotSheet(Sheet):
         for key, varied in itertools.product(self._set(), (KIND, *values)):
             if f"{varied}.".startswith(f"{key}."):
                 raise ScenarioError(f"--set {key}: must be left out: the data sheet sets {varied}")
-        given = {**own, "duration_s": self.duration_s, **values, **self._set()}
+        given = {**own, **_WHOLE, "duration_s": self.duration_s, **values, **self._set()}
         return load_setup(self.arm, [override(key, each) for key, each in given.items()])
 
 

@@ -61,7 +61,8 @@ def theory_text(case: MarginCase) -> str | None:
         return None
     if case.theory.unstable_without_delay is not None:
         return "unstable"
-    return f"{case.theory.constant_ms:g} ms"
+    at_least = "" if case.theory.unstable_ms else "≥ "
+    return f"{at_least}{case.theory.constant_ms:g} ms"
 
 
 def unknowns_sentences(result: MarginResult) -> list[str]:

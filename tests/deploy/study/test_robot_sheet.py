@@ -9,8 +9,9 @@ from bus_schema.user_files import read_text
 from deploy.reports.kinds import gauged
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.studies.datasheet import robot_page
 from deploy.studies.datasheet.command import DatasheetOptions, torque_sheet
-from deploy.studies.datasheet.result import Way
+from deploy.studies.datasheet.result import RobotSheetResult, Way
 from deploy.studies.datasheet.robot_sheet import RobotSheet, limiter_key, run_row
 from tests.deploy.study.theory.linear_arms import Arm
 from tests.warm_process import output_of
@@ -59,17 +60,44 @@ def test_a_joint_at_constant_speed_is_behind_by_round_trip_and_lag_unless_it_is_
     without, having = (ways[f"streaming, {word} preview"] for word in ("without", "with"))
     assert without["lag_ms"] == pytest.approx(40.0 + 30.0, rel=0.02)
     assert abs(having["lag_ms"]) < 0.02 * 70.0
-    sentence = summary["headline"][0]
+    quoted, unknown, sentence = summary["headline"][:3]
+    margin_ms = summary["margin"]["cases"][0]["margin"]
+    assert quoted.endswith(
+        f"over servoj under position_correction: quote a round trip of {margin_ms:g} ms, constant"
+        " (trajectory known in advance; --quick: one start, one seed, runs of 3 s)."
+    )
+    assert unknown == "For a trajectory not known in advance: --set controller.preview_ms=0."
     assert sentence.startswith(
-        "streaming over the given link, one run of 3 s each: joints are up to"
-        f" {without['lag_ms']:.3g} ms behind (j0) without preview; "
+        "streaming over the given link, one run of 3 s each: without preview j0 is"
+        f" {without['lag_ms']:.3g} ms behind; with it "
     )
     assert sentence.replace(" ", "") in output.replace("\n", "").replace(" ", "")
     assert "Reflexes: none." in summary["headline"]
-    [quoted] = [each for each in summary["headline"] if "quote a round trip" in each]
-    assert "for a trajectory that is known in advance: quote" in quoted
-    assert "ms (--quick: one start, one seed, runs of 3 s). For one that is not: --set" in quoted
     assert summary["conditions"]["effort"] == "--quick: one start, one seed, runs of 3 s"
+
+
+@pytest.mark.parametrize(
+    ("kept", "answer"),
+    [
+        (0, "bounds are lost in all 5 windows of 3 s of lab.csv, in each of the 4 ways tried"),
+        (1, "bounds are kept in 1 of 5 windows of 3 s of lab.csv, at best (streaming, with"
+         " preview)"),
+    ],
+)  # fmt: skip
+def test_a_network_that_is_lost_comes_before_the_margin_of_a_constant_delay(made, kept, answer):
+    """And with any lost window, that margin is no number to quote."""
+    result = RobotSheetResult.model_validate(json.loads(read_text(made[0] / "summary.json")))
+    result.network = "lab.csv"
+    for way in result.ways:
+        way.runs, way.kept = 5, kept if way.way == "streaming, with preview" else 0
+    said = robot_page.headline(result)
+    assert said[0] == f"{result.arm} over servoj: {answer} (--quick)."
+    assert not any("quote" in each for each in said)
+    margin_ms = result.margin.cases[0].margin
+    assert said[1 + kept].startswith(
+        "At a constant delay instead, position_correction keeps them up to a round trip of"
+        f" {margin_ms:g} ms (trajectory known in advance; --quick"
+    )
 
 
 def test_its_margin_stands_beside_theory(made):
