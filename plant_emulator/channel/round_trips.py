@@ -27,12 +27,16 @@ _REPLY = re.compile(
 )
 _UNANSWERED = re.compile(r"(?:Request timeout for|no answer yet for|From) .*seq[ =](?P<number>\d+)")
 _FIRST_LINES = re.compile(rb"^PING \S+ \(|^(\[[\d.]+\] )?\d+ bytes from .* time[=<]", re.MULTILINE)
-_WINDOWS = re.compile(rb"(?i:bytes)=\d+ .*TTL=\d+")
+_WINDOWS = re.compile(r"(?i:bytes)=\d+ .*TTL=\d+")
 _STATISTICS = re.compile(
     r"(\d{1,12}) packets transmitted, \d+( packets)? received(?:.* time (\d{1,12})ms)?"
 )
 _NO_REPLIES = (
     "does not contain two replies in the format of ping: make it on Linux, LC_ALL=C ping -D HOST"
+)
+_OF_WINDOWS = (
+    "is output of Windows' ping, which has no times and numbers, and sends once in 1 s: use ping -D"
+    " -i 0.01 HOST on Linux or in WSL, or funnel-hil link"
 )
 _MOST_LOST = 1000
 """With more requests for each reply, the numbers are damaged and would fill the memory."""
@@ -75,8 +79,8 @@ def measured_round_trips(path: Path) -> RoundTrips | None:
         beginning = file.read(_BEGINNING)
     if _FIRST_LINES.search(beginning):
         return from_ping(path, read_text(path).splitlines(), None)
-    if _WINDOWS.search(beginning):
-        raise ValueError(f"{path}: {_NO_REPLIES}")
+    if _WINDOWS.search(beginning.decode("ascii", "ignore")):
+        raise ValueError(f"{path} {_OF_WINDOWS}")
     if beginning.lstrip().startswith(b"{") and (report := _iperf_report(path)) is not None:
         return _from_iperf(path, report)
     names = column_names(path)
@@ -122,7 +126,8 @@ def from_ping(path: Path, lines: Sequence[str], interval_s: float | None) -> Rou
         source = "as given"
     replies, unanswered = _requests(path, lines, interval_s)
     if len(replies) < 2:
-        raise ValueError(f"{path}: {_NO_REPLIES}")
+        is_windows = any(map(_WINDOWS.search, lines))
+        raise ValueError(f"{path} {_OF_WINDOWS}" if is_windows else f"{path}: {_NO_REPLIES}")
     numbers = _numbers(path, lines, {*replies, *unanswered}, len(replies))
     known = sorted(replies)
     sent_s = np.array([replies[number][0] for number in known])

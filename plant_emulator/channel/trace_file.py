@@ -17,6 +17,8 @@ LOST_NS = -1
 """Stands for a delay where a message was lost."""
 ONE_WAY, ROUND_TRIP = DELAYS = ("delay_ms", "round_trip_ms")
 """Columns of delays, of which a trace has one."""
+_SPARSE_NS = 100_000_000
+"""Bursts of some ms pass unseen between messages that are further apart."""
 _END_SHARE = 20
 _WINDOW = 16
 _MOST_CANDIDATES = 400
@@ -30,13 +32,28 @@ class Trace:
         times_ns: when each message was sent, from 0 on, not decreasing; shape (messages,).
         delays_ns: how long it took, or `LOST_NS`; shape (messages,).
         is_round_trip: the delays are halves of round trips, and each direction has one half.
-        assumed: how another program's file is read; empty for a trace.
+        read_as: how another program's file is read; empty for a trace.
     """
 
     times_ns: NDArray[np.int64]
     delays_ns: NDArray[np.int64]
     is_round_trip: bool = False
-    assumed: str = ""
+    read_as: str = ""
+
+    @property
+    def assumed(self) -> str:
+        """How the file is read, and what it cannot show; empty for nothing to say."""
+        return "; ".join(filter(None, [self.read_as, self.sparse_text]))
+
+    @property
+    def sparse_text(self) -> str:
+        """Say that messages are too rare to show bursts; empty if they are not."""
+        if self.gap_ns <= _SPARSE_NS:
+            return ""
+        return (
+            f"a message each {1e-9 * self.gap_ns:.3g} s: bursts between them are not in it;"
+            " ping -D -i 0.01 or funnel-hil link sees more"
+        )
 
     @cached_property
     def gap_ns(self) -> int:
@@ -102,7 +119,7 @@ def _read(path: Path, _modified_ns: int, _size: int) -> Trace:
         if np.logical_or(*is_wrong).any():
             raise ValueError(f"{path}: delays must be 0 to {LONGEST_MS:g} ms")
         trace = _trace(path, found.sent_s, found.round_trips_ms, is_round_trip=not found.is_one_way)
-        return replace(trace, assumed=found.assumed)
+        return replace(trace, read_as=found.assumed)
     columns = read_columns(path, ["time_s"], [*DELAYS, "lost", "size"])
     given = [name for name in DELAYS if name in columns.values]
     if len(given) != 1:

@@ -18,6 +18,7 @@ from deploy.measure import trace_import
 from deploy.measure.clocks import at_least, drift_ppm, without_drift
 from deploy.measure.trace_output import scenario_lines, write_trace
 from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
+from plant_emulator.channel.trace_file import read_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 
@@ -127,6 +128,8 @@ def import_trace(
             raise InputError(f"{file}: {error}") from error
         write_trace(measured, own, is_round_trip=is_round_trip)
         print(f"{bus}: {measured.summary()}" if bus else measured.summary())
+        if sparse := read_trace(own).sparse_text:
+            print(f"warning: {own}: {sparse}")
         if ppm:
             print(_drift_sentence(ppm, measured))
         print("\n".join(scenario_lines({"uplink": own, "downlink": own})))
