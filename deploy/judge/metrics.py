@@ -73,8 +73,8 @@ class RunResult(Section):
         chunks: of a law slower than the loop; null for other laws
         reflexes: stops that the robot's own controller decided
         robot_server: only with ``robot-server`` — interface, ticks for which the host was late
-            (``skipped``), counts of what the client asked for, stops of the robot, and the
-            lateness of the network's relay
+            (``skipped``), counts of what the client asked for, when it gave its first and its
+            last target, stops of the robot, and the lateness of the network's relay
         identified: model values identified by delay compensation, with the true ones; null without
             compensation
         digest: SHA-256 over delivered joint states and commands; equal for equal runs

@@ -28,6 +28,10 @@ class AskedMotion:
         period_s: of the ticks.
         lower_rad: ends of the joints' ranges, shape (joints,).
         upper_rad: likewise.
+
+    Attributes:
+        first_s: when it asked for a position for the first time; None as long as it did not.
+        last_s: when it asked for another one for the last time.
     """
 
     def __init__(self, period_s: float, lower_rad: Vector, upper_rad: Vector) -> None:
@@ -37,6 +41,8 @@ class AskedMotion:
         self._rows: list[Vector] = []
         self._line_begin = 0
         self._follows = False
+        self.first_s: float | None = None
+        self.last_s: float | None = None
 
     def add(self, now_s: float, actual_rad: Vector, target_rad: Vector) -> None:
         """Take the positions of a tick, shape (joints,); NaN for no target."""
@@ -49,6 +55,9 @@ class AskedMotion:
             return
         if not is_idle and self._follows and (target_rad == self._rows[-1]).all():
             return
+        if not is_idle:
+            self.last_s = now_s
+            self.first_s = now_s if self.first_s is None else self.first_s
         before_s = now_s - self._period_s
         rests_s = _RESTS_S if self._follows else 0.5 * self._period_s
         if self._times_s and before_s > self._times_s[-1] + rests_s:

@@ -136,7 +136,8 @@ class ServedRobot:
         """Return the scenario with what the client asked for as its reference."""
         setup = self._setup
         duration_s = max(1, self._rig.ticks) * setup.grid.period_ns * 1e-9
-        words = [override("duration_s", duration_s), override("metrics.from_s", 0.0)]
+        from_s = self._asked.first_s or 0.0  # what came before it is no error of the client's
+        words = [override("duration_s", duration_s), override("metrics.from_s", from_s)]
         file = self._folder.path / REFERENCE_FILE
         self._asked.write(file, setup.robot.joint_names)
         reference = {"kind": "csv", "file": str(file), "beyond": "hold"}
@@ -152,7 +153,10 @@ class ServedRobot:
                 self._run.note(now_ns, EventKind.FAULT, f"the robot stopped: {stop['reason']}")
         ways = {way: found[way] | {"rejected": {}} for way in ("uplink", "downlink") if found}
         late = {f"network_{key}": found[key] for key in ("chunks", "lateness_us") if found}
-        own = {"interface": self._kind, "skipped": self._rig.skipped, **self._server.counts, **late}
+        own = {
+            "interface": self._kind, "skipped": self._rig.skipped, **self._server.counts, **late,
+            "first_target_s": self._asked.first_s, "last_target_s": self._asked.last_s,
+        }  # fmt: skip
         return {**ways, "limits": {}, "robot_server": own}
 
 

@@ -56,6 +56,16 @@ def test_rows_inside_a_line_are_left_out_and_the_motion_stays(robot, tmp_path):
     assert (times >= 58.0).sum() >= 2000
 
 
+def test_it_knows_when_the_client_began_and_last_moved_its_target(robot):
+    """Idle up to 1 s, a ramp up to 2 s, the same target up to 3 s, idle after it."""
+    asked = AskedMotion(H, robot.lower_rad, robot.upper_rad)
+    assert (asked.first_s, asked.last_s) == (None, None)
+    for tick in range(4001):
+        at = NONE if not 1000 <= tick < 3000 else np.full(6, 1e-3 * min(tick - 1000, 1000))
+        asked.add(tick * H, np.zeros(6), at)
+    assert (asked.first_s, asked.last_s) == (1.0, 2.0)
+
+
 def test_a_long_idle_run_has_few_rows(robot, tmp_path):
     asked = AskedMotion(H, robot.lower_rad, robot.upper_rad)
     for tick in range(0, 100_000, 20):
