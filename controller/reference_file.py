@@ -18,6 +18,8 @@ KEY = "reference.file"
 TIME = "time_s"
 KINDS = ("position_rad", "velocity_rad_s", "acceleration_rad_s2")
 """Columns of a joint, as ``<joint>.<kind>``; in m for prismatic joints."""
+KINDS_OF_SLIDING = ("position_m", "velocity_m_s", "acceleration_m_s2")
+"""Other names of the same columns, for prismatic joints."""
 _SHORTEST_STEP_S = 0.999e-6  # a microsecond, allowing for rounding of sums of seconds
 _MOST_WARNINGS = 3
 _AT_REST_RAD_S = 1e-3
@@ -72,7 +74,9 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
     """
     path = Path(file)
     try:
-        wanted = _wanted(path, column_names(path), robot.joint_names)
+        header = column_names(path)
+        kinds = dict(zip(robot.joint_names, _kinds(robot, header), strict=True))
+        wanted = _wanted(path, header, kinds)
         columns = read_columns(path, wanted, None)
         if not columns.rows:
             raise ValueError("must have a row after its first line")
@@ -85,27 +89,41 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
         columns.refuse_where(is_late, TIME, allowed)
     except ValueError as error:
         raise ConfigurationError(KEY, file, str(error).removeprefix(f"{path}, ")) from error
-    joints = [_motion(columns.values, name, times_s) for name in robot.joint_names]
+    joints = [_motion(columns.values, *own, times_s) for own in kinds.items()]
     return ReferenceRows(file, columns.place, times_s, np.stack(joints, axis=-1))
 
 
-def _wanted(path: Path, header: Sequence[str], joints: Sequence[str]) -> list[str]:
+def _kinds(robot: RobotDescription, header: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Return the names of each joint's columns: in m if it slides, and its positions are so."""
+    return [
+        KINDS_OF_SLIDING if slides and f"{name}.{KINDS_OF_SLIDING[0]}" in header else KINDS
+        for name, slides in zip(robot.joint_names, robot.slides, strict=True)
+    ]
+
+
+def _wanted(
+    path: Path, header: Sequence[str], kinds: Mapping[str, tuple[str, str, str]]
+) -> list[str]:
     """Return the columns to read; refuse misspelt ones of joints."""
-    known = [f"{joint}.{kind}" for joint in joints for kind in KINDS]
+    known = [f"{joint}.{kind}" for joint, own in kinds.items() for kind in own]
     for name in header:
-        if name.startswith(tuple(f"{joint}." for joint in joints)) and name not in known:
+        joint = next((each for each in kinds if name.startswith(f"{each}.")), None)
+        if joint is not None and name not in known:
             allowed = f"the columns of a joint are {', '.join(f'<joint>.{kind}' for kind in KINDS)}"
-            raise ValueError(f"{path}, line 1: column {shown(name)}: {allowed}")
-    required = [TIME, *(f"{joint}.{KINDS[0]}" for joint in joints)]
+            of_slides = f"; of one that slides also {', '.join(KINDS_OF_SLIDING)}"
+            raise ValueError(f"{path}, line 1: column {shown(name)}: {allowed}{of_slides}")
+    required = [TIME, *(f"{joint}.{own[0]}" for joint, own in kinds.items())]
     required += [
-        f"{joint}.{KINDS[1]}" for joint in joints if f"{joint}.{KINDS[2]}" in header
+        f"{joint}.{own[1]}" for joint, own in kinds.items() if f"{joint}.{own[2]}" in header
     ]  # accelerations alone do not suffice
     return required + [name for name in known if name in header and name not in required]
 
 
-def _motion(columns: Mapping[str, Vector], joint: str, times_s: Vector) -> Matrix:
+def _motion(
+    columns: Mapping[str, Vector], joint: str, kinds: tuple[str, str, str], times_s: Vector
+) -> Matrix:
     """Return position, velocity and acceleration of a joint at each time, shape (rows, 3)."""
-    position, velocity, acceleration = (columns.get(f"{joint}.{kind}") for kind in KINDS)
+    position, velocity, acceleration = (columns.get(f"{joint}.{kind}") for kind in kinds)
     assert position is not None  # `_wanted` requires it
     if velocity is None:
         velocity = spline_slopes(times_s, position)

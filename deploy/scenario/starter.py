@@ -7,6 +7,7 @@ same torque differ by a factor of 3 and more. ``robot.drive_data`` names them.
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any, NamedTuple
 
@@ -43,6 +44,10 @@ VISCOUS_SHARE_S, _VISCOUS_AT_TOP_SPEED = 0.06, 0.2
 
 Identified on the same: 0.042 to 0.065 s, 9 to 19 % at top speed; beyond a Panda's gears none.
 """
+_RATE_PER_S = 4.0
+_FEWEST_MOVES, _LEAST_S = 4, 3.0 + 10.0 / _RATE_PER_S
+"""A delay that grows in a running loop has its full size after 3 s, and must then last ten time
+constants of the funnel for a margin."""
 _FRICTION_SHARE_BELIEVED = 0.2
 """Largest plausible friction in a file."""
 ESTIMATED = "ESTIMATED"
@@ -77,16 +82,17 @@ def starter_scenario(robot: RobotDescription) -> dict[str, Any]:
     rated, rotors, friction, data = drives_of(robot)
     model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
     middle, move = middle_and_move(robot, model, rated)
-    duration_s = move_time(robot, model, rated, middle, move)
+    move_s = move_time(robot, model, rated, middle, move)
+    moves = max(_FEWEST_MOVES, 2 * math.ceil(0.5 * _LEAST_S / move_s))
     ends = [middle - move, middle + move]
     waypoints = [
-        {"time_s": round(number * duration_s, 3), "position_rad": _rounded(ends[number % 2])}
-        for number in range(5)
+        {"time_s": round(number * move_s, 3), "position_rad": _rounded(ends[number % 2])}
+        for number in range(moves + 1)
     ]
     offsets = start_offsets(model, rated, middle - move, move)
     return {
         "name": re.sub(r"[^A-Za-z0-9_.-]", "_", robot.path.stem).lstrip("_.-") or "arm",
-        "duration_s": round(4.0 * duration_s, 3),
+        "duration_s": round(moves * move_s, 3),
         "seed": 1,
         "robot": {
             "urdf": str(robot.path),
@@ -95,7 +101,10 @@ def starter_scenario(robot: RobotDescription) -> dict[str, Any]:
             "initial_offset_rad": _rounded(offsets),
         },
         "reference": {"kind": "minimum_jerk", "waypoints": waypoints},
-        "funnel": {"final_rad": _rounded(np.minimum(0.01, 0.2 * np.abs(move))), "rate_per_s": 4},
+        "funnel": {
+            "final_rad": _rounded(np.minimum(0.01, 0.2 * np.abs(move))),
+            "rate_per_s": _RATE_PER_S,
+        },
         "controller": {"law": "fixed_time_adaptive"},
         "plant": {
             "physics": {"engine": "mujoco"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 from deploy.judge.run_rows import Row
@@ -27,8 +28,9 @@ def doubts(setting: Setting, rows: Sequence[Row], columns: Iterable[str]) -> lis
     least_s = full_s + TIME_CONSTANTS / scenario.funnel.rate_per_s
     if scenario.duration_s < least_s - _NEAR_S:
         found.append(
-            f"runs of {scenario.duration_s:g} s are too short: they must last {least_s:g} s,"
-            f" {TIME_CONSTANTS} time constants of the funnel after the quantity has its full size"
+            f"runs of {scenario.duration_s:g} s are too short: they must last {least_s:g} s"
+            f" (--duration {math.ceil(least_s)}), {TIME_CONSTANTS} time constants of the funnel"
+            " after the quantity has its full size"
         )
     if without_effect(rows, [("value",)], columns):
         found.append(f"{setting.quantity.title}: {NO_EFFECT}")

@@ -57,7 +57,7 @@ def run_page(
         heading=(f"{result.scenario} · {result.law} · {link_words(run.data.setup.link, manifest)} ·"
                  f" {result.duration_s:g} s · {result.clock}"),
         results=[
-            Cards([of_run.joint_table(result, from_s)]),
+            Cards([of_run.joint_table(result, from_s, run.data.setup.robot.slides)]),
             Cards(of_run.confirmation_tables([result.confirmation])),
         ],
         folded=(folded_title([result]), [

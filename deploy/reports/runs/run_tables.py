@@ -45,14 +45,17 @@ _TRANSPORT = {
 }
 
 
-def joint_table(result: RunResult, from_s: float) -> Table:
-    """Errors (from `from_s` on) and torques of a run, a row per joint."""
+def joint_table(result: RunResult, from_s: float, slides: Sequence[bool]) -> Table:
+    """Errors (from `from_s` on) and torques of a run, a row per joint; some joints slide."""
     shown = [
         (quantity.column, quantity.of_joints(result))
         for quantity in run_numbers.OF_ONE_RUN
         if quantity is not run_numbers.SETTLING_BOUND or quantity.given(result)
     ]
-    names = result.tracking.joint_names
+    names = [
+        f"{name} (mm, N)" if is_sliding else name
+        for name, is_sliding in zip(result.tracking.joint_names, slides, strict=True)
+    ]
     return Table(
         f"Joints, errors from {from_s:g} s on, torques of the whole run",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],

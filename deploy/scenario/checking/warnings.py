@@ -11,6 +11,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import expand
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.checking.plausibility import damping_warnings, placeholder_warnings
+from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import ESTIMATED
 from deploy.scenario.yaml_files import ScenarioError, override
@@ -56,6 +57,12 @@ def scenario_warnings(setup: Setup) -> list[str]:
         sentences.append(
             f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
             " one)"
+        )
+    given = scenario.plant.model_fields_set
+    if not given & {"friction", "actuator"} and robot.path.parent != ROBOTS:
+        sentences.append(
+            f"{robot.path.name}: the plant has neither rotors nor friction, so margins are of"
+            " bare links: funnel-hil robot --scenario writes a scenario with estimates of both"
         )
     if (tenth := tenth_of_rotors(setup)) is not None:
         why = (

@@ -180,7 +180,7 @@ def test_a_run_has_the_lag_and_the_verdict_of_what_its_client_asked_for(tmp_path
     assert summary["law"] == "the robot's client"
     assert summary["faults"] == []
     assert summary["verdict"] == "kept"
-    assert 0.0 < (first_s := summary["robot_server"]["first_target_s"])
+    assert (first_s := summary["robot_server"]["first_target_s"]) > 0.0
     assert first_s < summary["robot_server"]["last_target_s"] <= summary["duration_s"]
     scenario = load_setup(str(tmp_path / "out" / "scenario.yaml")).scenario
     assert scenario.metrics.from_s == first_s  # the arm rested before, which is no error

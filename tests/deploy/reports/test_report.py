@@ -26,7 +26,7 @@ from deploy.reports.html import packed_library, write_page
 from deploy.reports.page import Panel
 from deploy.reports.runs import run_panels
 from deploy.reports.runs.run_pages import run_page
-from deploy.reports.runs.run_tables import event_table, timing_table
+from deploy.reports.runs.run_tables import event_table, joint_table, timing_table
 from deploy.reports.verdict_texts import PARTIAL, verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate
@@ -269,6 +269,12 @@ def test_events_are_in_the_order_of_their_time_and_in_words():
          "late 0, wall 0.25 s, rejected: none, limits: torque rate 7"],
         ["0.004", "plant", "limit", "reached for the first time: velocity"],
     ]  # fmt: skip
+
+
+def test_the_rows_of_sliding_joints_name_their_units(run):
+    """Headings name mrad and N m."""
+    rows = joint_table(judge(run), 0.5, (False, True, False)).rows
+    assert [row[0] for row in rows] == ["base_yaw", "shoulder (mm, N)", "elbow"]
 
 
 def test_times_that_are_always_0_take_no_row(run):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pyarrow import csv, parquet
 
+from controller.reference import sample_motion
 from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.checking.warnings import scenario_warnings
@@ -147,3 +149,55 @@ def test_motion_that_no_tick_shows_is_refused(hz: float, is_taken: bool, tmp_pat
     else:
         with pytest.raises(ScenarioError, match="must move less between two ticks"):
             load_setup("paper_arm", overrides)
+
+
+SLIDE = """<robot name="gantry"><link name="base"/>
+<joint name="x" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" effort="100" velocity="2"/></joint>
+<link name="cart"><inertial><mass value="2"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+
+
+@pytest.fixture
+def gantry(tmp_path: Path) -> Path:
+    """A scenario of a joint that slides, with a reference and nothing about its motor."""
+    (tmp_path / "gantry.urdf").write_text(SLIDE)
+    file = tmp_path / "gantry.yaml"
+    file.write_text(
+        "name: gantry\nduration_s: 0.2\nmetrics: {from_s: 0}\nrobot: {urdf: gantry.urdf}\n"
+        "reference: {kind: csv, file: ref.csv, beyond: hold}\n"
+        "controller: {law: pid}\nplant: {physics: {engine: mujoco}}\n"
+    )
+    return file
+
+
+@pytest.mark.parametrize(
+    "names", [("position_rad", "velocity_rad_s"), ("position_m", "velocity_m_s")]
+)
+def test_columns_of_a_sliding_joint_may_be_named_in_m(gantry: Path, names: tuple[str, str]) -> None:
+    position, velocity = names
+    rows = f"time_s,x.{position},x.{velocity}\n0,0.1,0\n1,0.3,0\n"
+    gantry.with_name("ref.csv").write_text(rows)
+    motion = sample_motion(load_setup(str(gantry)).reference, np.array([0.0, 0.5, 1.0]), 1)
+    assert motion[0][:, 0] == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_a_column_in_m_of_a_turning_joint_names_what_is_allowed(tmp_path: Path) -> None:
+    file = tmp_path / "ref.csv"
+    file.write_text("time_s,shoulder.position_m\n0,0\n")
+    with pytest.raises(ScenarioError, match="of one that slides also position_m, velocity_m_s"):
+        load_setup("paper_arm", [*SHORT, from_file(file)])
+
+
+def test_a_plant_without_rotors_and_friction_is_pointed_out(gantry: Path) -> None:
+    """Of a file of one's own: `robot --scenario` estimates both, and so do studies of the file."""
+    gantry.with_name("ref.csv").write_text("time_s,x.position_rad\n0,0\n1,0\n")
+
+    def warned(*changes: str) -> bool:
+        complaint = "gantry.urdf: the plant has neither rotors nor friction"
+        return any(
+            complaint in each for each in scenario_warnings(load_setup(str(gantry), changes))
+        )
+
+    assert warned()
+    assert not warned("plant.friction={viscous_nm_s: 1}")

@@ -10,6 +10,8 @@ from deploy.run.execute import execute
 from deploy.scenario.checking.warnings import reference_torques, scenario_warnings
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
+from deploy.study.doubts import TIME_CONSTANTS
+from deploy.study.quantities import RAMP_FOR_S, RAMP_FROM_S
 from tests.arms import ARMS, shipped_arm
 
 ARM = """<robot name="two"><link name="base"/>
@@ -53,6 +55,8 @@ def test_a_starter_moves_within_every_limit(name, tmp_path):
         speeds.append(np.abs(motion[1]).copy())
     assert (np.max(speeds, axis=0) <= 0.31 * robot.velocity_limits_rad_s).all()
     assert rotors.all()
+    full_s = RAMP_FROM_S + RAMP_FOR_S  # a margin of a running loop is tested without --duration
+    assert setup.scenario.duration_s >= full_s + TIME_CONSTANTS / setup.scenario.funnel.rate_per_s
 
 
 def test_estimated_friction_is_within_the_spread_of_two_real_arms(two_links):

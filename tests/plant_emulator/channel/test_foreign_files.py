@@ -153,7 +153,8 @@ def test_losses_at_the_ends_of_ping_count(
          "64 Bytes von 10.0.0.2: icmp_seq=1 ttl=64 Zeit=4.00 ms\n", "LC_ALL=C ping -D HOST"),
         ("\nPinging 10.0.0.2 with 32 bytes of data:\n"
          "Reply from 10.0.0.2: bytes=32 time=4ms TTL=64\n", "is output of Windows' ping"),
-        ("Antwort von 10.0.0.2: Bytes=32 Zeit<1ms TTL=64\n", "ping -D -i 0.01 HOST on Linux or in WSL"),
+        ("Antwort von 10.0.0.2: Bytes=32 Zeit<1ms TTL=64\n",
+         "ping -D -i 0.01 HOST on Linux or in WSL"),
     ],
 )  # fmt: skip
 def test_damaged_or_localised_ping_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
