@@ -20,6 +20,7 @@ from deploy.studies.datasheet.result import (
     RobotSheetResult,
     WayResult,
     caveat_text,
+    more_windows,
 )
 from deploy.studies.datasheet.robot_sheet import SHOWN_MS
 from deploy.studies.margin import texts
@@ -127,7 +128,11 @@ def _tip_text(found: WayResult) -> str:
 def _where(result: RobotSheetResult) -> str:
     if result.network is None:
         return "the given link"
-    return f"{len({run.link for run in result.asked})} windows of {Path(result.network).name}"
+    return f"{_windows(result)} windows of {Path(result.network).name}"
+
+
+def _windows(result: RobotSheetResult) -> int:
+    return len({run.link for run in result.asked})
 
 
 def _kept_sentences(result: RobotSheetResult) -> list[str]:
@@ -137,7 +142,10 @@ def _kept_sentences(result: RobotSheetResult) -> list[str]:
     ways = sorted(result.ways, key=lambda way: -way.kept)
     kept = "; ".join(f"{way.kept} of {way.runs} {way.way}" for way in ways)
     name = Path(result.network).name
-    return [f"{name}: windows of {result.duration_s:g} s in which bounds are kept: {kept}."]
+    return [
+        f"{name}: windows of {result.duration_s:g} s in which bounds are kept: {kept}"
+        f" ({more_windows(_windows(result))})."
+    ]
 
 
 def _reflex_sentences(result: RobotSheetResult) -> list[str]:

@@ -103,7 +103,7 @@ REFUSED = [
     ("ros2-control paper_arm --out file", "", "cannot be written"),
     ("ros-package file", "", "cannot be written"),
     ("export damaged --latex --out file", "--out file", "is a file: must be a folder"),
-    ("export damaged --latex --columns 2", "--columns", "left out without --figures"),
+    ("export damaged --bibtex --columns 2", "--columns", "without --figures and --latex"),
     ("export damaged --bibtex --series tracking", "--series", "left out without --csv"),
     ("export damaged", "", "must be given one or more of --csv, --parquet"),
     *[(f"{command} paper_arm --set link.security.enabled=true --set link.security.folder=/nowhere",
@@ -189,6 +189,7 @@ REFUSED = [
         ("--laws smcc", "did you mean smc?"))],
     *[(f"datasheet paper_arm --quick {options}", "", text) for options, text in (
         ("--network nowhere", "nowhere"), ("--law smcc", "did you mean smc?"),
+        ("--windows 8", "--windows 8: needs --network"),
         ("--set duration_s=abc", "duration_s"))],
     *[(f"link {options}", "", text) for options, text in (
         ("", "give a HOST, or --serve"), ("somewhere --serve", "give a HOST, or --serve"),
