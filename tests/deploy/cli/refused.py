@@ -196,6 +196,11 @@ REFUSED = [
         ("127.0.0.1 --size 10", "--size 100 to 60000"),
         ("127.0.0.1 --tcp --zenoh", "give --tcp or --zenoh, not both"),
         ("127.0.0.1 --rate 0", "--rate must be up to 10000 Hz"))],
+    ("robot-server ur5e", "", "did you mean ur5e_motors?"),
+    ("robot-server --interface joint_trajectory", "", "must be one of"),
+    ("robot-server --vendor xram", "", "did you mean xarm?"),
+    ("simulate UR10E_Motor", "", "did you mean ur10e_motors?"),
+    ("benchmark --predictors smiht", "", "did you mean smith?"),
     # gates
     ("simulate --at-least 20Hz", "", "unit 'Hz': must be %"),
     ("margin --at-least 20%", "", "unit '%': must be ms"),
