@@ -11,6 +11,7 @@ from bus_schema.foreign_text import shortened
 
 _SHOWN_KEYS = 12
 _LONGEST = 120
+_LEAST_BEGINNING = 3
 _LOGGED_PER_REASON = 5
 
 
@@ -103,15 +104,18 @@ def needs_extra(package: str, extra: str) -> str:
 
 
 def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
-    """Return ``; did you mean …?`` if a name resembles an allowed one; else nothing.
+    """Return ``; did you mean …?`` if a name resembles an allowed one, or begins one; else nothing.
 
     Args:
         unknown: what was given.
         names: what is allowed.
         alike: similarity that is required, from 0 (any name) to 1 (the same name).
     """
-    found = get_close_matches(unknown[:_LONGEST], list(names), n=1, cutoff=alike)
-    return f"; did you mean {shortened(found[0])}?" if found else ""
+    given, known = unknown[:_LONGEST].casefold(), {name.casefold(): name for name in names}
+    found = get_close_matches(given, known, n=1, cutoff=alike)
+    if not found and len(given) >= _LEAST_BEGINNING:
+        found = [name for name in known if name.startswith(given)]
+    return f"; did you mean {shortened(known[found[0]])}?" if found else ""
 
 
 class InputError(Exception):

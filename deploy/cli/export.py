@@ -47,7 +47,11 @@ def export(
     ] = None,
     columns: Annotated[
         int | None,
-        typer.Option(min=1, max=2, help="Columns that a figure is as wide as; default 1."),
+        typer.Option(
+            min=1,
+            max=2,
+            help="Columns of the paper: a figure is as wide (default 1), a table at most (2).",
+        ),
     ] = None,
     latex: Annotated[bool, typer.Option("--latex", help="Write the report's tables.")] = False,
     bibtex: Annotated[bool, typer.Option("--bibtex", help="Write a citation.")] = False,
@@ -71,8 +75,8 @@ def export(
     if not (formats or pictures or latex or bibtex):
         wanted = "--csv, --parquet, --figures, --latex or --bibtex"
         raise ScenarioError(f"export: must be given one or more of {wanted}")
-    if columns is not None and not pictures:
-        raise ScenarioError("--columns: must be left out without --figures")
+    if columns is not None and not (pictures or latex):
+        raise ScenarioError("--columns: must be left out without --figures and --latex")
     if names and not formats:
         raise ScenarioError("--series: must be left out without --csv and --parquet")
     own = run_dir if run_dir.is_dir() else run_dir.parent
@@ -82,7 +86,7 @@ def export(
     is_damaged = False
     if pictures or latex or bibtex:
         is_damaged = _export_for_paper(
-            run_dir, folder, pictures, columns or 1, latex=latex, bibtex=bibtex
+            run_dir, folder, pictures, columns, latex=latex, bibtex=bibtex
         )
     if formats:
         data, _ = load_run(run_dir)
@@ -93,7 +97,13 @@ def export(
 
 
 def _export_for_paper(
-    path: Path, folder: Path, figures: Sequence[str], columns: int, *, latex: bool, bibtex: bool
+    path: Path,
+    folder: Path,
+    figures: Sequence[str],
+    columns: int | None,
+    *,
+    latex: bool,
+    bibtex: bool,
 ) -> bool:
     """Evaluate results again, write what a paper needs of them; return whether they are damaged."""
     results_folder, judge = evaluated_again(path)
@@ -102,10 +112,10 @@ def _export_for_paper(
     if results.page is None:
         raise ScenarioError(f"{path}: has no report, so no figures and tables")
     folder.mkdir(parents=True, exist_ok=True)
-    for file in write_figures(results.page, folder, figures, columns) if figures else ():
+    for file in write_figures(results.page, folder, figures, columns or 1) if figures else ():
         print(file)
     if latex:
-        print(write_latex(results.page, folder / "tables.tex"))
+        print(write_latex(results.page, folder / "tables.tex", columns or 2))
     if bibtex:
         print(write_bibtex(results, results.page, folder / "citation.bib"))
     for run in results.runs:

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import did_you_mean
 from deploy.cli.parts.common import say_warnings, show_results
 from deploy.cli.parts.options import (
     NetworkOption,
@@ -156,11 +157,14 @@ def _server(interface: str, vendor: str | None) -> type[RobotServer]:
     try:
         if vendor is None:
             if interface not in ROBOT_SERVERS:
-                kinds = ", ".join(name for name in ROBOT_SERVERS if name in INTERFACES)
-                raise ScenarioError(f"--interface {interface}: must be one of {kinds}")
+                kinds = [name for name in ROBOT_SERVERS if name in INTERFACES]
+                hint = did_you_mean(interface, kinds)
+                allowed = f"must be one of {', '.join(kinds)}{hint}"
+                raise ScenarioError(f"--interface {interface}: {allowed}")
             return ROBOT_SERVERS[interface]
         if vendor not in named:
-            raise ScenarioError(f"--vendor {vendor}: must be left out, or {' or '.join(named)}")
+            allowed = f"must be left out, or {' or '.join(named)}{did_you_mean(vendor, named)}"
+            raise ScenarioError(f"--vendor {vendor}: {allowed}")
         server = ROBOT_SERVERS[vendor]
     except ConfigurationError as error:
         raise ScenarioError(f"--interface {interface}: {error.allowed}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         **networks_of(_traces_of(setups)),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"initial offset {start} rad",
-        "seeds": str(scenario.seed),
+        "seeds": seeds_text([scenario.seed]),
         "set": _UNKNOWN if manifest.get("set") is None else ", ".join(manifest["set"]) or "nothing",
         **host_of(manifest),
         **_extensions_of(manifest),
@@ -73,6 +74,15 @@ def _physics_of(setups: Sequence[Setup]) -> str:
     """Return engine and integrator of the plants."""
     plants = [setup.scenario.plant for setup in setups]
     return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
+
+
+def seeds_text(seeds: Sequence[int], most: int = sys.maxsize) -> str:
+    """Return how many seeds there are, and which; of more than `most` the first and the last."""
+    texts = list(map(str, seeds))
+    if len(texts) == 1:
+        return f"one (seed {texts[0]})"
+    shown = ", ".join(texts) if len(texts) <= most else f"{texts[0]} … {texts[-1]}"
+    return f"{len(texts)} (seeds {shown})"
 
 
 def drives_of(setups: Sequence[Setup]) -> Conditions:

@@ -11,6 +11,7 @@ from rich import box
 from rich import table as rich_table
 from rich.cells import cell_len
 from rich.console import Console
+from rich.segment import Segment
 from rich.text import Text
 
 from bus_schema.foreign_text import shortened
@@ -65,18 +66,61 @@ def _print_head(console: Console, head: ReportHead) -> None:
 def print_table(console: Console, table: Table) -> None:
     """Print the columns of a table that have their place in a terminal.
 
-    Where there is too little room for names, they lose their middle rather than go on below.
+    Where there is too little room for names, they lose their middle rather than go on below. What
+    all rows share moves to the title then; other columns that find no room follow below.
     """
+    for part in _parts(console, table):
+        _print_part(console, part)
+
+
+def _print_part(console: Console, table: Table) -> None:
     shown = _rendered(table)
     if _width(console, shown) > console.width:
         shown.padding, shown.show_edge = 0, False
     if _width(console, shown) > console.width:
-        shown = _rendered(table, _WHOLE_LETTERS if console.is_terminal else None, is_narrow=True)
-        shown.padding, shown.show_edge = 0, False
+        shown = _narrow(console, table)
     console.print(Text(table.title, "table.title"))  # not as the table's, which may be narrower
     console.print(shown, crop=False)  # a number without its end would be another one
     if not shown.show_edge:  # which is a blank line, too
         console.print()
+
+
+def _narrow(console: Console, table: Table) -> rich_table.Table:
+    longest = _WHOLE_LETTERS if console.is_terminal else None
+    shown = _rendered(table, longest, is_narrow=True)
+    shown.padding, shown.show_edge = 0, False
+    return shown
+
+
+def _parts(console: Console, table: Table) -> list[Table]:
+    """Return a table in parts that are no wider than the terminal, as far as that is possible."""
+    table = _of_columns(
+        table, [n for n, each in enumerate(table.columns) if each.brief is not None]
+    )
+    if _fits(console, table):
+        return [table]
+    every = range(len(table.columns))
+    heads = next((n for n in every if not table.columns[n].is_text), len(every))
+    shared = [n for n in range(heads - 1) if len({row[n].text for row in table.cells}) == 1]
+    if shared:
+        names = ", ".join(table.cells[0][n].text for n in shared)
+        kept = _of_columns(table, [n for n in every if n not in shared])
+        return _parts(console, replace(kept, title=f"{table.title}: {names}"))
+    for last in range(len(every) - 1, heads, -1):
+        first = _of_columns(table, every[:last])
+        if _fits(console, first):
+            return [first, *_parts(console, _of_columns(table, [*every[:heads], *every[last:]]))]
+    return [table]
+
+
+def _of_columns(table: Table, chosen: Sequence[int]) -> Table:
+    rows = [[row[n] for n in chosen] for row in table.rows]
+    return replace(table, columns=[table.columns[n] for n in chosen], rows=rows)
+
+
+def _fits(console: Console, table: Table) -> bool:
+    lines = Segment.split_lines(console.render(_narrow(console, table)))
+    return all(Segment.get_line_length(line) <= console.width for line in lines)
 
 
 def open_table(

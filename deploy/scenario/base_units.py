@@ -16,6 +16,12 @@ _ANGLES = {"deg": _DEGREE, "mrad": 1e-3, "rad": 1.0}
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 HELD = "rad or m"
 """Unit of the position of any joint."""
+_SHARE = "share"
+_SHARES = {
+    "loss", "loss_in_bad", "loss_in_good", "mean_loss", "p", "r", "duplicate", "correlation",
+    "share", "duty", "ask_when", "new_weight", "velocity_margin", "frame_error_probability",
+}  # fmt: skip
+"""Keys of shares and probabilities, besides those that end in ``_share``."""
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     "rad": _ANGLES,
     "rad/s": {f"{unit}/s": factor for unit, factor in _ANGLES.items()},
@@ -23,6 +29,7 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
     "m": _LENGTHS,
     "m/s": {f"{unit}/s": factor for unit, factor in _LENGTHS.items()},
     HELD: _ANGLES | _LENGTHS,
+    _SHARE: {"%": 0.01},
 }
 """By the unit of a key: the units that its values may have."""
 _WORDS = {
@@ -35,7 +42,7 @@ _WORDS = {
 _POSES = ("robot", "hold")
 """Each of these keys is the name of a joint."""
 _NUMBER = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
-_QUANTITY = re.compile(rf"{_NUMBER}\s*([A-Za-z°][\w/]*)")
+_QUANTITY = re.compile(rf"{_NUMBER}\s*(%|[A-Za-z°][\w/]*)")
 _WITH_ANY_UNIT = re.compile(rf"\s*{_NUMBER}\s*[^\d\s.,eE+-]")
 
 
@@ -55,8 +62,13 @@ def _converted(value: Any, path: tuple[str, ...]) -> Any:
         return {key: _converted(inner, (*path, str(key))) for key, inner in value.items()}
     if isinstance(value, list):
         return [_converted(inner, path) for inner in value]
-    unit = HELD if path[:-1] == _POSES else split_unit(f"_{path[-1]}")[1]
+    unit = HELD if path[:-1] == _POSES else _unit_of(path[-1])
     return in_unit(value, unit) if isinstance(value, str) else value
+
+
+def _unit_of(key: str) -> str:
+    is_share = key in _SHARES or key.endswith("_share")
+    return _SHARE if is_share else split_unit(f"_{key}")[1]
 
 
 def in_unit(text: str, unit: str) -> float | str:
@@ -68,7 +80,10 @@ def in_unit(text: str, unit: str) -> float | str:
     """
     found = _QUANTITY.fullmatch(text.strip())
     factor = None if found is None else _FACTORS.get(unit, {}).get(_short(found[2]))
-    return text if found is None or factor is None else float(found[1]) * factor
+    if found is None or factor is None:
+        return text
+    number = float(found[1])
+    return number / 100.0 if unit == _SHARE else number * factor  # 35% is 0.35 to the bit
 
 
 def with_unit_of_key(unknown: str, value: Any, known: Iterable[str]) -> tuple[str, str] | None:
@@ -106,10 +121,12 @@ def _listed(value: Any) -> list[Any]:
 
 
 def hint_of_unit(key: str, value: Any) -> str:
-    """Say how a number with a unit is written for a key; empty for other values."""
+    """Say how a number with a unit, or a percentage, is written for a key; else empty."""
     texts = [each for each in _listed(value) if type(each) is str]
     found = next(filter(None, map(_WITH_ANY_UNIT.match, texts)), None)
-    unit = split_unit(f"_{key}")[1]
+    unit = _unit_of(key)
+    if unit == _SHARE and type(value) in (int, float) and 1 < value <= 100:
+        return f"; {value:g} % is written {value / 100:g} or {value:g}%"
     if found is None or not unit or not math.isfinite(float(found[1])):
         return ""
     if unit not in _FACTORS:

@@ -131,10 +131,9 @@ class StudyOfCases(StudyOfRuns):
         if self.definition.excitation and any(case.setting.tags["running"] for case in self.cases):
             found["excitation"] = EXCITATION
         saved = summary["saved"]
-        found["runs"] = (
-            f"{summary['runs']} of {saved['runs_planned']} planned,"
-            f" {saved['runs_ended_early']} stopped after their loss"
-        )
+        early = saved["runs_ended_early"]
+        ended = f", {early} ended at their loss" if early else ""
+        found["runs"] = f"{summary['runs']} of {saved['runs_planned']} planned{ended}"
         return found
 
     def _build_cases(self) -> Iterator[Case]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
-from deploy.judge.conditions import Conditions, conditions_of_runs
+from deploy.judge.conditions import Conditions, conditions_of_runs, seeds_text
 from deploy.judge.run_rows import Row
 from deploy.judge.tested_with import tested_with
 from deploy.run.confirmation import CONFIRMATION, confirmations
@@ -187,7 +187,7 @@ class StudyOfRuns(ABC):
             "law": ", ".join(self.laws),
             "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
             "starts": starts_text(summary),
-            "seeds": ", ".join(map(str, summary["seeds"])),
+            "seeds": seeds_text(summary["seeds"]),
             "set": ", ".join(self.definition.fixed_overrides) or "nothing",
         }
 

@@ -105,6 +105,7 @@ def datasheet(
     network: str | Path | None = None,
     plants: int = 0,
     quick: bool = False,
+    windows: int | None = None,
     workers: int | None = 0,
     scheduler: str | None = None,
     out: str | Path | None = None,
@@ -119,6 +120,7 @@ def datasheet(
         network: a file of delays, or the name of a shipped trace; None for none.
         plants: number of uncertain plants.
         quick: shorter and fewer runs.
+        windows: number of windows of the network; None for 12, or 5 with `quick`.
         workers: as for `sweep`.
         scheduler: as for `sweep`.
         out: as for `sweep`.
@@ -137,7 +139,7 @@ def datasheet(
         stack.enter_context(laws_given(makers))
         (arm,) = written_scenarios([given], Path(place).resolve())
         trace = None if network is None else str(network)
-        sheet = DataSheet(arm, name, trace, plants, dict(_duration(changes)), quick)
+        sheet = DataSheet(arm, name, trace, plants, dict(_duration(changes)), quick, windows)
         folder, rows = sheet_folder(sheet, Path(place), overwrite=False), list[Row]()
 
         def do(study: StudyOfRuns, part: Path) -> tuple[dict[str, Any], list[Row]]:

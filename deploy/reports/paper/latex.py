@@ -37,12 +37,19 @@ _MOST_COLUMNS, _MOST_ROWS = 6, 40
 """A larger table is split; so many rows fit on a page."""
 
 
-def write_latex(page: Page[Any], file: Path) -> Path:
-    """Write all tables of a page, for the package booktabs."""
+def write_latex(page: Page[Any], file: Path, columns: int = 2) -> Path:
+    """Write all tables of a page, for the package booktabs.
+
+    Args:
+        page: the page.
+        file: the file to write.
+        columns: of the paper that a table may be as wide as, 1 or 2.
+    """
+    width_pt = _PAGE_PT if columns > 1 else _COLUMN_PT
     conditions = " ".join(conditions_line(page.conditions).splitlines())
     head = f"% {page.name}\n% {conditions}\n"
-    parts = [part for table in page.tables for part in narrow_parts(table)]
-    texts = map(as_latex, parts, _labels(parts))
+    parts = [part for table in page.tables for part in narrow_parts(table, width_pt)]
+    texts = [as_latex(*part, width_pt) for part in zip(parts, _labels(parts), strict=True)]
     file.write_text(head + "\n".join(texts), encoding="utf-8")
     return file
 
@@ -56,7 +63,7 @@ def _labels(tables: Sequence[Table]) -> Iterator[str]:
         yield f"tab:{name}" + f"-{seen[name]}" * (seen[name] > 1)
 
 
-def narrow_parts(table: Table) -> Iterator[Table]:
+def narrow_parts(table: Table, width_pt: float = _PAGE_PT) -> Iterator[Table]:
     """Yield a table as parts with few columns and rows; each repeats the columns that name rows.
 
     Columns that only reports have, such as commands, and those where nothing is known are left
@@ -65,7 +72,7 @@ def narrow_parts(table: Table) -> Iterator[Table]:
     """
     table = _for_paper(table)
     heads = _naming_columns(table)
-    groups = _column_groups(table, heads)
+    groups = _column_groups(table, heads, width_pt)
     for group in groups:
         columns = [table.columns[index] for index in [*range(heads), *group]]
         named = ", ".join(column.brief_title for column in columns[heads:])
@@ -100,33 +107,34 @@ def _naming_columns(table: Table) -> int:
     return 1
 
 
-def _column_groups(table: Table, heads: int) -> list[list[int]]:
+def _column_groups(table: Table, heads: int, width_pt: float) -> list[list[int]]:
     """Return the other columns by the parts of a table: as many as there is room for."""
     widths = _widths_pt(table)
     groups = list[list[int]]()
     room = 0.0
     for index in range(heads, len(widths)):
-        needed = min(widths[index], _TEXT_PT if table.columns[index].is_text else _PAGE_PT)
+        needed = min(widths[index], _TEXT_PT if table.columns[index].is_text else width_pt)
         if not groups or len(groups[-1]) == _MOST_COLUMNS - heads or needed > room:
             groups.append([])
-            room = _PAGE_PT - sum(widths[:heads])
+            room = width_pt - sum(widths[:heads])
         groups[-1].append(index)
         room -= needed
     return groups
 
 
-def as_latex(table: Table, label: str) -> str:
+def as_latex(table: Table, label: str, width_pt: float = _PAGE_PT) -> str:
     """Return a table with rules of booktabs, numbers to the right; its note is a comment.
 
     Args:
         table: one that fits on a page.
         label: to refer to it by.
+        width_pt: its largest width.
     """
     heads = [column.brief_title for column in table.columns]
     lines = [heads, *([cell.text for cell in row] for row in table.cells)]
     widths = _widths_pt(table)
-    kind = "table*" if sum(widths) > _COLUMN_PT else "table"
-    longest = _longest_pt(widths)
+    kind = "table*" if min(sum(widths), width_pt) > _COLUMN_PT else "table"
+    longest = _longest_pt(widths, width_pt)
     breaks = [width > longest for width in widths]
     sides = "".join(
         f"p{{{longest - _GAP_PT:.0f}pt}}" if broken else "l" if column.is_text else "r"
@@ -162,14 +170,14 @@ def _width_pt(text: str) -> float:
     )
 
 
-def _longest_pt(widths: Sequence[float]) -> float:
-    """Return the width to which the widest columns must be cut to fit on a page."""
-    room = _PAGE_PT
+def _longest_pt(widths: Sequence[float], width_pt: float) -> float:
+    """Return the width to which the widest columns must be cut to fit into a width."""
+    room = width_pt
     for place, width in enumerate(sorted(widths)):
         if width > (share := room / (len(widths) - place)):
             return share
         room -= width
-    return _PAGE_PT
+    return width_pt
 
 
 def latex_text(text: str) -> str:

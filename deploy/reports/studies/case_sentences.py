@@ -15,10 +15,11 @@ def saved_runs(summary: CasesResult[Case]) -> list[str]:
     if not saved or saved.simulated_s >= _NOT_WORTH_A_WORD * saved.planned_s:
         return []
     share = 100 * saved.simulated_s / saved.planned_s
+    early = saved.runs_ended_early
+    ended = f"; {early} of them ended at their loss" if early else ""
     return [
-        f"{summary.runs} of {saved.runs_planned} planned runs were needed, and"
-        f" {saved.runs_ended_early} stopped after their loss: {share:.0f} % of the planned"
-        " simulated time."
+        f"{summary.runs} of {saved.runs_planned} planned runs decided the result{ended}."
+        f" They took {share:.0f} % of the planned simulated time."
     ]
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from deploy.judge.conditions import seeds_text
 from deploy.judge.tested_with import TESTED_WITH
 from deploy.reports.kinds import kind_of
 from deploy.reports.page import Cards, Fact, Page, ReportHead
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from deploy.study.study import StudyOfRuns
 
 
+_MOST_SEEDS = 6
 REUSE = "reuse"
 """Condition of rows that later commands make again."""
 
@@ -65,7 +66,7 @@ def study_page(summary: dict[str, Any], folder: StudyFolder) -> Page[Any]:
             *page.facts,
             Fact("Runs", runs),
             Fact("Failed runs", str(summary["runs_failed"])),
-            Fact("Seeds", _shortened(seeds)),
+            Fact("Seeds", seeds_text(seeds, _MOST_SEEDS)),
         ],
         panels=page.panels if summary["runs"] else list,
         conditions=summary.get("conditions", {}),
@@ -89,8 +90,3 @@ def _with_failures(verdict: ReportHead, summary: dict[str, Any]) -> ReportHead:
     if failed < runs:
         return replace(verdict, faults=[fault])
     return replace(verdict, faults=[fault], level="broken", headline="Every run failed")
-
-
-def _shortened(seeds: Sequence[int]) -> str:
-    texts = [str(seed) for seed in seeds]
-    return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)}: {texts[0]} … {texts[-1]}"

@@ -10,6 +10,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field
 
 from bus_schema.configuration import Positive, Whole
+from bus_schema.errors import did_you_mean
 from bus_schema.user_files import read_text
 from controller.compensation.delay_compensation import (
     ADAPTIVE,
@@ -109,7 +110,8 @@ def cells_of(wanted: BenchmarkDefinition) -> list[Cell]:
     known = [NO_PREDICTOR, *PREDICTORS]
     for predictor in wanted.predictors:
         if predictor not in known:
-            raise ScenarioError(f"predictors = {predictor}: must be one of {', '.join(known)}")
+            allowed = f"must be one of {', '.join(known)}{did_you_mean(predictor, known)}"
+            raise ScenarioError(f"predictors = {predictor}: {allowed}")
     return [
         Cell(scenario=scenario, law=law, predictor=predictor, gains=gains)
         for scenario in wanted.scenarios

@@ -44,6 +44,7 @@ from deploy.studies.datasheet.robot_sheet import RobotSheet, run_row
 from deploy.study.study import StudyOfRuns
 
 _LAW = "fixed_time_adaptive"
+_MOST_WINDOWS = 1000
 _FURTHEST = "the largest value that a data sheet tries (funnel-hil margin --limit tries more)"
 
 
@@ -58,6 +59,15 @@ class DatasheetOptions(GateOptions, WorkerOptions):
     ] = None
     interface: InterfaceOption = None
     network: NetworkOption = None
+    windows: Annotated[
+        int | None,
+        typer.Option(
+            min=2,
+            max=_MOST_WINDOWS,
+            metavar="N",
+            help="Windows of the network; default 12, or 5 with --quick.",
+        ),
+    ] = None
     plants: Annotated[int, typer.Option(min=0, help="Number of uncertain plants.")] = 0
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and shorter runs.")] = False
 
@@ -72,6 +82,8 @@ def datasheet(options: DatasheetOptions) -> None:
     stops the robot. After an interruption or a kill, the same command continues.
     """
     parse_laws(options.law, "--law")
+    if options.windows is not None and options.network is None:
+        raise ScenarioError(f"--windows {options.windows}: needs --network")
     if has_controller(options.interface):
         _of_robot(options, options.interface)
         return
@@ -105,7 +117,7 @@ def torque_sheet(options: DatasheetOptions) -> DataSheet:
     fixed = {**interface_values(options.interface), **options.fixed()}
     return DataSheet(
         options.scenario, options.law or _LAW, options.network, options.plants, fixed,
-        options.quick,
+        options.quick, options.windows,
     )  # fmt: skip
 
 
@@ -114,8 +126,9 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
     if options.plants:
         raise ScenarioError(f"--plants: must be left out with --interface {interface}")
     sheet = RobotSheet(
-        options.scenario, interface, options.law, options.network, options.fixed(), options.quick
-    )
+        options.scenario, interface, options.law, options.network, options.fixed(), options.quick,
+        options.windows,
+    )  # fmt: skip
     margin, planned = sheet.margin(), list(sheet.runs())
     gate = ResultGate(
         options, "datasheet", "ms", margin.tested_with, OF_ROBOT, furthest=_furthest(margin)

@@ -38,6 +38,7 @@ class Sheet:
     network: str | None
     fixed: Mapping[str, Any] | None
     is_quick: bool
+    network_windows: int | None
 
     @property
     def duration_s(self) -> float:
@@ -49,7 +50,7 @@ class Sheet:
         """Return the file or name of a network, and where its windows begin."""
         file = Path(network)
         name = str(file.resolve()) if file.is_file() else network
-        return name, window_starts_s(name, 5 if self.is_quick else 12)
+        return name, window_starts_s(name, self.network_windows or (5 if self.is_quick else 12))
 
     @property
     def all_set(self) -> dict[str, Any]:
@@ -71,6 +72,7 @@ class DataSheet(Sheet):
         plants: number of uncertain plants; 0 for none.
         fixed: values of the scenario, by dotted key.
         is_quick: shorter and fewer runs.
+        network_windows: number of windows of the network; None for 12, or 5 with `is_quick`.
     """
 
     arm: str
@@ -79,6 +81,7 @@ class DataSheet(Sheet):
     plants: int = 0
     fixed: Mapping[str, Any] | None = None
     is_quick: bool = False
+    network_windows: int | None = None
 
     def tested_with(self, margin: Test | None) -> Test | None:
         """Return its test from that of its search for margins, which older versions lack."""

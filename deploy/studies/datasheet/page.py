@@ -19,7 +19,7 @@ from deploy.reports.studies.study_tables import TableColumn
 from deploy.reports.studies.study_texts import interval_text, losses_text
 from deploy.reports.tables import ABSENT, Column, Table, table_of
 from deploy.run.execute import JudgedRun
-from deploy.studies.datasheet.result import DataSheetResult, caveat_text
+from deploy.studies.datasheet.result import DataSheetResult, caveat_text, more_windows
 from deploy.studies.margin import texts
 from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.sentences import lost_at_once, model_text
@@ -170,7 +170,8 @@ def _network_sentences(result: DataSheetResult, network: SweepResult) -> list[st
     quick = " (--quick)" if result.quick else ""
     sentences = [
         f"{name}: {verdict} windows of {result.duration_s:g} s {equipment_text(own)}{quick}.",
-        f"95 % interval of the share of windows that are kept: {interval}.",
+        f"95 % interval of the share of windows that are kept: {interval}"
+        f" ({more_windows(own.runs)}).",
     ]
     if best.runs_kept > own.runs_kept:
         sentences.append(

@@ -54,6 +54,11 @@ def caveat_text(result: SheetResult, margin: MarginResult) -> str:
     return effort if result.quick or is_least else ""
 
 
+def more_windows(count: int) -> str:
+    """Return how many windows of a network were tried, and how to try more."""
+    return f"of {number_of(count, 'window')}; for more: --windows {2 * count}"
+
+
 class Parts(Part):
     """The studies of a data sheet."""
 

@@ -126,7 +126,11 @@ def _tip_text(found: WayResult) -> str:
 def _where(result: RobotSheetResult) -> str:
     if result.network is None:
         return "the given link"
-    return f"{len({run.link for run in result.asked})} windows of {Path(result.network).name}"
+    return f"{_windows(result)} windows of {Path(result.network).name}"
+
+
+def _windows(result: RobotSheetResult) -> int:
+    return len({run.link for run in result.asked})
 
 
 def _kept_sentences(result: RobotSheetResult) -> list[str]:
@@ -135,15 +139,15 @@ def _kept_sentences(result: RobotSheetResult) -> list[str]:
         return []
     best, *others = sorted(result.ways, key=lambda way: -way.kept)
     windows = f"windows of {result.duration_s:g} s of {Path(result.network).name}"
-    quick = " (--quick)" if result.quick else ""
+    more = f" ({'--quick; ' * result.quick}for more: --windows {2 * best.runs})"
     if not best.kept:
-        each = f", in each of the {len(others) + 1} ways tried" if others else f" ({best.way})"
-        return [f"{_subject(result)}: bounds are lost in all {best.runs} {windows}{each}{quick}."]
+        each = f", in each of the {len(others) + 1} ways tried" if others else f", {best.way}"
+        return [f"{_subject(result)}: bounds are lost in all {best.runs} {windows}{each}{more}."]
     rest = "; ".join(f"{way.kept} of {way.runs} {way.way}" for way in others)
-    at_best = ", at best" if others else ""
+    at_best = " at best" if others else ""
     return [
         f"{_subject(result)}: bounds are kept in {best.kept} of {best.runs} {windows}{at_best}"
-        f" ({best.way}){quick}.",
+        f", {best.way}{more}.",
         *([f"Other ways: {rest}."] if rest else []),
     ]
 

@@ -61,6 +61,7 @@ class RobotSheet(Sheet):
     network: str | None = None
     fixed: Mapping[str, Any] | None = None
     is_quick: bool = False
+    network_windows: int | None = None
 
     @property
     def loop(self) -> str:

@@ -72,9 +72,8 @@ def unknowns_sentences(result: MarginResult) -> list[str]:
     tried = [*rotors, *(each.change for each in case.model_errors)]
     if not tried:
         return []
-    return [
-        f"Each is the smallest of {1 + len(tried)} searches: {listed(['the arm as given', *tried])}."
-    ]
+    searches = listed(["the arm as given", *tried])
+    return [f"Each is the smallest of {1 + len(tried)} searches: {searches}."]
 
 
 def pattern_text(case: MarginCase, result: MarginResult) -> str | None:

@@ -22,8 +22,9 @@ def _test(test: Mapping[str, float]) -> str:
     """Name the errors with which a sequential test decides."""
     poor, passes, good, fails = (f"{100 * value:.1f} %" for value in test.values())
     return (
-        f"Sequential test at each value: if {poor} of all plants were kept, the value would count"
-        f" as tolerated with a probability of {passes}; if {good} were, it would not with {fails}."
+        "Plants are run at each value until a sequential test decides. Its errors: a value that"
+        f" only {poor} of all such plants tolerate passes in {passes} of the cases, one that {good}"
+        f" tolerate fails in {fails}."
     )
 
 

@@ -39,9 +39,7 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
         verdict=ReportHead(
             level_of(kept, len(points)),
             f"{kept} of {len(points)} points kept their bounds in every run",
-            [f"{axis.title}: {', '.join(map(shown_value, axis.values))}" for axis in summary.axes]
-            + helped
-            + warnings,
+            [_swept(summary.axes), *helped, *warnings],
             printed=helped + warnings,
         ),
         facts=[
@@ -57,6 +55,12 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
             for point in points
         ],
     )
+
+
+def _swept(axes: Iterable[Axis]) -> str:
+    """Name all keys of a sweep with their values, in one sentence."""
+    texts = (f"{axis.title} = {', '.join(map(shown_value, axis.values))}" for axis in axes)
+    return f"Swept: {'; '.join(texts)}."
 
 
 def _remedies(summary: SweepResult) -> list[str]:

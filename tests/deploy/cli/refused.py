@@ -103,7 +103,7 @@ REFUSED = [
     ("ros2-control paper_arm --out file", "", "cannot be written"),
     ("ros-package file", "", "cannot be written"),
     ("export damaged --latex --out file", "--out file", "is a file: must be a folder"),
-    ("export damaged --latex --columns 2", "--columns", "left out without --figures"),
+    ("export damaged --bibtex --columns 2", "--columns", "without --figures and --latex"),
     ("export damaged --bibtex --series tracking", "--series", "left out without --csv"),
     ("export damaged", "", "must be given one or more of --csv, --parquet"),
     *[(f"{command} paper_arm --set link.security.enabled=true --set link.security.folder=/nowhere",
@@ -189,12 +189,18 @@ REFUSED = [
         ("--laws smcc", "did you mean smc?"))],
     *[(f"datasheet paper_arm --quick {options}", "", text) for options, text in (
         ("--network nowhere", "nowhere"), ("--law smcc", "did you mean smc?"),
+        ("--windows 8", "--windows 8: needs --network"),
         ("--set duration_s=abc", "duration_s"))],
     *[(f"link {options}", "", text) for options, text in (
         ("", "give a HOST, or --serve"), ("somewhere --serve", "give a HOST, or --serve"),
         ("127.0.0.1 --size 10", "--size 100 to 60000"),
         ("127.0.0.1 --tcp --zenoh", "give --tcp or --zenoh, not both"),
         ("127.0.0.1 --rate 0", "--rate must be up to 10000 Hz"))],
+    ("robot-server ur5e", "", "did you mean ur5e_motors?"),
+    ("robot-server --interface joint_trajectory", "", "must be one of"),
+    ("robot-server --vendor xram", "", "did you mean xarm?"),
+    ("simulate UR10E_Motor", "", "did you mean ur10e_motors?"),
+    ("benchmark --predictors smiht", "", "did you mean smith?"),
     # gates
     ("simulate --at-least 20Hz", "", "unit 'Hz': must be %"),
     ("margin --at-least 20%", "", "unit '%': must be ms"),

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from pyarrow import parquet
 
-from deploy.judge.conditions import conditions_of_recording, host_of
+from deploy.judge.conditions import conditions_of_recording, host_of, seeds_text
 from deploy.run.run_folder import load_run, read_manifest
 
 SHORT = ("--set", "duration_s=0.05", "--set", "metrics.from_s=0")
@@ -37,7 +37,7 @@ def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_h
     assert conditions["version"] == f"funnel-hil {manifest['versions']['funnel-hil']}"
     assert conditions["set"] == "duration_s=0.05, metrics.from_s=0, seed=7"
     assert (conditions["law"], conditions["duration"], conditions["seeds"]) == (
-        "fixed_time_neural", "0.05 s", "7",
+        "fixed_time_neural", "0.05 s", "one (seed 7)",
     )  # fmt: skip
     assert conditions["starts"].startswith("initial offset")
     shown = ("version", "scenario", "law", "physics", "duration", "seeds", "set")
@@ -54,9 +54,9 @@ def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):
     line = text.rstrip().splitlines()[-1]
     assert "largest round trip" in title
     assert table.startswith("| law |")
-    for part in ("quantity: round trip (ms) up to 1, found to within 1", "law: smc", "seeds: 1;",
-                 "starts: initial offset × 1, -0.5", "paper_arm 0.05 s", "metrics.from_s=0",
-                 "version: funnel-hil", "date: 20", "CPUs usable"):  # fmt: skip
+    for part in ("quantity: round trip (ms) up to 1, found to within 1", "law: smc",
+                 "seeds: one (seed 1);", "starts: initial offset × 1, -0.5", "paper_arm 0.05 s",
+                 "metrics.from_s=0", "version: funnel-hil", "date: 20", "CPUs usable"):  # fmt: skip
         assert part in line
     conditions = metadata_of(tmp_path / "margin.parquet")
     assert all(f"{name}: {value}" in line for name, value in conditions.items())
@@ -90,3 +90,9 @@ def test_settings_that_no_loop_reported_are_unknown(tmp_path, funnel_hil):
     assert granted[0] == "no real-time permissions, because no loop ran in real time"
     assert granted[1].startswith("not known")
     assert granted[2] == "plant CPU 1"
+
+
+def test_the_number_of_seeds_is_told_from_their_names():
+    assert seeds_text([1]) == "one (seed 1)"
+    assert seeds_text([3, 4]) == "2 (seeds 3, 4)"
+    assert seeds_text([*range(1, 21)], 6) == "20 (seeds 1 … 20)"

@@ -14,6 +14,7 @@ import pytest
 from plotly.subplots import make_subplots
 
 from deploy.reports.figures.style import band, joint_rows, line, new_figure, palette
+from deploy.reports.page import Cards, Page, ReportHead
 from deploy.reports.paper.latex import as_latex, latex_text, narrow_parts, write_latex
 from deploy.reports.paper.paper import digest_of_results
 from deploy.reports.results import Results
@@ -410,6 +411,23 @@ def test_no_table_is_wider_than_a_page_of_ieee(tmp_path):
     parts = [as_latex(part, "tab:any") for table in tables for part in narrow_parts(table)]
     assert {"table", "table*"} <= set(re.findall(r"begin{(.*?)}", " ".join(parts)))
     (tmp_path / "t.tex").write_text(PAGE + "\\clearpage\n".join(parts) + r"\end{document}")
+    subprocess.run(["pdflatex", "-interaction=nonstopmode", "t.tex"], cwd=tmp_path,
+                   check=True, capture_output=True)  # fmt: skip
+    assert "Overfull" not in (tmp_path / "t.log").read_text(encoding="latin-1")
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
+def test_tables_for_one_column_stay_within_it(tmp_path):
+    tables = [
+        Table("Wide", [Column("Law", is_text=True), *(Column(f"c{n}") for n in range(8))],
+              [[(word + " ") * words, *([word] * 8)]])
+        for word in ("mmmm", "00000", "e_e_e") for words in (1, 9, 40)
+    ]  # fmt: skip
+    page = Page("kind", "name", ReportHead("good", "", []), [], list, None, results=[Cards(tables)])
+    text = write_latex(page, tmp_path / "tables.tex", columns=1).read_text()
+    assert set(re.findall(r"begin{(table.?)}", text)) == {"table"}
+    text = text.replace("\\begin{table}", "\\clearpage\\begin{table}")
+    (tmp_path / "t.tex").write_text(PAGE + text + r"\end{document}")
     subprocess.run(["pdflatex", "-interaction=nonstopmode", "t.tex"], cwd=tmp_path,
                    check=True, capture_output=True)  # fmt: skip
     assert "Overfull" not in (tmp_path / "t.log").read_text(encoding="latin-1")

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.html import write_page
+from deploy.reports.studies.case_sentences import saved_runs
 from deploy.reports.studies.results import study_page
 from deploy.reports.terminal import print_page
 from deploy.studies.margin.figures import margin_bars
@@ -102,6 +103,26 @@ def test_the_figure_of_a_sweep_is_of_what_is_not_zero_everywhere(sweep):
     assert next(iter(sweep_page(DrawnStudy(sweep, str)).panels())).id == "curve-violation_fraction"
     sweep["points"] = [{**each, **runs(0.0)} for each in sweep["points"]]
     assert next(iter(sweep_page(DrawnStudy(sweep, str)).panels())).id == "curve-worst_rms_rad"
+
+
+def test_the_lede_of_a_sweep_names_all_that_was_swept(sweep):
+    study = DrawnStudy(sweep, str)
+    lede = sweep_page(study).verdict.reasons[0]
+    assert lede.startswith("Swept: ")
+    assert all(", ".join(axis["keys"]) in lede for axis in sweep["axes"])
+
+
+def test_planned_runs_that_were_not_needed_are_in_two_sentences():
+    saved = {"runs_planned": 40, "runs_ended_early": 0, "planned_s": 10.0, "simulated_s": 7.0}
+    case = {"arm": "a", "law": "pid", "compensation": None, "drive_feedback": None,
+            "running": False}  # fmt: skip
+    values = {"unit": "ms", "runs": 28, "saved": saved, "cases": [case]}
+    assert saved_runs(MarginResult.model_validate(values)) == [
+        "28 of 40 planned runs decided the result. They took 70 % of the planned simulated time."
+    ]
+    saved["runs_ended_early"] = 3
+    (sentence,) = saved_runs(MarginResult.model_validate(values))
+    assert "decided the result; 3 of them ended at their loss." in sentence
 
 
 @pytest.mark.parametrize(

@@ -134,3 +134,27 @@ def test_all_deadlines_are_met_only_if_every_single_one_was():
 )
 def test_names_are_shortened_to_the_part_that_differs(names, short):
     assert short_names(names) == short
+
+
+def wide_table(arms):
+    """A table of two rows for each arm, with 16 columns of numbers of five digits."""
+    columns = [Column("Arm", is_text=True), Column("Merge", is_text=True)]
+    columns += [Column(f"c{n}") for n in range(16)]
+    rows = [[arm, merge, *map(float, range(10000, 10016))]
+            for arm in arms for merge in ("replace", "weighted")]  # fmt: skip
+    return Table("Merges", columns, rows)
+
+
+@pytest.mark.parametrize("arms", [["ur5e_motors"], ["ur5e_motors", "panda_motors"]])
+def test_columns_without_room_follow_below_with_the_names_of_rows(arms):
+    text = printed(wide_table(arms))
+    assert max(map(len, text.splitlines())) <= 80
+    words = text.split()
+    assert all(words.count(f"{number:,}") == 2 * len(arms) for number in range(10000, 10016))
+    assert words.count("weighted") % len(arms) == 0 < words.count("weighted") - len(arms)
+
+
+def test_what_all_rows_of_a_wide_table_share_is_in_its_title():
+    assert printed(wide_table(["ur5e_motors"])).startswith("Merges: ur5e_motors\n")
+    assert printed(wide_table(["a", "b"])).startswith("Merges\n")
+    assert printed(wide_table(["ur5e_motors"]), 200).startswith("Merges\n")

@@ -27,6 +27,8 @@ from deploy.scenario.yaml_files import ScenarioError
         ("angle_rad", "180°", math.pi),
         ("speed_rad_s", "180°/s", math.pi),
         ("length_m", "5 millimetres", 0.005),
+        ("loss", "5%", 0.05),
+        ("coulomb_share", ["3 %", 0.5], [0.03, 0.5]),
     ],
 )
 def test_values_with_units_are_those_of_their_key(key, given, expected):
@@ -36,8 +38,9 @@ def test_values_with_units_are_those_of_their_key(key, given, expected):
 
 @pytest.mark.parametrize(
     ("key", "given"),
-    [("a_rad", "2mm"), ("a_m", "2deg"), ("stiffness_nm_rad", "2deg"), ("law", "2deg"),
-     ("a_rad", "1e3"), ("a_rad", "deg"), ("a_rad_s", "2deg")],
+    [("a_rad", "5%"), ("name", "5%"), ("a_rad", "2mm"), ("a_m", "2deg"),
+     ("stiffness_nm_rad", "2deg"), ("law", "2deg"), ("a_rad", "1e3"),
+     ("a_rad", "deg"), ("a_rad_s", "2deg")],
 )  # fmt: skip
 def test_other_texts_stay_as_they_are(key, given):
     assert in_base_units({key: given}) == {key: given}
@@ -52,6 +55,20 @@ def test_scenario_in_degrees_is_the_scenario_in_rad():
     )
     np.testing.assert_allclose(one.start_position_rad, other.start_position_rad, rtol=1e-14)
     np.testing.assert_allclose(one.funnel.final_rad, other.funnel.final_rad, rtol=1e-14)
+
+
+def test_percent_is_the_share_to_the_bit():
+    shares = [in_base_units({"loss": f"{percent}%"})["loss"] for percent in range(101)]
+    assert shares == [percent / 100 for percent in range(101)]
+    assert load_setup("paper_arm", ["link.uplink.loss=35%"]).link.uplink.loss == 0.35
+
+
+def test_a_share_above_one_names_percent():
+    hint = r"link\.uplink\.loss = 5: must be .* 1; 5 % is written 0\.05 or 5%"
+    with pytest.raises(ScenarioError, match=hint):
+        load_setup("paper_arm", ["link.uplink.loss=5"])
+    with pytest.raises(ScenarioError, match=r"'5 percent': must be .*; write 5%"):
+        load_setup("paper_arm", ["link.uplink.loss=5 percent"])
 
 
 def test_held_joints_are_angles_or_lengths():

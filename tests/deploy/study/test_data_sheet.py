@@ -57,7 +57,10 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
         "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
         " (--quick)."
     )
-    assert windows == "95 % interval of the share of windows that are kept: 51–100 %."
+    assert windows == (
+        "95 % interval of the share of windows that are kept: 51–100 % (of 4 windows; for more:"
+        " --windows 8)."
+    )
     # Then the worst of what is not known of the arm, and only then the best case.
     numbers = {on: case["quoted"] for on, case in cases.items()}
     assert numbers[True] < cases[True]["margin"]
@@ -117,6 +120,16 @@ def test_a_window_begins_just_before_the_worst_burst_in_both_directions(tmp_path
         )
 
 
+def test_more_windows_are_tried_where_asked_for(made):
+    network = str(made[1][made[1].index("--network") + 1])
+    sheets = {
+        count: DataSheet("paper_arm", "smc", network, is_quick=True, network_windows=count)
+        for count in (None, 2, 9)
+    }
+    counts = {count: len(sheet.windows_of(network)[1]) for count, sheet in sheets.items()}
+    assert counts == {None: 4, 2: 1, 9: 8}  # the worst stretch is at the start, as another window
+
+
 def test_feedback_at_the_drives_that_is_set_is_not_varied(made):
     _, words, _ = made
     network = words[words.index("--network") + 1]
@@ -148,7 +161,8 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     assert [verdict, *rest[:2]] == [
         "calm.txt: lost in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
         " (--quick).",
-        "95 % interval of the share of windows that are kept: 0–49 %.",
+        "95 % interval of the share of windows that are kept: 0–49 % (of 4 windows; for more:"
+        " --windows 8).",
         "Kept in 4 of 4 with compensation, with drive feedback: add"
         " --set controller.drive_feedback.enabled=true.",
     ]

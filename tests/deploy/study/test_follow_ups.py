@@ -22,6 +22,7 @@ from deploy.studies.margin.tables import disturbance_tables, help_tables, margin
 from deploy.study.execution.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
 from tests.deploy.study.studies import Here, case_of, conduct, made_up, margin_of
+from tests.warm_process import output_of
 
 PLAIN = {"set": {}, "laws": ["pid"], "seeds": 1, "offsets": [1.0, 0.5], "resolution": 4}
 LOST = {"violation_fraction": 0.1, "margin_min": -0.2}
@@ -373,3 +374,22 @@ def test_known_rotors_are_not_varied(tmp_path, values):
     assert case_of(study, folder).get("smaller_rotors") is None
     table = margin_table(MarginResult.model_validate(study.summary(folder.rows)))
     assert not any("rotors" in each.title for each in table.columns)
+
+
+@pytest.mark.parametrize(("option", "code"), [((), 3), (("--no-smaller-rotors",), 0)])
+def test_a_gate_fails_by_smaller_rotors_alone(tmp_path, option, code):
+    """Of an arm with estimated rotors, which holds at 96 ms, and with a tenth of them at 64 ms."""
+    words = (
+        "margin", "ur5e_motors", "--laws", "fixed_time_adaptive", "--compensation", "on",
+        "--running", "off", "--resolution", "32", "--limit", "96", "--offsets", "1",
+        "--duration", "3", "--workers", "1", "--at-least", "90ms", "--out", tmp_path,
+    )  # fmt: skip
+    output = output_of(*words, *option, code=code)
+    (case,) = json.loads((tmp_path / "summary.json").read_text())["cases"]
+    assert case["margin"] == 96.0
+    if option:
+        assert "gate: passed; with 96 ms" in output
+        return
+    assert (case["quoted"], case["quoted_because"]) == (64.0, "smaller rotors")
+    assert case["smaller_rotors"]["margin"] == 64.0
+    assert "with compensation: 64 ms, must be at least 90 ms" in output

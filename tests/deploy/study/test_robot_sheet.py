@@ -80,8 +80,8 @@ def test_a_joint_at_constant_speed_is_behind_by_round_trip_and_lag_unless_it_is_
     ("kept", "answer"),
     [
         (0, "bounds are lost in all 5 windows of 3 s of lab.csv, in each of the 4 ways tried"),
-        (1, "bounds are kept in 1 of 5 windows of 3 s of lab.csv, at best (streaming, with"
-         " preview)"),
+        (1, "bounds are kept in 1 of 5 windows of 3 s of lab.csv at best, streaming, with"
+         " preview"),
     ],
 )  # fmt: skip
 def test_a_network_that_is_lost_comes_before_the_margin_of_a_constant_delay(made, kept, answer):
@@ -91,7 +91,7 @@ def test_a_network_that_is_lost_comes_before_the_margin_of_a_constant_delay(made
     for way in result.ways:
         way.runs, way.kept = 5, kept if way.way == "streaming, with preview" else 0
     said = robot_page.headline(result)
-    assert said[0] == f"{result.arm} over servoj: {answer} (--quick)."
+    assert said[0] == f"{result.arm} over servoj: {answer} (--quick; for more: --windows 10)."
     assert not any("quote" in each for each in said)
     margin_ms = result.margin.cases[0].margin
     assert said[1 + kept].startswith(
