@@ -65,7 +65,7 @@ class Gauged:
     @property
     def text(self) -> str:
         if self.value is None:
-            return "none"
+            return "none" if self.sign > 0 else "bounds not kept"
         return f"{self.value:.4g} {self.unit}".rstrip()
 
     def is_below(self, limit: float) -> bool:

@@ -36,7 +36,7 @@ _NO_REPLIES = (
 )
 _OF_WINDOWS = (
     "is output of Windows' ping, which has no times and numbers, and sends once in 1 s: use ping -D"
-    " -i 0.01 HOST on Linux or in WSL, or funnel-hil link"
+    " -i 0.01 HOST on Linux or in WSL, funnel-hil link, or a table with time_s and round_trip_ms"
 )
 _MOST_LOST = 1000
 """With more requests for each reply, the numbers are damaged and would fill the memory."""

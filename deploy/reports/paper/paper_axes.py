@@ -8,8 +8,11 @@ from typing import Any, Literal
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 _TURNED_DEG = 35.0
+_FEW_DECADES, _PLAIN = 300.0, (1e-4, 1e5)
+"""Span of a logarithmic axis up to which 2 and 5 have room, and where digits are short."""
 
 
 def share_labels(drawn: Figure, axes: Any, has_own_scales: bool) -> None:
@@ -54,3 +57,14 @@ def _thin_out(at: Axes, axis: Literal["x", "y"]) -> None:
     """Leave at most three ticks; a logarithmic axis has few already."""
     if (at.get_xscale() if axis == "x" else at.get_yscale()) == "linear":
         at.locator_params(axis=axis, nbins=3)
+
+
+def write_plain_powers(axes: Any) -> None:
+    """Write 1, 2, 5, 10 on logarithmic axes of few decades, in place of powers of ten."""
+    for at in (each for each in axes.flat if each.get_visible() and each.get_yscale() == "log"):
+        low, high = at.get_ylim()
+        if not _FEW_DECADES * low >= high or not _PLAIN[0] <= low <= high <= _PLAIN[1]:
+            continue
+        at.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        at.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        at.yaxis.set_minor_formatter(NullFormatter())

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deploy.reports.figures.style import BOUNDS, INK, palette
-from deploy.reports.paper.paper_axes import share_labels, turn_crowded_names
+from deploy.reports.paper.paper_axes import share_labels, turn_crowded_names, write_plain_powers
 from deploy.reports.paper.paper_legend import HIGHEST_MM, INCH_MM, put_legend
 
 WIDTHS_MM = {1: 88.0, 2: 181.0}
@@ -105,6 +105,7 @@ def write_figure(figure: go.Figure, file: Path, columns: int) -> None:
                 at.set_visible(False)
         share_labels(drawn, axes, has_own_scales=not is_shared)
         turn_crowded_names(drawn, axes)
+        write_plain_powers(axes)
         has_level = any(shape.showlegend for shape in figure.layout.shapes)
         put_legend(drawn, axes, titles, least=1 if has_level else 2)
         drawn.savefig(file, metadata=_NO_DATE[file.suffix[1:]])

@@ -126,11 +126,7 @@ def _tip_text(found: WayResult) -> str:
 def _where(result: RobotSheetResult) -> str:
     if result.network is None:
         return "the given link"
-    return f"{_windows(result)} windows of {Path(result.network).name}"
-
-
-def _windows(result: RobotSheetResult) -> int:
-    return len({run.link for run in result.asked})
+    return f"{len({run.link for run in result.asked})} windows of {Path(result.network).name}"
 
 
 def _kept_sentences(result: RobotSheetResult) -> list[str]:

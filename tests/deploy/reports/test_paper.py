@@ -152,6 +152,21 @@ def test_subplots_of_several_quantities_keep_their_own_titles_and_scales(tmp_pat
     assert [at.get_xlabel() for at in found.axes] == ["time (ms)", "length (m)"]
 
 
+@pytest.mark.parametrize(
+    ("values", "ticks"),
+    [([0.9, 4.4], ["1", "2"]), ([0.9, 70.0], ["1", "2", "5", "10", "20", "50"])],
+)
+def test_a_logarithmic_axis_of_few_decades_has_plain_numbers(tmp_path, monkeypatch, values, ticks):
+    """Not 2 × 10⁰."""
+    figure = new_figure(300, "round trip (ms)", "mrad")
+    figure.add_trace(go.Scatter(x=[0.0, 1.0], y=values))
+    at = drawn(figure.update_yaxes(type="log"), tmp_path, monkeypatch)
+    low, high = at.get_ylim()
+    shown = [tick for tick in at.yaxis.get_major_ticks() if low <= tick.get_loc() <= high]
+    assert [tick.label1.get_text() for tick in shown] == ticks
+    assert not any(tick.label1.get_text() for tick in at.yaxis.get_minor_ticks())
+
+
 @pytest.mark.parametrize("columns", [1, 2])
 def test_names_below_bars_do_not_overprint(tmp_path, monkeypatch, columns):
     figure = new_figure(300, "link", "mm")
