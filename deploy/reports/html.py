@@ -109,6 +109,9 @@ _ENVIRONMENT.filters["breakable"] = lambda text: Markup(  # names go on below af
     if " " in text
     else re.sub(r"([_.])(?=[A-Za-z])", r"\1<wbr>", str(escape(text)))
 )
+_ENVIRONMENT.filters["with_options"] = lambda text: Markup(  # no break after the first hyphens
+    re.sub(r"--[a-z-]+", r'<span class="option">\g<0></span>', str(escape(text)))
+)
 _ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
 _ENVIRONMENT.tests["motion"] = lambda content: isinstance(content, Motion)
 _ENVIRONMENT.tests["table"] = lambda content: isinstance(content, Table)

@@ -160,7 +160,7 @@ class GateOptions:
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML file.")] = None
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown table.")] = None
     history: Annotated[
-        Path | None, typer.Option(help="Append the result to this file, and plot it over commits.")
+        Path | None, typer.Option(help="Append the result in this folder, plot it over commits.")
     ] = None
 
 

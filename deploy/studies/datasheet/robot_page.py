@@ -217,7 +217,7 @@ def _tip_errors(result: RobotSheetResult) -> go.Figure:
             customdata=[run.command for run in ended], name=way, marker_color=style.palette(index),
         )  # fmt: skip
     figure.update_layout(barmode="group", showlegend=True, legend_orientation="h", legend_y=1.15)
-    return figure.update_yaxes(type="log", dtick=1)
+    return figure.update_yaxes(type="log", dtick="D2", exponentformat="none")
 
 
 def _runs_table(result: RobotSheetResult) -> Table:

@@ -56,8 +56,12 @@ def margin_table(summary: MarginResult) -> Table:
         lambda case: at(case, "first_failure", "violation_fraction", 100.0),
     )
     first_outside: TableColumn = (  # of runs that end there
-        Column("First tick outside at first failure", "s", None),
+        Column("Lost after", "s", None),
         lambda case: at(case, "first_failure", "first_violation_s", 1.0),
+    )
+    held_again: TableColumn = (
+        Column("Held again at", brief=None),
+        lambda case: ", ".join(f"{value:g}" for value in case.held_again) or ABSENT,
     )
     elsewhere = dict.fromkeys(on for case in summary.cases for on in case.margin_on)
     return table_of(
@@ -74,14 +78,13 @@ def margin_table(summary: MarginResult) -> Table:
             (Column("First failure", brief="First\nfailure"), failure),
             ticks_outside if any(map(ticks_outside[1], summary.cases)) else first_outside,
             (Column("Lost by", brief="Lost\nby", is_text=True), loss_text),
-            (Column("RMS error of the worst joint at the margin", "mrad", None),
+            (Column("RMS error there", "mrad", None),
              lambda case: at(case, "margin", "worst_rms_rad", 1e3)),
-            (Column("Held again at", brief=None),
-             lambda case: ", ".join(f"{value:g}" for value in case.held_again) or ABSENT),
+            *([held_again] if any(case.held_again for case in summary.cases) else []),
         ],
         summary.cases,
         "The margin to quote is the smallest of all that is known; held and every pattern are of"
-        " the arm as given, the best case. A loop starts with the full"
+        " the arm as given, the best case. RMS error there: of the worst joint, at the margin. A loop starts with the full"
         " value, or is running, and the value grows while the arm moves. A value holds if the"
         " bounds are kept from every start with every seed; held is the"
         f" {furthest(summary)} value up to"
