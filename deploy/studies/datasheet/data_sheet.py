@@ -171,4 +171,4 @@ def window_starts_s(network: str, count: int) -> list[float]:
     means_ns = (sums_ns[ends] - sums_ns[:-1]) / (ends - np.arange(len(ends)))
     worst_ns = max(0, int(trace.times_ns[means_ns.argmax()]) - _LEAD_NS)
     spread_ns = np.arange(count - 1) * trace.length_ns / (count - 1)
-    return list(dict.fromkeys(round(1e-9 * each, 3) for each in (*spread_ns.tolist(), worst_ns)))
+    return sorted({round(1e-9 * each, 3) for each in (*spread_ns.tolist(), worst_ns)})

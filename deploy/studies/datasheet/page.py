@@ -231,7 +231,7 @@ def _panels(sheet: DrawnSheet) -> list[Panel[DrawnSheet]]:
             "Delay", "share-kept", "Share of runs or plants that keep their bounds", _share_kept,
             "Thick: the number to quote. Lines: runs of the arm as given at a constant delay, which"
             " is the best case. Dotted: the best case for any pattern of delays.", notes={
-                "uncertain plants": "A point is the share of plants with other masses and friction.",
+                "uncertain plants": "Each plant has other masses and friction.",
                 "share of the network's round trips below": "Grey: the network's worst window.",
             },
         )
