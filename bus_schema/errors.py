@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
-from bus_schema.foreign_text import shortened
+from bus_schema.foreign_text import in_one_line, shortened
 
 _SHOWN_KEYS = 12
 _LONGEST = 120
@@ -119,7 +119,23 @@ def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
 
 
 class InputError(Exception):
-    """The user's input cannot be used; the message says why, and what is allowed."""
+    """The user's input cannot be used; the message says why, and what is allowed.
+
+    Args:
+        lines: the message, mostly in one line. A line feed or another invisible character in it,
+            as of a file's name, is shown as in Python's strings.
+    """
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__(*map(in_one_line, lines))
+
+    def __str__(self) -> str:
+        return "\n".join(self.args)
+
+    def lines(self, before: str, after: str = "") -> list[str]:
+        """Return its lines with a text before the first one and after the last one."""
+        *others, last = [before + self.args[0], *self.args[1:]]
+        return [*others, last + after]
 
 
 class Stopped(BaseException):

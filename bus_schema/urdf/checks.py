@@ -7,7 +7,9 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 
+from bus_schema.configuration import shown
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.foreign_text import shortened
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -52,12 +54,10 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise RobotDescriptionError(
-            f"{attribute}={shortened(text)!r} of {owner} is not a finite number"
-        )
+        raise RobotDescriptionError(f"{attribute}={shown(text)} of {owner} is not a finite number")
     if abs(value) > _LARGEST:
         allowed = f"must be at most {_LARGEST:g} in size"
-        raise RobotDescriptionError(f"{attribute}={shortened(text)!r} of {owner} {allowed}")
+        raise RobotDescriptionError(f"{attribute}={shown(text)} of {owner} {allowed}")
     return value
 
 
@@ -81,17 +81,15 @@ def _check_texts(root: ET.Element) -> None:
     """
     for element in root.iter():
         named = element.get("name", "")
-        where = f"<{element.tag}" + (f" name={shortened(named)!r}>" if named else ">")
+        where = f"<{element.tag}" + (f" name={shown(named)}>" if named else ">")
         for name, text in element.attrib.items():
             if (found := _UNEXPANDED.search(text)) is not None:
                 raise RobotDescriptionError(
-                    f"{name} of {where} holds {shortened(found.group())!r}, which xacro has not"
+                    f"{name} of {where} holds {shown(found.group())}, which xacro has not"
                     " expanded: name the .xacro file itself, or run xacro on it first"
                 )
         if "%" in named:
-            raise RobotDescriptionError(
-                f"name={shortened(named)!r} of <{element.tag}> must have no %"
-            )
+            raise RobotDescriptionError(f"name={shown(named)} of <{element.tag}> must have no %")
 
 
 def _check_names(kind: str, elements: list[ET.Element]) -> None:
@@ -102,7 +100,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
     for name, count in Counter(names).items():
         if count > 1 or not name or len(name) > _LONGEST_NAME:
             allowed = f"must be unique and not empty, of at most {_LONGEST_NAME} characters"
-            raise RobotDescriptionError(f"{kind} names {allowed}: {shortened(name)!r}")
+            raise RobotDescriptionError(f"{kind} names {allowed}: {shown(name)}")
 
 
 def _check_tree(root: ET.Element) -> None:
@@ -113,25 +111,23 @@ def _check_tree(root: ET.Element) -> None:
         ends = joint_ends(joint)
         for kind, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:
-                raise RobotDescriptionError(
-                    f"{kind} of {_owner(joint)}: no link {shortened(link)!r}"
-                )
+                raise RobotDescriptionError(f"{kind} of {_owner(joint)}: no link {shown(link)}")
         parent, child = ends
         if parent == child:
             allowed = "parent and child must be two links"
             raise RobotDescriptionError(
-                f"{_owner(joint)} joins link {shortened(child)!r} to itself; {allowed}"
+                f"{_owner(joint)} joins link {shown(child)} to itself; {allowed}"
             )
         if child in carriers:
             raise RobotDescriptionError(f"link {child!r} is the child of more than one joint")
         carriers[child] = parent
     bases = sorted(links - carriers.keys())
     if len(bases) != 1:
-        shown = shortened(", ".join(bases)) or "none"
-        raise RobotDescriptionError(f"one link must be the child of no joint, not {shown}")
+        named = shortened(", ".join(bases)) or "none"
+        raise RobotDescriptionError(f"one link must be the child of no joint, not {named}")
     if apart := links - _reached(bases[0], carriers):
-        shown = shortened(", ".join(sorted(apart)))
-        raise RobotDescriptionError(f"the joints of {shown} form a circle")
+        named = shortened(", ".join(sorted(apart)))
+        raise RobotDescriptionError(f"the joints of {named} form a circle")
 
 
 def _reached(base: str, carriers: dict[str, str]) -> set[str]:
@@ -150,15 +146,13 @@ def _reached(base: str, carriers: dict[str, str]) -> set[str]:
 def _check_joint(joint: ET.Element) -> None:
     owner, kind = _owner(joint), joint.get("type", "")
     if kind not in _TYPES:
-        raise RobotDescriptionError(
-            f"type={shortened(kind)!r} of {owner}: one of {', '.join(_TYPES)}"
-        )
+        raise RobotDescriptionError(f"type={shown(kind)} of {owner}: one of {', '.join(_TYPES)}")
     _check_places(owner, joint)
     axis = joint.find("axis")
     if kind in MOVING_TYPES and axis is not None:
         direction = _vector(owner, "axis xyz", axis.get("xyz", "1 0 0"))
         if not 1e-3 < math.hypot(*direction) < 1e3:
-            given = f"axis xyz={shortened(axis.get('xyz', ''))!r} of {owner} is no direction"
+            given = f"axis xyz={shown(axis.get('xyz', ''))} of {owner} is no direction"
             raise RobotDescriptionError(f"{given}; must be 0.001 to 1000 long, such as 0 0 1")
     for limit in joint.findall("limit"):
         for name in ("lower", "upper", "effort", "velocity"):
@@ -177,7 +171,7 @@ def _check_resistance(owner: str, name: str, text: str) -> None:
         return
     if finite_number(owner, name, text) < 0.0:
         raise RobotDescriptionError(
-            f"{name}={shortened(text)!r} of {owner} must not be negative: it would drive the joint"
+            f"{name}={shown(text)} of {owner} must not be negative: it would drive the joint"
         )
 
 
@@ -235,7 +229,7 @@ def _check_places(owner: str, element: ET.Element) -> None:
 def _vector(owner: str, name: str, text: str) -> list[float]:
     parts = text.split()
     if len(parts) != 3:
-        raise RobotDescriptionError(f"{name}={shortened(text)!r} of {owner} must be three numbers")
+        raise RobotDescriptionError(f"{name}={shown(text)} of {owner} must be three numbers")
     return [finite_number(owner, name, part) for part in parts]
 
 
@@ -248,8 +242,3 @@ def _the_one(element: ET.Element, tag: str, owner: str) -> ET.Element:
 
 def _owner(element: ET.Element) -> str:
     return f"{element.tag} {shortened(element.get('name', ''))}"
-
-
-def shortened(text: str) -> str:
-    """Shorten a text to what a message can hold."""
-    return text if len(text) <= 60 else text[:57] + "..."

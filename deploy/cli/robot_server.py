@@ -169,8 +169,8 @@ def _server(interface: str, vendor: str | None) -> type[RobotServer]:
     except ConfigurationError as error:
         raise ScenarioError(f"--interface {interface}: {error.allowed}") from error
     if interface not in server.interfaces:
-        kinds = " or ".join(server.interfaces)
-        raise ScenarioError(f"--interface {interface}: must be {kinds} with --vendor {vendor}")
+        allowed = " or ".join(server.interfaces)
+        raise ScenarioError(f"--interface {interface}: must be {allowed} with --vendor {vendor}")
     return server
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bus_schema.errors import InputError, Stopped
-from bus_schema.foreign_text import say
+from bus_schema.foreign_text import in_one_line, say
 
 FINISHED, FAULT, BAD_INPUT, BOUNDS_NOT_KEPT, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -24,5 +24,5 @@ def with_exit_codes() -> Iterator[None]:
         print("stopped", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except OSError as error:  # the disk is full or was removed
-        say(f"error: {error}", err=True)
+        say(f"error: {in_one_line(str(error))}", err=True)
         sys.exit(FAULT)

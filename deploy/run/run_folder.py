@@ -190,7 +190,8 @@ def load_run(path: Path, setup: Setup | None = None) -> tuple[RunData, LogConten
     try:
         setup = setup or _setup_in(contents)
     except ScenarioError as error:
-        raise RunFolderError(f"{file}: its scenario cannot be used: {error}{damage}") from error
+        said = error.lines(f"{file}: its scenario cannot be used: ", damage)
+        raise RunFolderError(*said) from error
     run = contents.metadata.get(RUN_METADATA, {})
     lost, rejected = _counts(contents, LOST_METADATA), _counts(contents, REJECTED_METADATA) or {}
     data = build_run_data(

@@ -158,7 +158,7 @@ def _extended(given: Mapping[str, Any], path: Path) -> dict[str, Any]:
         try:
             found = find_yaml(base, SHIPPED, file.parent).resolve()
         except ScenarioError as error:
-            raise ScenarioError(f"{file}: extends = {error}") from error
+            raise ScenarioError(*error.lines(f"{file}: extends = ")) from error
         if found in chain:
             circle = " extends ".join(each.name for each in [*chain[chain.index(found) :], found])
             raise ScenarioError(f"{file}: extends = {shown(base)}: must be no circle: {circle}")

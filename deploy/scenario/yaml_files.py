@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import ConfigurationError, SettingsError, shown
 from bus_schema.errors import InputError, did_you_mean
-from bus_schema.foreign_text import in_one_line, shortened
+from bus_schema.foreign_text import shortened
 from bus_schema.user_files import ARM_FILES, is_file, named_in_folder, read_text
 from deploy.scenario.checking.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
@@ -49,11 +49,11 @@ def naming(source: Path | Origin) -> Iterator[None]:
         yield
     except SettingsError as error:
         explained = explain(error.error, error.model, origin, error.section.split("."))
-        raise ScenarioError(explained) from error
+        raise ScenarioError(*explained) from error
     except ConfigurationError as error:
         raise ScenarioError(f"{origin.of(error.key, error.beside)}: {error}") from error
     except ScenarioError as error:
-        raise ScenarioError(f"{in_one_line(str(origin.file))}: {error}") from error
+        raise ScenarioError(*error.lines(f"{origin.file}: ")) from error
 
 
 def find_yaml(
@@ -118,7 +118,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         ScenarioError: it cannot be read, or is no mapping.
     """
-    name = in_one_line(str(path))
+    name = str(path)
     try:
         text = read_text(path)
         if text.lstrip().startswith(_XML):
@@ -198,7 +198,7 @@ def validated(values: Mapping[str, Any], model: type[Model], source: Path | Orig
         return model.model_validate(values)
     except ValidationError as error:
         origin = source if isinstance(source, Origin) else Origin(source)
-        raise ScenarioError(explain(error, model, origin)) from error
+        raise ScenarioError(*explain(error, model, origin)) from error
 
 
 def to_yaml(values: Mapping[str, Any]) -> str:

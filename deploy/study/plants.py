@@ -67,10 +67,11 @@ class Variant:
         if "plant" not in self.columns:
             return error
         drawn = {key: value for key, value in self.columns.items() if key != "plant"}
-        return ScenarioError(
-            f"plant {self.number}: {error}; narrow the ranges under uncertainty so that this"
-            f" cannot be drawn. Drawn: {json.dumps(drawn)}"
+        after = (
+            "; narrow the ranges under uncertainty so that this cannot be drawn."
+            f" Drawn: {json.dumps(drawn)}"
         )
+        return ScenarioError(*error.lines(f"plant {self.number}: ", after))
 
 
 @dataclass(frozen=True)

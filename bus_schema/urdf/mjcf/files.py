@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.foreign_text import shortened
 from bus_schema.mujoco_library import mujoco
-from bus_schema.urdf.checks import check_depth, shortened
+from bus_schema.urdf.checks import check_depth
 from bus_schema.urdf.packages import repository_of
 from bus_schema.user_files import read_text
 

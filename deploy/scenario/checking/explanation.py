@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import Sections, shown
 from bus_schema.errors import did_you_mean
-from bus_schema.foreign_text import in_one_line, shortened
+from bus_schema.foreign_text import shortened
 from deploy.scenario.base_units import hint_of_unit, with_unit_of_key
 
 _MOST_PROBLEMS = 20
@@ -72,9 +72,7 @@ class Origin:
         if own is not None:
             return own
         others = [other for each in beside if (other := self._set(each)) is not None]
-        return ", ".join(
-            [in_one_line(str(self.file)), *dict.fromkeys(f"with {other}" for other in others)]
-        )
+        return ", ".join([str(self.file), *dict.fromkeys(f"with {other}" for other in others)])
 
     def is_set(self, key: str) -> bool:
         """Whether it was set beside the file."""
@@ -90,7 +88,7 @@ class Origin:
 
 def explain(
     error: ValidationError, model: type[BaseModel], origin: Origin, within: Sequence[str] = ()
-) -> str:
+) -> list[str]:
     """Explain invalid values: origin, key, value, and what is allowed; a line each.
 
     Args:
@@ -102,9 +100,7 @@ def explain(
     problems = error.errors(include_url=False)
     lines = [_sentence(each, model, origin, within) for each in problems[:_MOST_PROBLEMS]]
     more = len(problems) - len(lines)
-    return "\n".join(
-        [*lines, f"{in_one_line(str(origin.file))}: and {more} more problems"] if more else lines
-    )
+    return [*lines, f"{origin.file}: and {more} more problems"] if more else lines
 
 
 def _sentence(problem: Any, model: type[BaseModel], origin: Origin, within: Sequence[str]) -> str:

@@ -112,7 +112,7 @@ class Tuning(StudyOfRuns):
             fixed = FIXED - {"boundary_layer"} if wanted.travel_limit_per_s else FIXED
             search = GainSearch(start, wanted.budget, wanted.search_seed, wanted.ranges, fixed)
         except InputError as error:
-            raise ConfigurationError("laws", law, str(error)) from error
+            raise ConfigurationError("laws", law, "; ".join(error.args)) from error
         return _Law(law, setup, search)
 
     @property
