@@ -215,6 +215,8 @@ def loss_words(loss: LossReason) -> str:
         return f"{words} {loss.fault}"
     if (own_ms := loss.own_lag_ms) is not None:
         return f"{words} of {own_ms:.0f} ms"
+    if loss.delay_ms is not None:
+        return f"{words} of {loss.delay_ms:.0f} ms"
     words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
     if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:

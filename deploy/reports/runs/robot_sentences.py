@@ -5,7 +5,8 @@ from __future__ import annotations
 from shlex import quote
 
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
-from deploy.judge.findings.loss_reason import Reason, is_mostly
+from deploy.judge.findings.loss import is_mostly
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.robot_lag import RobotLag

@@ -7,7 +7,13 @@ from functools import partial
 
 from deploy.reports.studies.case_result import case_title, equipment_text, setting_text
 from deploy.reports.studies.case_sentences import doubts, saved_runs
-from deploy.reports.studies.study_texts import listed, losses_text, remedy_text, value_text
+from deploy.reports.studies.study_texts import (
+    listed,
+    losses_text,
+    reason_sentences,
+    remedy_text,
+    value_text,
+)
 from deploy.scenario.playout import EXPECTED
 from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.texts import (
@@ -108,6 +114,7 @@ def margin_sentences(summary: MarginResult) -> list[str]:
         *patterns,
         *_held_again(summary),
         *_flawed(summary),
+        *_reasons(summary),
     ]
     rotors = [
         f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
@@ -124,7 +131,7 @@ def brief_margin_sentences(summary: MarginResult) -> list[str]:
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
     found = [*doubts(summary.cases), *lost_at_once(summary), *patterns]
     limits = [*_gaps(summary), *_too_slow(summary)]
-    return [*found, *_held_again(summary), *in_theory(summary), *limits]
+    return [*found, *_reasons(summary), *_held_again(summary), *in_theory(summary), *limits]
 
 
 def _headlines(summary: MarginResult) -> list[str]:
@@ -198,6 +205,17 @@ def _flawed(summary: MarginResult) -> list[str]:
         for name, words in _FLAWS.items()
         if getattr(probe, name)
     ]
+
+
+def _reasons(summary: MarginResult) -> list[str]:
+    """Explain the reasons of losses at the first failures, but of loops that keep their bounds."""
+    failed = [probe for case in summary.cases if (probe := case.probe_at(case.first_failure))]
+    return reason_sentences(
+        name
+        for probe in failed
+        if not any(getattr(probe, flaw) for flaw in _FLAWS)
+        for name in probe.losses
+    )
 
 
 def _without_theory(summary: MarginResult) -> list[MarginCase]:
