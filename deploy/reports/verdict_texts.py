@@ -221,7 +221,7 @@ def loss_words(loss: LossReason) -> str:
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
     if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:
         words += f" by e^({rate:.3g} t)"
-    if loss.reason in (Reason.UNSTABLE, Reason.GROWING) and loss.without_delay:
+    if loss.reason in (Reason.UNSTABLE, Reason.GROWING, Reason.SWINGING) and loss.without_delay:
         words += ", even without a delay"
     return words
 

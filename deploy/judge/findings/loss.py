@@ -13,7 +13,11 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode
 from deploy.judge.bounds import bound_usage
+from deploy.judge.findings.divergence import divergence
+from deploy.judge.findings.growing import Growth, turning_points
+from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.vibration import at_limits
+from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.run_data import RunData, Table
 from deploy.scenario.robot_interface import own_lag_s, uncovered_lag_s
 
@@ -27,6 +31,10 @@ LATELY_S, MUCH_OLDER, LATE_NS = 0.15, 3.0, 10e6
 its likely cause."""
 _PERIODS_WITHOUT_DELAY = 1.5
 """A command acts one period after the measurement where nothing delays it."""
+_FEWEST_SWINGS, _TIMES_REFERENCE = 4, 2
+SWUNG_BACK = 2
+"""Changes from one torque limit to the other; a braked motion has one."""
+_A_LITTLE_MORE = 1.2
 _FEW_DELAYS = 2.0
 """A law that had less time than this shows little effect yet."""
 
@@ -139,6 +147,20 @@ class Loss:
         return np.asarray(self.times_s[part][at[1:][changed]])
 
     @cached_property
+    def swings_hz(self) -> float | None:
+        """Frequency of swings by half of the bound or more, faster than the reference's own."""
+        before = slice(self.first, self.tick + 1)
+        errors, times_s = self.errors_rad[before], self.times_s[before]
+        if not np.isfinite(errors).all():
+            return None
+        turns = turning_points(errors)
+        is_large = np.abs(np.diff(errors[turns])) >= MOSTLY * abs(errors[-1])
+        of_reference = len(turning_points(self.wanted_rad[before]))
+        if is_large.sum() < max(_FEWEST_SWINGS, _TIMES_REFERENCE * of_reference):
+            return None
+        return float(0.5 / np.median(np.diff(times_s[turns])[is_large]))
+
+    @cached_property
     def is_starved(self) -> bool:
         """Whether the law had nothing left to send for most of the time in which the error rose."""
         ended = self.run.last_values(Role.CONTROLLER, EventKind.ENDED)
@@ -181,6 +203,26 @@ class Loss:
         """Whether the law had less than two of its delays to act."""
         lasted_s = float(self.times_s[self.tick] - self.times_s[self.acting])
         return lasted_s <= _FEW_DELAYS * self.delay_s
+
+    @cached_property
+    def divergence(self) -> Growth | None:
+        """Exponential growth with which the error left its bounds; None for none."""
+        around, joint = slice(self.acting, self.end), self.joint
+        errors, torques = self.errors_rad[around], self.truth["torque"][around, joint]
+        if not np.isfinite(errors).all() or rows_after_gaps(self.run, self.times_s[around]).size:
+            return None
+        rate_hz = self.run.setup.scenario.rate_hz
+        return divergence(errors, torques, self.tick - self.acting, rate_hz)
+
+    @cached_property
+    def lag_s(self) -> float | None:
+        """Time by which the joint followed its reference late; None for no constant time."""
+        before = slice(self.first, self.tick + 1)
+        errors, period_s = self.errors_rad[before], 1e-9 * self.run.setup.grid.period_ns
+        is_known = len(errors) > 1 and bool(np.isfinite(errors).all())
+        if not is_known or len(self.swings_s(before)) >= SWUNG_BACK:
+            return None
+        return lag_s(errors, self.wanted_rad, period_s, _A_LITTLE_MORE * self.own_lag_s)
 
     def late_errors_rad(self, late_s: float) -> Vector:
         """Return the error of an arm that follows the joint's reference late, at every tick."""

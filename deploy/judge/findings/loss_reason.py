@@ -14,22 +14,24 @@ from bus_schema.messages.topics import Role
 from controller.laws import LAWS
 from controller.outer_laws.streaming import Streaming
 from deploy.judge.bounds import bound_usage
-from deploy.judge.findings.divergence import divergence
 from deploy.judge.findings.gravity import sags
 from deploy.judge.findings.growing import Growth, growing_swings
-from deploy.judge.findings.lag import lag_s
-from deploy.judge.findings.loss import LATE_NS, LATELY_S, MOSTLY, MUCH_OLDER, Loss, is_mostly
-from deploy.judge.recorded_ticks import rows_after_gaps
+from deploy.judge.findings.loss import (
+    LATE_NS,
+    LATELY_S,
+    MOSTLY,
+    MUCH_OLDER,
+    SWUNG_BACK,
+    Loss,
+    is_mostly,
+)
 from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import RunData
 from deploy.scenario.robot_interface import moves_model
 
-_SWUNG_BACK = 2
-"""Changes from one torque limit to the other; a braked motion has one."""
 _LAGS_OF_A_SWING = 4.0
 """An integrator behind a delay of L is lost with swings of 4 L, and a double one with longer ones:
 a loss before that shows none."""
-_A_LITTLE_MORE = 1.2
 _NOTABLE = 0.05
 """Share of a slow error that arose within the delay; friction alone has less."""
 
@@ -68,6 +70,11 @@ class Reason(StrEnum):
     GROWING = (
         "growing", "as an oscillation grew",
         "an oscillation grew: the delay is too long for the gains",
+    )  # fmt: skip
+    SWINGING = (
+        "oscillation", "as it oscillated",
+        "an error swung by half of its bound or more, faster than the reference, without growing:"
+        " the delay is too long for the gains, or they are too high",
     )  # fmt: skip
     VIBRATION = (
         "vibration", "as its torque swung between its limits",
@@ -198,7 +205,9 @@ class _Loss(Loss):
         return found.model_copy(update={"without_delay": self.is_without_delay})
 
     def _slow(self) -> LossReason:
-        """Return the part of the delay in a slow error, of a law that acts on errors."""
+        """Return what keeps an error large: swings, or its delay, of a law that acts on errors."""
+        if self.swings_hz is not None:
+            return self._because(Reason.SWINGING, hertz=self.swings_hz)
         law = self.run.setup.scenario.controller.law
         is_open = law in LAWS and LAWS[law].build is Streaming
         is_due = self.is_early or self.arisen_share >= MOSTLY
@@ -241,7 +250,7 @@ class _Loss(Loss):
         )
 
     def _of_chunks(self) -> LossReason | None:
-        """Whether a chunk ran out or moved the target by much, or an answer was older than usual."""
+        """Whether a chunk ran out or moved the target by much, or an answer was much older."""
         if self.is_starved:
             return self._because(Reason.RAN_OUT)
         found = self.run.last_values(Role.CONTROLLER, EventKind.ENDED).get("chunks", {})
@@ -267,13 +276,7 @@ class _Loss(Loss):
         return self._because(Reason.LATE) if self.is_after_late_command else None
 
     def _divergence(self) -> LossReason | None:
-        around, joint = slice(self.acting, self.end), self.joint
-        errors, torques = self.errors_rad[around], self.truth["torque"][around, joint]
-        if not np.isfinite(errors).all() or rows_after_gaps(self.run, self.times_s[around]).size:
-            return None
-        rate_hz = self.run.setup.scenario.rate_hz
-        growth = divergence(errors, torques, self.tick - self.acting, rate_hz)
-        if growth is None:
+        if (growth := self.divergence) is None:
             return None
         needs_delay = growth.frequency_hz > 0.0 and not self.is_without_delay
         return self._because(Reason.GROWING if needs_delay else Reason.UNSTABLE, growth)
@@ -281,7 +284,7 @@ class _Loss(Loss):
     def _at_limits(self) -> LossReason | None:
         """Return what torques at their limits mean: too much, the wrong sign, or not enough."""
         swings_s = self.swings_s(slice(self.first, self.end))
-        if len(swings_s) >= _SWUNG_BACK:
+        if len(swings_s) >= SWUNG_BACK:
             hertz = 0.5 * (len(swings_s) - 1) / float(np.ptp(swings_s))
             return self._because(Reason.VIBRATION, hertz=hertz)
         after = slice(self.tick, self.end)
@@ -292,10 +295,4 @@ class _Loss(Loss):
         return self._because(Reason.SATURATED) if is_saturated else None
 
     def _lag(self) -> LossReason | None:
-        before = slice(self.first, self.tick + 1)
-        errors, period_s = self.errors_rad[before], 1e-9 * self.run.setup.grid.period_ns
-        is_known = len(errors) > 1 and bool(np.isfinite(errors).all())
-        if not is_known or len(self.swings_s(before)) >= _SWUNG_BACK:
-            return None
-        lag = lag_s(errors, self.wanted_rad, period_s, _A_LITTLE_MORE * self.own_lag_s)
-        return None if lag is None else self._because(Reason.LAG, lag_ms=1e3 * lag)
+        return None if self.lag_s is None else self._because(Reason.LAG, lag_ms=1e3 * self.lag_s)

@@ -66,6 +66,13 @@ def test_a_slow_loss_names_its_delay_where_the_error_arose_within_it(overrides, 
     assert (found["reason"], loss_words(LossReason(**found))) == (reason, words)
 
 
+def test_swings_that_do_not_grow_are_an_oscillation():
+    """At 21.5 ms this switching law keeps its bounds."""
+    found = loss("link.uplink.delay_ms=22", "controller.law=smc", duration_s=11)
+    assert found["reason"] == "oscillation"
+    assert 5.0 < found["frequency_hz"] < 15.0
+
+
 def test_a_study_explains_each_reason_in_one_clause():
     said = reason_sentences(["growing", "growing", "of an older version"])
     assert said == ["Lost by growing: an error left its bounds as an oscillation grew."]
@@ -162,7 +169,7 @@ def test_slow_growth_is_not_called_friction(tmp_path):
 
 
 def test_a_transport_delay_is_a_lag_of_its_length(tmp_path):
-    """A loop at the drives with both poles at -100/s is 2/100 s behind, and the delay more."""
+    """A drive loop with both poles at -100/s is 2/100 s behind, and the delay more."""
     found = loss_of(policy_setup(tmp_path, "link.downlink.delay_ms=80"))
     assert found["reason"] == "lag"
     assert found["lag_ms"] == pytest.approx(80.0 + 20.0, rel=0.05)

@@ -33,7 +33,7 @@ def helped(**values):
 
 
 def below_six(run):
-    """At 6 ms all is lost, but with compensation or a loop at the drives."""
+    """At 6 ms all is lost, but with compensation or a drive loop."""
     change, value = run.columns["change"], run.columns["value"]
     if value < 6.0 or (change in HELPS and change is not None):
         return made_up(run) | {"margin_min": HELPS.get(change, 0.1)}
