@@ -111,14 +111,15 @@ def margin_sentences(summary: MarginResult) -> list[str]:
     found = [
         *_headlines(summary),
         *lost_at_once(summary),
+        *none_quoted(summary),
         *patterns,
         *_held_again(summary),
         *_flawed(summary),
         *_reasons(summary),
     ]
     rotors = [
-        f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
-        f" {smaller} if the rotors are a tenth."
+        f"{case_title(case)}: {margin_text(case, summary)} with the estimated rotors,"
+        f" {smaller} with a tenth of them."
         for case in summary.cases
         if (smaller := rotors_text(case, summary))
     ]
@@ -129,7 +130,7 @@ def margin_sentences(summary: MarginResult) -> list[str]:
 def brief_margin_sentences(summary: MarginResult) -> list[str]:
     """Return margins in words, without what a table beside them says."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
-    found = [*doubts(summary.cases), *lost_at_once(summary), *patterns]
+    found = [*doubts(summary.cases), *lost_at_once(summary), *none_quoted(summary), *patterns]
     limits = [*_gaps(summary), *_too_slow(summary)]
     return [*found, *_reasons(summary), *_held_again(summary), *in_theory(summary), *limits]
 
@@ -175,6 +176,16 @@ def lost_at_once(summary: MarginResult) -> list[str]:
         if case.completed and case.margin is None
         if (probe := case.probe_at(case.first_failure))
         if (remedy := remedy_text(probe.losses, case.law, laws))
+    ]
+
+
+def none_quoted(summary: MarginResult) -> list[str]:
+    """Explain each case without a margin to quote, although its own runs held."""
+    return [
+        f"{case_title(case)}: {margin_text(case, summary)} held on the arm as given, but the margin"
+        f" is none ({because_text(case)}): it is the smallest result of all tests."
+        for case in summary.cases
+        if case.completed and case.quoted is None and case.margin is not None and because_text(case)
     ]
 
 
