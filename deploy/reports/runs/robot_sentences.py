@@ -39,7 +39,7 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     tip = (
         ""
         if parts.tip_rms_mm is None
-        else f", which alone is {number(parts.tip_rms_mm)} mm at the tip"
+        else f", which alone is {number(parts.tip_rms_mm)} mm at the tip (RMS)"
     )
     sentences.append(
         f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}{own}."
@@ -78,7 +78,7 @@ def _on_losses(run: RunData, result: RunResult, parts: RobotLag) -> list[str]:
         return []
     said = []
     if late_ms is not None:
-        at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
+        at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip (RMS)"
         messages = "1 message" if lost == 1 else f"{lost:,} messages"
         said.append(
             f"With {messages} lost, commands in force were {number(late_ms)} ms older on average"
