@@ -160,7 +160,7 @@ class ControllerConfiguration(StrictModel):
         if settings.enabled and is_network and self.drive_feedback.enabled:
             raise ValueError(
                 f"delay_compensation.predictor must not be {settings.predictor} while"
-                " drive_feedback.enabled is true: it does not see the torques of the drives' loops"
+                " drive_feedback.enabled is true: it does not see the torques of the drive loops"
             )
         return self
 

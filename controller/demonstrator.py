@@ -43,7 +43,7 @@ class Demonstrator:
         """Do nothing: it remembers nothing."""
 
     def torque(self, tracking: Tracking) -> Vector:
-        """Return zero torques: a loop at the drives or the robot's own makes them."""
+        """Return zero torques: a drive loop or the robot's own makes them."""
         return np.zeros_like(tracking.error)
 
     def target(self, tracking: Tracking) -> Matrix:

@@ -250,7 +250,7 @@ class PhysicsConfiguration(StrictModel):
 
 
 class DriveLoopConfiguration(StrictModel):
-    """A loop closed at the drives, around targets that are sent with the torques.
+    """A drive loop, closed at the motor drives around targets that are sent with the torques.
 
     Attributes:
         enabled: whether the drives accept targets; true with ``controller.drive_feedback.enabled``.

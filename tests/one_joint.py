@@ -69,7 +69,7 @@ def policy_setup(
     folder: Path, *overrides: str, rows: int = 1, every: int = 1, funnel_rad: float = 0.05,
     **gains: Any,
 ) -> Setup:  # fmt: skip
-    """Return a scenario with `Policy` along `WAVE`, and a loop at the drives of 100 rad/s."""
+    """Return a scenario with `Policy` along `WAVE`, and a drive loop of 100 rad/s."""
     drive = {"enabled": True, "bandwidth_rad_s": 100.0}
     controller = {
         "law": "tests.joint_laws:Policy", "gains": {"custom": {"rows": rows, **gains}},

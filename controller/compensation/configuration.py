@@ -68,7 +68,7 @@ class DriveFeedbackConfiguration(StrictModel):
 
     Attributes:
         enabled: whether commands contain targets and torques, and the emulated drives use both.
-        bandwidth_rad_s: bandwidth ω of the drives' loop; stiffness is I ω², damping 2 I ω, with the
+        bandwidth_rad_s: bandwidth ω of the drive loop; stiffness is I ω², damping 2 I ω, with the
             joint's inertia I.
     """
 

@@ -152,7 +152,7 @@ def _ask(
     row: Matrix, age_s: float, drive: DriveGains, limits: Vector, position: Vector,
     velocity: Vector, asked: Vector,
 ) -> None:  # fmt: skip
-    """Write the torque that a row with a target of this age and the drives' loops request, N m."""
+    """Write the torque that a row with a target of this age and the drive loops request, N m."""
     for i in range(asked.size):
         asked[i] = row[0, i]
         if drive.is_active:

@@ -135,7 +135,7 @@ class TargetsAlone:
         return self._diagnostics if own is None else own
 
     def torque(self, _tracking: Tracking) -> Vector:
-        """Return zeros: a loop at the drives or the robot's own controller finds its torques."""
+        """Return zeros: a drive loop or the robot's own controller finds its torques."""
         return self._torque
 
     def reset(self) -> None:

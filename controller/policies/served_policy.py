@@ -57,7 +57,7 @@ class ServedPolicy:
         """Do nothing: all state is the server's, which has one question at a time."""
 
     def torque(self, tracking: Tracking) -> Vector:
-        """Return zero torques: the robot, or a loop at its drives, follows the targets."""
+        """Return zero torques: the robot, or a drive loop, follows the targets."""
         return np.zeros_like(tracking.error)
 
     def target(self, tracking: Tracking) -> Matrix:

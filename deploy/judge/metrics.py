@@ -143,7 +143,7 @@ def judge(run: RunData) -> RunResult:
     known, errors = known_ticks(run), tracking(run)
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
-    faults, bounds, lags_ms = run.faults(), judge_bounds(run), lag_ms(run)
+    faults, bounds, lags_ms, loss = run.faults(), judge_bounds(run), lag_ms(run), loss_reason(run)
     is_ended = bool(outcome.get("completed", False)) and known.ticks >= setup.ticks
     damage = all_damage(run, bounds)
     grown = growths_of(run, is_known=not known.missing)
@@ -166,11 +166,11 @@ def judge(run: RunData) -> RunResult:
         real_time_factor=duration_s / wall_s if wall_s > _SHORTEST_S else None,
         seed_used=_is_seed_used(run),
         bounds=bounds,
-        loss=loss_reason(run),
+        loss=loss,
         tracking=errors,
         lag_ms=lags_ms,
         robot_lag=robot_lag(run, lags_ms),
-        tip_error_mm=tip_error_mm(run),
+        tip_error_mm=tip_error_mm(run, None if loss is None else loss.time_s),
         beyond_ranges=beyond_ranges(run),
         growing=growing(run, grown),
         not_tested_below_hz=grown.not_tested_below_hz,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from bus_schema.messages import topics
 from controller.laws import LAWS
@@ -19,6 +20,8 @@ from deploy.scenario.robot_interface import own_lag_s, preview_s
 from plant_emulator.interfaces.settings import TORQUE
 
 _MS, _MM = 1e3, 1e3
+_LEAST_LAG_S = 0.01
+"""Of a robot whose own lag is unknown: its drives."""
 _SOME_LOST = 3.0
 """Cycles from one target to the next, where some are lost."""
 
@@ -35,8 +38,9 @@ class RobotLag(Section):
         tip_rms_mm: RMS of the tip's error that is due to the lags of ``lag_ms`` alone
         late_ms: mean age of the commands in force beyond their age without losses; null where that
             is unknown, as with jitter, a trace, TCP, in real time and for laws slower than the loop
-        late_tip_rms_mm: RMS of the tip's error that is due to a lag of ``late_ms`` alone; null for
-            robots whose own lag changes with the number of targets that arrive
+        late_tip_rms_mm: RMS of the tip's error that is due to these ages alone, at every tick and
+            smoothed as by the robot's own lag; null for robots whose lag changes with the number of
+            targets that arrive
     """
 
     own_ms: float
@@ -59,7 +63,7 @@ def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
     if interface.takes == TORQUE:
         return None
     needs_all = interface.lag_s(_SOME_LOST * interface.true_period_s) is None
-    late_ms = _late_ms(run)
+    late_s = _late_s(run)
     reads_ahead = run.controller in LAWS and LAWS[run.controller].gives != TORQUE
     ahead_s = preview_s(run.setup, run.setup.link) if reads_ahead else None
     lags = np.array([0.0 if each is None else each for each in lags_ms])
@@ -68,20 +72,18 @@ def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:
         preview_ms=None if ahead_s is None else _MS * ahead_s,
         without_preview_ms=_without_preview_ms(run, ahead_s) if ahead_s else None,
         tip_rms_mm=_tip_rms_mm(run, lags),
-        late_ms=late_ms,
-        late_tip_rms_mm=(
-            None if needs_all or late_ms is None else _tip_rms_mm(run, np.full_like(lags, late_ms))
-        ),
+        late_ms=None if late_s is None else _MS * float(late_s[follows(run)].mean()),
+        late_tip_rms_mm=None if needs_all or late_s is None else _late_tip_rms_mm(run, late_s),
     )
 
 
-def _late_ms(run: RunData) -> float | None:
-    """Return by how much losses made commands in force older on average; None if unknown."""
+def _late_s(run: RunData) -> Vector | None:
+    """Return by how much losses made the command in force older at each tick; None if unknown."""
     ages_ns, rows = run.tables[topics.PLANT_TRUTH.name]["command_age_ns"], follows(run)
     if not rows.any() or not _has_constant_age(run):
         return None
     without_ns = ages_ns[ages_ns >= 0].min()  # of each command that has just arrived
-    return 1e-6 * float(ages_ns[rows].mean() - without_ns)
+    return np.asarray(np.maximum(1e-9 * (ages_ns - without_ns), 0.0))
 
 
 def _has_constant_age(run: RunData) -> bool:
@@ -123,7 +125,26 @@ def _tip_rms_mm(run: RunData, lags_ms: NDArray[np.float64]) -> float | None:
     positions = run.tables[topics.PLANT_TRUTH.name]["position"]
     wanted = (positions - run.true_errors_rad)[rows]
     late = wanted - lags_ms / _MS * run.reference_velocities_rad_s[rows]
+    return _rms_apart_mm(run, late, wanted, moves=bool(lags_ms.any()))
+
+
+def _late_tip_rms_mm(run: RunData, late_s: Vector) -> float | None:
+    """Return the RMS distance of the tip from the reference's where commands are late alone.
+
+    A robot with a lag of T responds to a late command as a mean over some 2 T.
+    """
+    rows, times_s = follows(run), run.times_s(topics.PLANT_TRUTH)
+    lag_s = max(own_lag_s(run.setup), _LEAST_LAG_S)
+    box = np.ones(1 + min(len(times_s) - 1, round(2e9 * lag_s / run.setup.grid.period_ns)))
+    smooth_s = np.convolve(late_s, box / box.size)[: len(late_s)]
+    wanted = run.tables[topics.PLANT_TRUTH.name]["position"] - run.true_errors_rad
+    late = np.transpose([np.interp(times_s - smooth_s, times_s, joint) for joint in wanted.T])
+    return _rms_apart_mm(run, late[rows], wanted[rows], moves=bool(late_s.any()))
+
+
+def _rms_apart_mm(run: RunData, late: Matrix, wanted: Matrix, *, moves: bool) -> float | None:
+    """Return the RMS distance of tips; None where it is unknown, or no joint moves the tip."""
     if not len(late) or not np.isfinite(late).all():
         return None
     away_m = tips_apart_m(run.setup.robot, late, wanted)
-    return _MM * float(np.sqrt((away_m**2).mean())) if away_m.any() or not lags_ms.any() else None
+    return _MM * float(np.sqrt((away_m**2).mean())) if away_m.any() or not moves else None

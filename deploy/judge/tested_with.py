@@ -2,7 +2,7 @@
 
 The test is everything that decides how hard a law has it: arm, reference, funnel, duration, starts,
 seeds, rate, engine, plant, link, errors of the nominal model and the time that the law takes. The
-subject of the test is left out: the law, its gains, compensation and feedback at the drives.
+subject of the test is left out: the law, its gains, compensation and a drive loop.
 """
 
 from __future__ import annotations

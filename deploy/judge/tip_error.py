@@ -25,25 +25,38 @@ class TipError(Section):
         rms: RMS of the tip's distance from where the reference has it, from ``metrics.from_s`` on;
             null if no joint moves the tip
         largest: largest of these distances
+        at_loss: distance as the run left its bounds; null if it did not
     """
 
     rms: Annotated[float | None, Column()]
     largest: Annotated[float | None, Column()]
+    at_loss: float | None = None
 
 
-def tip_error_mm(run: RunData) -> TipError:
-    """Return RMS and largest distance of the true tip from the reference's, mm.
+def tip_error_mm(run: RunData, lost_s: float | None = None) -> TipError:
+    """Return RMS and largest distance of the true tip from the reference's, mm, and that at a loss.
 
-    Both are from ``metrics.from_s`` on, and None without a finite position there, or if the tip is
-    on the axes of all joints, so that no error of theirs moves it.
+    The first two are from ``metrics.from_s`` on, and None without a finite position there, or if
+    the tip is on the axes of all joints, so that no error of theirs moves it.
+
+    Args:
+        run: the run.
+        lost_s: time at which it left its bounds; None if it did not.
     """
     judged = run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s
     distances_m = _distances_m(run, judged)
     is_on_axes = not distances_m.any() and run.true_errors_rad[judged].any()
+    at_loss = None if is_on_axes or lost_s is None else _distance_mm(run, lost_s)
     if is_on_axes or not (len(distances_m) and np.isfinite(distances_m).all()):
-        return TipError(rms=None, largest=None)
+        return TipError(rms=None, largest=None, at_loss=at_loss)
     rms_m = float(np.sqrt((distances_m**2).mean()))
-    return TipError(rms=_MM * rms_m, largest=_MM * float(distances_m.max()))
+    return TipError(rms=_MM * rms_m, largest=_MM * float(distances_m.max()), at_loss=at_loss)
+
+
+def _distance_mm(run: RunData, time_s: float) -> float | None:
+    """Return the tip's distance from the reference at a recorded time; None if it is unknown."""
+    (distance_m,) = _distances_m(run, run.times_s(topics.PLANT_TRUTH) == time_s)
+    return _MM * float(distance_m) if np.isfinite(distance_m) else None
 
 
 def _distances_m(run: RunData, rows: np.ndarray) -> Vector:

@@ -84,11 +84,15 @@ def verdict_on_run(
 
 
 def _sentences_on_the_tip(result: RunResult, from_s: float) -> list[str]:
-    rms_mm, largest_mm = result.tip_error_mm.rms, result.tip_error_mm.largest
-    if rms_mm is None or largest_mm is None:
-        return []
-    most = f"{number(largest_mm)} mm at most"
-    return [f"The tip was off by {number(rms_mm)} mm RMS, {most}, from {from_s:g} s on."]
+    """Return how far the tip was off: as the arm left its bounds, and from a time on."""
+    tip, parts = result.tip_error_mm, []
+    if result.loss is not None and tip.at_loss is not None:
+        at = f"as the arm left its bounds at {result.loss.time_s:.3f} s"
+        parts.append(f"by {number(tip.at_loss)} mm {at}")
+    if tip.rms is not None and tip.largest is not None:
+        most = f"{number(tip.largest)} mm at most"
+        parts.append(f"by {number(tip.rms)} mm RMS, {most}, from {from_s:g} s on")
+    return [f"The tip was off {', and '.join(parts)}."] if parts else []
 
 
 def _sentences_on_chunks(chunks: Chunks | None) -> list[str]:
@@ -215,11 +219,13 @@ def loss_words(loss: LossReason) -> str:
         return f"{words} {loss.fault}"
     if (own_ms := loss.own_lag_ms) is not None:
         return f"{words} of {own_ms:.0f} ms"
+    if loss.delay_ms is not None:
+        return f"{words} of {loss.delay_ms:.0f} ms"
     words = f"{lag_ms:.0f} ms {words}" if lag_ms is not None else words
     words += "" if hertz is None else f" at {hertz:.2g} Hz"
     if loss.reason is Reason.UNSTABLE and (rate := loss.rate_per_s) is not None:
         words += f" by e^({rate:.3g} t)"
-    if loss.reason in (Reason.UNSTABLE, Reason.GROWING) and loss.without_delay:
+    if loss.reason in (Reason.UNSTABLE, Reason.GROWING, Reason.SWINGING) and loss.without_delay:
         words += ", even without a delay"
     return words
 

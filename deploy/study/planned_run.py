@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from controller.laws.read_files import files_read
-from deploy.judge.findings.loss_reason import AFTER_S
+from deploy.judge.findings.loss import AFTER_S
 from deploy.judge.run_rows import PROVENANCE, Row, early_row, failed_row, row
 from deploy.run.confirmation import confirmations, confirmed_row
 from deploy.run.execute import InProcess, execute

@@ -1,4 +1,4 @@
-"""Settings that have a margin: a law on an arm, with or without compensation and drive feedback."""
+"""Settings that have a margin: a law on an arm, with or without compensation and drive loop."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A moving picture of an arm on a Wi-Fi network, without help and with it.
 
-Help is delay compensation and a loop at the drives.
+Help is delay compensation and a drive loop.
 
     python -m scripts.experiments.moving_picture PICTURE.svg
 
@@ -144,6 +144,6 @@ def _side_view(model: ManipulatorModel, position: Any) -> str:
 if __name__ == "__main__":
     found = {
         f"{LAW} on {NETWORK}": run_on_network(is_helped=False),
-        "the same with compensation and a loop at the drives": run_on_network(is_helped=True),
+        "the same with compensation and a drive loop": run_on_network(is_helped=True),
     }
     Path(sys.argv[1]).write_text(picture(found), encoding="utf-8")

@@ -110,7 +110,7 @@ def is_on_mujoco(run: Finished) -> bool:
         ("paper_arm", LOOPED, has_targets),
         ("iiwa", LOADED | {"plant__physics__integrator": "runge_kutta_4"}, is_on_mujoco),
     ],
-    ids=["impaired", "loop at the drives", "MuJoCo Runge-Kutta"],
+    ids=["impaired", "drive loop", "MuJoCo Runge-Kutta"],
 )
 def test_run_equals_simulation_and_replay_bit_for_bit(tmp_path, arm, values, is_as_meant):
     given = settings(**{"duration_s": 0.6, "clock": "lockstep", **values})

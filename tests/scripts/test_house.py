@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -88,3 +89,12 @@ def test_modules_of_tests_have_names_of_their_own():
     """Pytest imports them by their last name: of two alike it leaves one out, with an error."""
     names = [file.name for file in (ROOT / "tests").rglob("test_*.py")]
     assert [name for name, count in Counter(names).items() if count > 1] == []
+
+
+def test_a_drive_loop_has_one_name_in_texts() -> None:
+    others = re.compile(r"drive feedback|(loops?|feedback) at the drives|drives' loop", re.I)
+    files = [*(ROOT / "deploy").rglob("*.md"), *(ROOT / "deploy").rglob("*.yaml")]
+    texts = {str(each): each.read_text() for each in files} | {
+        file: ast.unparse(tree) for file, tree in sources().items()
+    }
+    assert {name: found for name, text in texts.items() if (found := others.findall(text))} == {}

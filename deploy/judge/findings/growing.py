@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from deploy.judge.findings.slow_growth import LEAST_PERIODS, Oscillation, slow_oscillation
@@ -139,12 +140,17 @@ def _exponent(amplitudes_rad: Vector) -> float | None:
     return float(rise) if grows and is_straight and is_even else None
 
 
+def turning_points(values: Vector) -> NDArray[np.intp]:
+    """Return where values begin to rise or to fall."""
+    steps = np.diff(values)
+    return np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1
+
+
 def growing_swings(times_s: Vector, errors_rad: Vector) -> Growth | None:
     """Return the growth of an oscillation by its turning points; None for none that grows."""
     if not np.isfinite(errors_rad).all():
         return None
-    steps = np.diff(errors_rad)
-    turns = np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1
+    turns = turning_points(errors_rad)
     swings = np.abs(np.diff(errors_rad[turns]))
     if not swings.size:
         return None

@@ -3,45 +3,37 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 
-from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.modes import Mode
+from controller.laws import LAWS
+from controller.outer_laws.streaming import Streaming
 from deploy.judge.bounds import bound_usage
-from deploy.judge.findings.divergence import divergence
 from deploy.judge.findings.gravity import sags
 from deploy.judge.findings.growing import Growth, growing_swings
-from deploy.judge.findings.lag import lag_s
-from deploy.judge.findings.vibration import at_limits
-from deploy.judge.recorded_ticks import rows_after_gaps
+from deploy.judge.findings.loss import (
+    LATE_NS,
+    LATELY_S,
+    MOSTLY,
+    MUCH_OLDER,
+    SWUNG_BACK,
+    Loss,
+    is_mostly,
+)
 from deploy.judge.result.section import Column, Section
-from deploy.judge.run_data import RunData, Table
-from deploy.scenario.robot_interface import moves_model, own_lag_s, uncovered_lag_s
+from deploy.judge.run_data import RunData
+from deploy.scenario.robot_interface import moves_model
 
-_BEFORE_S = 1.0
-"""Time before the loss that is looked at."""
-_MOSTLY = 0.5
-_LATELY_S, _MUCH_OLDER, _LATE_NS = 0.15, 3.0, 10e6
-"""A command that was in force within this time before the loss, and older than usual by both, is
-its likely cause."""
-AFTER_S = 0.3
-"""Time after the loss in which its oscillation continues, if there is one."""
-_SWUNG_BACK = 2
-"""Changes from one torque limit to the other; a braked motion has one."""
-_PERIODS_WITHOUT_DELAY = 1.5
-"""A command acts one period after the measurement where nothing delays it."""
 _LAGS_OF_A_SWING = 4.0
 """An integrator behind a delay of L is lost with swings of 4 L, and a double one with longer ones:
 a loss before that shows none."""
-_A_LITTLE_MORE = 1.2
+_NOTABLE = 0.05
+"""Share of a slow error that arose within the delay; friction alone has less."""
 
 
 class Reason(StrEnum):
@@ -79,6 +71,11 @@ class Reason(StrEnum):
         "growing", "as an oscillation grew",
         "an oscillation grew: the delay is too long for the gains",
     )  # fmt: skip
+    SWINGING = (
+        "oscillation", "as it oscillated",
+        "an error swung by half of its bound or more, faster than the reference, without growing:"
+        " the delay is too long for the gains, or they are too high",
+    )  # fmt: skip
     VIBRATION = (
         "vibration", "as its torque swung between its limits",
         "the torque swung from one limit to the other and back",
@@ -112,7 +109,8 @@ class Reason(StrEnum):
     OWN_LAG = (
         "robot's lag", "by the robot's own lag",
         "the same, and the lag of the robot's own controller is half to twice that time, or half of"
-        " a slow error or more is due to it; or a law of torques drives such a robot, whose lag"
+        " a slow error or more is due to it, or of one after a late command, where the lag alone"
+        " leaves the bounds; or a law of torques drives such a robot, whose lag"
         " is a delay of its loop, and lost it within four times that lag, before an oscillation"
         " shows: read the reference ahead by the lag (`controller.preview_ms`), or make the robot's"
         " own loop faster",
@@ -123,9 +121,19 @@ class Reason(StrEnum):
         " exceeds friction, disturbance and the payload's part, while the joint could hold the"
         " weight: compare the same law with a gravity term",
     )  # fmt: skip
+    DELAY = (
+        "delay", "sooner than the law could act, over a delay",
+        "a slow error, half of which or more arose after the state that the command in force"
+        " answers, or that was there within two delays of the first command",
+    )  # fmt: skip
+    DELAY_OR_MODEL = (
+        "delay or model", "slowly, as by friction or an error of the model over a delay",
+        "a slow error, 5 % of which or more arose after the state that the command in force"
+        " answers: a shorter delay or a better model makes it smaller",
+    )  # fmt: skip
     SLOW = (
         "friction or model", "slowly, as by friction or an error of the model",
-        "anything else, a slow error",
+        "any other slow error, next to none of which is due to the delay",
     )  # fmt: skip
 
 
@@ -141,6 +149,7 @@ class LossReason(Section):
         lag_ms: the time by which the arm followed its reference late; null for no constant time
         own_lag_ms: of it, the lag of the robot's own controller at a constant speed; null unless it
             is the reason
+        delay_ms: age of the command in force, ms, where the delay is a reason; null otherwise
         without_delay: whether commands acted without a delay, also of the robot's own controller,
             so that none is the cause
         fault: the injected fault after which it was lost; null for none
@@ -153,13 +162,9 @@ class LossReason(Section):
     frequency_hz: float | None = None
     lag_ms: float | None = None
     own_lag_ms: float | None = None
+    delay_ms: float | None = None
     without_delay: bool = False
     fault: str | None = None
-
-
-def is_mostly(cause: float, effect: float) -> bool:
-    """Whether a cause is half of an effect or more, and not so much that others make up for it."""
-    return _MOSTLY * effect <= cause <= effect / _MOSTLY
 
 
 def loss_reason(run: RunData) -> LossReason | None:
@@ -178,127 +183,54 @@ def loss_reason(run: RunData) -> LossReason | None:
     return _Loss(run, joint, int(acting[0]), tick).reason()
 
 
-@dataclass(frozen=True)
-class _Loss:
-    """The loss of one joint.
-
-    Attributes:
-        joint: its number.
-        acting: the first tick at which a command acts.
-        tick: the first tick outside.
-    """
-
-    run: RunData
-    joint: int
-    acting: int
-    tick: int
-
-    @cached_property
-    def truth(self) -> Table:
-        return self.run.tables[topics.PLANT_TRUTH.name]
-
-    @cached_property
-    def times_s(self) -> Vector:
-        return self.run.times_s(topics.PLANT_TRUTH)
-
-    @cached_property
-    def first(self) -> int:
-        """The first tick of the time just before the loss."""
-        return max(
-            self.acting, int(np.searchsorted(self.times_s, self.times_s[self.tick] - _BEFORE_S))
-        )
-
-    @cached_property
-    def end(self) -> int:
-        """The end of the time just after the loss."""
-        return int(np.searchsorted(self.times_s, self.times_s[self.tick] + AFTER_S))
-
-    @cached_property
-    def errors_rad(self) -> Vector:
-        return np.asarray(self.run.true_errors_rad[:, self.joint])
-
-    @cached_property
-    def wanted_rad(self) -> Vector:
-        """The joint's reference until the loss."""
-        until = slice(self.tick + 1)
-        return np.asarray(self.truth["position"][until, self.joint] - self.errors_rad[until])
-
-    @cached_property
-    def is_without_delay(self) -> bool:
-        """Whether commands acted as soon as they can, and the law was asked at every state."""
-        controller = self.run.setup.scenario.controller
-        longest_s = 1e-9 * _PERIODS_WITHOUT_DELAY * self.run.setup.grid.period_ns
-        is_asked_always = controller.every == 1 and not controller.inference_ms
-        return bool(is_asked_always and self.usual_age_s + self.own_lag_s <= longest_s)
-
-    @cached_property
-    def usual_age_s(self) -> float:
-        """Median time from a state until its command is in force."""
-        return 1e-9 * float(np.median(self.truth["command_age_ns"][self.acting : self.tick + 1]))
-
-    @cached_property
-    def own_lag_s(self) -> float:
-        return own_lag_s(self.run.setup)
-
-    @cached_property
-    def uncovered_lag_s(self) -> float:
-        return uncovered_lag_s(self.run.setup)
-
-    @cached_property
-    def is_disturbed(self) -> bool:
-        """Whether a fault had begun or the arm was being stopped: then no law is to blame."""
-        stopped = np.isin(self.truth["mode"][: self.tick + 1], (Mode.STOPPING, Mode.FAULT))
-        faults = self.run.setup.scenario.faults
-        return bool(stopped.any() or any(f.at_s <= self.times_s[self.tick] for f in faults))
-
-    @cached_property
-    def fault(self) -> str | None:
-        """The last injected fault that still acts at the loss, or did shortly before."""
-        loss_s = float(self.times_s[self.tick])
-        acting = [
-            each
-            for each in self.run.setup.scenario.faults
-            if each.at_s <= loss_s <= 1e-9 * each.end_ns + _BEFORE_S
-        ]
-        if not acting:
-            return None
-        last = max(acting, key=lambda fault: fault.at_s)
-        return f"{last} at {last.at_s:g} s"
+class _Loss(Loss):
+    """The loss of one joint, and why it was lost."""
 
     def reason(self) -> LossReason:
         """Return the first reason that fits, the most certain ones first."""
         if self.fault is not None:
             return self._because(Reason.INJECTED).model_copy(update={"fault": self.fault})
         found = (
-            self._ran_out() or self._of_chunks() or self._lag() or self._divergence()
-            or self._oscillation() or self._late() or self._at_limits()
+            self._of_chunks() or self._lag() or self._divergence() or self._oscillation()
+            or self._late() or self._at_limits()
             or self._sag() or self._because(Reason.SLOW)
         )  # fmt: skip
-        if not self.is_disturbed and self._is_lost_by_own_lag(found):
-            own_ms = 1e3 * self.uncovered_lag_s
-            own = {"reason": Reason.OWN_LAG, "rate_per_s": None, "own_lag_ms": own_ms}
-            found = found.model_copy(update=own)
+        if not self.is_disturbed:
+            if self._is_lost_by_own_lag(found):
+                own_ms = 1e3 * self.uncovered_lag_s
+                own = {"reason": Reason.OWN_LAG, "rate_per_s": None, "own_lag_ms": own_ms}
+                found = found.model_copy(update=own)
+            elif found.reason == Reason.SLOW:
+                found = self._slow()
         return found.model_copy(update={"without_delay": self.is_without_delay})
+
+    def _slow(self) -> LossReason:
+        """Return what keeps an error large: swings, or its delay, of a law that acts on errors."""
+        if self.swings_hz is not None:
+            return self._because(Reason.SWINGING, hertz=self.swings_hz)
+        law = self.run.setup.scenario.controller.law
+        is_open = law in LAWS and LAWS[law].build is Streaming
+        is_due = self.is_early or self.arisen_share >= MOSTLY
+        if is_open or self.is_without_delay or not (is_due or self.arisen_share >= _NOTABLE):
+            return self._because(Reason.SLOW)
+        found = self._because(Reason.DELAY if is_due else Reason.DELAY_OR_MODEL)
+        return found.model_copy(update={"delay_ms": 1e3 * self.delay_s})
 
     def _is_lost_by_own_lag(self, found: LossReason) -> bool:
         """Whether the lag of the robot's own controller explains a loss."""
         if found.lag_ms is not None:
             return is_mostly(1e3 * self.uncovered_lag_s, found.lag_ms)
         if not moves_model(self.run.setup.scenario):
-            late_s = self.uncovered_lag_s if found.reason == Reason.SLOW else 0.0
-            return late_s > 0.0 and self._is_error_of_lag(late_s)
+            late_s, is_late = self.uncovered_lag_s, found.reason == Reason.LATE
+            is_slow = found.reason == Reason.SLOW or (is_late and self.is_lag_enough(late_s))
+            return late_s > 0.0 and is_slow and self.is_error_of_lag(late_s)
         if found.reason == Reason.GROWING:
             return bool(self.own_lag_s >= self.usual_age_s)
         lasted_s = self.times_s[self.tick] - self.times_s[self.acting]
-        is_open = found.reason in (Reason.UNSTABLE, Reason.SLOW)
+        is_open = found.reason in (Reason.UNSTABLE, Reason.SLOW) or (
+            found.reason == Reason.LATE and self.own_lag_s >= self.oldest_s
+        )
         return bool(is_open and lasted_s <= _LAGS_OF_A_SWING * self.own_lag_s)
-
-    def _is_error_of_lag(self, late_s: float) -> bool:
-        """Whether half of the last error or more is that of a lag, beside an initial offset."""
-        wanted, error = self.wanted_rad, self.errors_rad[self.tick]
-        times_s = self.times_s[: self.tick + 1]
-        late = float(np.interp(times_s[-1] - late_s, times_s, wanted)) - wanted[-1]
-        return bool(late * error > 0.0 and is_mostly(late / error, 1.0))
 
     def _sag(self) -> LossReason | None:
         is_sag = not self.is_disturbed and sags(self.run, self.joint, self.tick)
@@ -317,34 +249,22 @@ class _Loss:
             lag_ms=lag_ms,
         )
 
-    def _ran_out(self) -> LossReason | None:
-        """Whether the law had nothing left to send for most of the time in which the error rose."""
-        ended = self.run.last_values(Role.CONTROLLER, EventKind.ENDED)
-        stretches_s = ended.get("starved", {}).get("stretches_s", [])
-        if not stretches_s:
-            return None
-        sizes = np.abs(self.errors_rad[self.acting : self.tick + 1])
-        small = np.flatnonzero(sizes <= 0.5 * sizes[-1])
-        rising_s = self.times_s[self.acting + (int(small[-1]) if small.size else 0) : self.tick + 1]
-        begins, ends = np.transpose(stretches_s)
-        within = np.searchsorted(begins, rising_s, "right") - 1
-        is_starved = (within >= 0) & (rising_s <= ends[within])
-        return self._because(Reason.RAN_OUT) if is_starved.mean() >= _MOSTLY else None
-
     def _of_chunks(self) -> LossReason | None:
-        """Whether a new chunk moved the target by much, or an answer came much later than usual."""
+        """Whether a chunk ran out or moved the target by much, or an answer was much older."""
+        if self.is_starved:
+            return self._because(Reason.RAN_OUT)
         found = self.run.last_values(Role.CONTROLLER, EventKind.ENDED).get("chunks", {})
         lost_s = self.times_s[self.tick]
         if not found:
             return None
         before = [each for each in found.get("first_switches", ()) if each[0] <= lost_s]
-        lately = [each for each in before if each[0] >= lost_s - _LATELY_S]
+        lately = [each for each in before if each[0] >= lost_s - LATELY_S]
         half_rad = 0.5 * abs(self.errors_rad[self.tick])
         if any(jump >= half_rad and int(joint) == self.joint for _, _, jump, joint in lately):
             return self._because(Reason.JUMPED)
         usual_s = 1e-3 * found.get("age_ms", {}).get("median", math.inf)
         asked_s = before[-1][1] if before else 0.0  # the first answer acts from the start on
-        is_old = lost_s - asked_s > max(_MUCH_OLDER * usual_s, usual_s + 1e-9 * _LATE_NS)
+        is_old = lost_s - asked_s > max(MUCH_OLDER * usual_s, usual_s + 1e-9 * LATE_NS)
         return self._because(Reason.OLD_ANSWER) if is_old else None
 
     def _oscillation(self) -> LossReason | None:
@@ -353,55 +273,26 @@ class _Loss:
         return None if growth is None else self._because(Reason.GROWING, growth)
 
     def _late(self) -> LossReason | None:
-        """Whether a command in force in the last moments was much older than usual before."""
-        before = slice(self.first, self.tick + 1)
-        times_s, ages_ns = self.times_s[before], self.truth["command_age_ns"][before]
-        usual_ns, recent = np.median(ages_ns), times_s >= times_s[-1] - _LATELY_S
-        is_late = ages_ns[recent].max() > max(_MUCH_OLDER * usual_ns, usual_ns + _LATE_NS)
-        return self._because(Reason.LATE) if is_late else None
+        return self._because(Reason.LATE) if self.is_after_late_command else None
 
     def _divergence(self) -> LossReason | None:
-        around, joint = slice(self.acting, self.end), self.joint
-        errors, torques = self.errors_rad[around], self.truth["torque"][around, joint]
-        if not np.isfinite(errors).all() or rows_after_gaps(self.run, self.times_s[around]).size:
-            return None
-        rate_hz = self.run.setup.scenario.rate_hz
-        growth = divergence(errors, torques, self.tick - self.acting, rate_hz)
-        if growth is None:
+        if (growth := self.divergence) is None:
             return None
         needs_delay = growth.frequency_hz > 0.0 and not self.is_without_delay
         return self._because(Reason.GROWING if needs_delay else Reason.UNSTABLE, growth)
 
-    @cached_property
-    def sides(self) -> Vector:
-        """Sign of the joint's torque at ticks where it is at a limit; 0 at others."""
-        limits, torques = self.run.setup.largest_torques_nm, self.truth["torque"]
-        return np.asarray(at_limits(torques, self.truth["saturated"], limits)[:, self.joint])
-
-    def _swings_s(self, part: slice) -> Vector:
-        """Return when the torque got from one limit to the other one, s."""
-        at = np.flatnonzero(self.sides[part])
-        changed = np.diff(self.sides[part][at]) != 0.0
-        return np.asarray(self.times_s[part][at[1:][changed]])
-
     def _at_limits(self) -> LossReason | None:
         """Return what torques at their limits mean: too much, the wrong sign, or not enough."""
-        swings_s = self._swings_s(slice(self.first, self.end))
-        if len(swings_s) >= _SWUNG_BACK:
+        swings_s = self.swings_s(slice(self.first, self.end))
+        if len(swings_s) >= SWUNG_BACK:
             hertz = 0.5 * (len(swings_s) - 1) / float(np.ptp(swings_s))
             return self._because(Reason.VIBRATION, hertz=hertz)
         after = slice(self.tick, self.end)
         outwards = self.sides[after] * np.sign(self.errors_rad[after]) > 0.0
-        if self.is_without_delay and outwards.mean() > _MOSTLY:
+        if self.is_without_delay and outwards.mean() > MOSTLY:
             return self._because(Reason.UNSTABLE)
-        is_saturated = self.truth["saturated"][self.first : self.tick + 1].mean() > _MOSTLY
+        is_saturated = self.truth["saturated"][self.first : self.tick + 1].mean() > MOSTLY
         return self._because(Reason.SATURATED) if is_saturated else None
 
     def _lag(self) -> LossReason | None:
-        before = slice(self.first, self.tick + 1)
-        errors, period_s = self.errors_rad[before], 1e-9 * self.run.setup.grid.period_ns
-        is_known = len(errors) > 1 and bool(np.isfinite(errors).all())
-        if not is_known or len(self._swings_s(before)) >= _SWUNG_BACK:
-            return None
-        lag = lag_s(errors, self.wanted_rad, period_s, _A_LITTLE_MORE * self.own_lag_s)
-        return None if lag is None else self._because(Reason.LAG, lag_ms=1e3 * lag)
+        return None if self.lag_s is None else self._because(Reason.LAG, lag_ms=1e3 * self.lag_s)

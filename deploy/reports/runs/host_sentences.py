@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from bus_schema.messages.topics import Role
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from controller.law_choice import is_program
 from deploy.judge.conditions import lacked_grants
@@ -20,6 +22,8 @@ from deploy.scenario.setup import Setup
 if TYPE_CHECKING:
     from deploy.run.execute import JudgedRun
 
+_CONTROLLER_ENDED = re.compile(f"the {Role.CONTROLLER} (was|ended|failed)")
+"""A failure of its process during the run."""
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
 """Who holds up a loop that lacks a setting."""
 
@@ -40,11 +44,14 @@ def sentences_on_the_host(judged: JudgedRun, manifest: Mapping[str, Any]) -> lis
     longest_ms = in_a_row * judged.data.setup.grid.period_ns * 1e-6
     stolen_ms = timing.stolen_ms
     stolen = f"; a hypervisor took {stolen_ms:.0f} ms of CPU time away" if stolen_ms else ""
-    late = (
-        f"{_who_was_late(judged)} late: {misses:,} of {ticks:,} ticks"
+    missed = (
+        f"{misses:,} of {ticks:,} ticks"
         f" ({number(misses / ticks, 100)} %) {'were skipped or ' * skipped}missed their deadline,"
-        f" at most {in_a_row:,} in a row ({number(longest_ms)} ms){stolen}."
+        f" at most {in_a_row:,} in a row ({number(longest_ms)} ms)"
     )
+    if ended := [each for each in judged.data.failures if _CONTROLLER_ENDED.match(each)]:
+        return [f"{missed}, as the controller process ended: {ended[0]}.", *stalled]
+    late = f"{_who_was_late(judged)} late: {missed}{stolen}."
     return [late, *stalled, *_repetition(judged, manifest)]
 
 

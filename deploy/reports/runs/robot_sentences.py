@@ -5,7 +5,8 @@ from __future__ import annotations
 from shlex import quote
 
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
-from deploy.judge.findings.loss_reason import Reason, is_mostly
+from deploy.judge.findings.loss import is_mostly
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.robot_lag import RobotLag
@@ -38,7 +39,7 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
     tip = (
         ""
         if parts.tip_rms_mm is None
-        else f", which alone is {number(parts.tip_rms_mm)} mm at the tip"
+        else f", which alone is {number(parts.tip_rms_mm)} mm at the tip (RMS)"
     )
     sentences.append(
         f"Joints were {way} their reference by {number(abs(lag))} ms at most ({joint}){tip}{own}."
@@ -77,7 +78,7 @@ def _on_losses(run: RunData, result: RunResult, parts: RobotLag) -> list[str]:
         return []
     said = []
     if late_ms is not None:
-        at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip"
+        at_tip = "" if late_mm is None else f", about {number(late_mm)} mm at the tip (RMS)"
         messages = "1 message" if lost == 1 else f"{lost:,} messages"
         said.append(
             f"With {messages} lost, commands in force were {number(late_ms)} ms older on average"

@@ -99,10 +99,8 @@ def _run_lines(result: RunResult) -> list[str]:
     lines = [*(_link_lines(result) if result.ticks else []), ", ".join(counts)]
     if skipped := result.recording.ticks_skipped:
         sent = number(result.transport.uplink.sent)
-        lines.append(
-            f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped because the plant was"
-            f" late, and counted as missed deadlines; states sent: {sent}"
-        )
+        ticks = "1 tick, which counts" if skipped == 1 else f"{skipped:,} ticks, which count"
+        lines.append(f"the plant was late: it skipped {ticks} as missed, and sent {sent} states")
     return lines
 
 

@@ -22,7 +22,7 @@ def curves_panel(
 ) -> Panel[DrawnStudy]:  # fmt: skip
     """A line for each case of an arm: laws by colour, or of one law its settings.
 
-    Lines are dashed without compensation, and dash-dotted with feedback at the drives. Points
+    Lines are dashed without compensation, and dash-dotted with a drive loop. Points
     of loops that already run are hollow.
     """
     laws = list(dict.fromkeys(case.law for case in summary.cases))

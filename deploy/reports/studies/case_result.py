@@ -16,7 +16,7 @@ COMPENSATION = {None: "", False: "without", True: "with"}
 
 
 class Equipped(Protocol):
-    """A setting with or without compensation and feedback at the drives; None if not asked."""
+    """A setting with or without compensation and a drive loop; None if not asked."""
 
     @property
     def compensation(self) -> bool | None: ...
@@ -114,16 +114,16 @@ class CasesResult(StudyResult, Generic[Case]):
 
 
 def setting_text(case: CaseResult) -> str:
-    """With what a law has a margin: compensation, feedback at the drives, a loop that runs."""
+    """With what a law has a margin: compensation, a drive loop, a loop that runs."""
     running = ["running"] if case.running else []
     return ", ".join([*filter(None, [equipment_text(case)]), *running])
 
 
 def equipment_text(case: Equipped) -> str:
-    """With or without compensation, and feedback at the drives."""
+    """With or without compensation, and a drive loop."""
     sentences = [
         f"{COMPENSATION[case.compensation]} compensation",
-        f"{COMPENSATION[case.drive_feedback]} drive feedback",
+        f"{COMPENSATION[case.drive_feedback]} drive loop",
     ]
     return ", ".join(text for text in sentences if not text.startswith(" "))
 

@@ -18,7 +18,7 @@ _UNREMARKABLE = ("", "starting", None)
 _OPTIONAL: list[TableColumn] = [
     (Column("Compensation", brief="Compen-\nsation", is_text=True),
      lambda case: COMPENSATION[case.compensation]),
-    (Column("Drive feedback", brief="Drive\nfeedback", is_text=True),
+    (Column("Drive loop", brief="Drive\nloop", is_text=True),
      lambda case: COMPENSATION[case.drive_feedback]),
     (Column("Loop", is_text=True), lambda case: "running" if case.running else "starting"),
     (Column("Held-arm ceiling", brief=None), ceiling_text),

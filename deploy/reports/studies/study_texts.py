@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.studies.case_result import Case, CaseResult, CasesResult
 from deploy.reports.studies.study_result import Runs, Share
@@ -54,6 +55,20 @@ def losses_text(runs: Runs) -> str:
     """Explain why runs left their funnel, the most frequent reason first, with their joint."""
     losses, joints = Counter(runs.losses), Counter(runs.loss_joints)
     return ", ".join(name for name, _ in (*losses.most_common(), *joints.most_common(1)))
+
+
+def reason_sentences(names: Iterable[str]) -> list[str]:
+    """Explain each of these reasons of losses in one clause; names of older versions are left out.
+
+    Args:
+        names: values of `Reason`.
+    """
+    known = {each.value: each.words for each in Reason}
+    return [
+        f"Lost by {name}: an error left its bounds {known[name]}."
+        for name in dict.fromkeys(names)
+        if name in known
+    ]
 
 
 def remedy_text(losses: Mapping[str, int], law: str, compared: Collection[str] = ()) -> str | None:

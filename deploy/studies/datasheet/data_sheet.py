@@ -103,7 +103,7 @@ class DataSheet(Sheet):
     def windows(self) -> StudyOfRuns | None:
         """Return runs on windows of the network; None without a network.
 
-        With compensation first; also without, and each with feedback at the drives where that is
+        With compensation first; also without, and each with a drive loop where that is
         possible and not fixed. Both directions begin at the same place of the network.
         """
         if self.network is None:

@@ -206,7 +206,7 @@ def _network_table(result: DataSheetResult, network: SweepResult) -> Table:
     """Windows of the network that were kept, with what may help."""
     columns: list[TableColumn] = [
         (Column("Compensation", is_text=True), lambda one: COMPENSATION[one.compensation]),
-        (Column("Drive feedback", is_text=True),
+        (Column("Drive loop", is_text=True),
          lambda one: COMPENSATION[one.drive_feedback]),
         (Column("Windows kept", brief="Kept"), lambda one: f"{one.runs_kept} of {one.runs}"),
         (Column("95 % interval"),

@@ -40,7 +40,7 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
     ] = None
     drive_feedback: Annotated[
         str | None,
-        typer.Option(metavar="off,on", help="A loop closed at the drives: off, on, or both."),
+        typer.Option(metavar="off,on", help="A drive loop: off, on, or both."),
     ] = None
     running: Annotated[
         str | None,

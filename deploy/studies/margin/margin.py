@@ -60,7 +60,7 @@ class MarginDefinition(CasesDefinition):
         disturbances: what else is tried with ``pattern``, at the margin, its half and its quarter:
             messages that are lost, late or overtaken; null for nothing.
         what_helps: at the first failure of each case, also try compensation, automatic play-out, a
-            loop at the drives, half the gains and twice the rate.
+            drive loop, half the gains and twice the rate.
         smaller_rotors: where rotors are estimated, search again with a tenth of them.
         model_errors: factors on the scenario's own ``controller.model_scale``; up to the margin, it
             is searched again with each of them.

@@ -7,7 +7,13 @@ from functools import partial
 
 from deploy.reports.studies.case_result import case_title, equipment_text, setting_text
 from deploy.reports.studies.case_sentences import doubts, saved_runs
-from deploy.reports.studies.study_texts import listed, losses_text, remedy_text, value_text
+from deploy.reports.studies.study_texts import (
+    listed,
+    losses_text,
+    reason_sentences,
+    remedy_text,
+    value_text,
+)
 from deploy.scenario.playout import EXPECTED
 from deploy.studies.margin.result import MarginCase, MarginResult
 from deploy.studies.margin.texts import (
@@ -105,13 +111,15 @@ def margin_sentences(summary: MarginResult) -> list[str]:
     found = [
         *_headlines(summary),
         *lost_at_once(summary),
+        *none_quoted(summary),
         *patterns,
         *_held_again(summary),
         *_flawed(summary),
+        *_reasons(summary),
     ]
     rotors = [
-        f"{case_title(case)}: the rotors are estimated: {margin_text(case, summary)};"
-        f" {smaller} if the rotors are a tenth."
+        f"{case_title(case)}: {margin_text(case, summary)} with the estimated rotors,"
+        f" {smaller} with a tenth of them."
         for case in summary.cases
         if (smaller := rotors_text(case, summary))
     ]
@@ -122,9 +130,9 @@ def margin_sentences(summary: MarginResult) -> list[str]:
 def brief_margin_sentences(summary: MarginResult) -> list[str]:
     """Return margins in words, without what a table beside them says."""
     patterns = filter(None, (_pattern_sentence(case, summary) for case in summary.cases))
-    found = [*doubts(summary.cases), *lost_at_once(summary), *patterns]
+    found = [*doubts(summary.cases), *lost_at_once(summary), *none_quoted(summary), *patterns]
     limits = [*_gaps(summary), *_too_slow(summary)]
-    return [*found, *_held_again(summary), *in_theory(summary), *limits]
+    return [*found, *_reasons(summary), *_held_again(summary), *in_theory(summary), *limits]
 
 
 def _headlines(summary: MarginResult) -> list[str]:
@@ -171,6 +179,16 @@ def lost_at_once(summary: MarginResult) -> list[str]:
     ]
 
 
+def none_quoted(summary: MarginResult) -> list[str]:
+    """Explain each case without a margin to quote, although its own runs held."""
+    return [
+        f"{case_title(case)}: {margin_text(case, summary)} held on the arm as given, but the margin"
+        f" is none ({because_text(case)}): it is the smallest result of all tests."
+        for case in summary.cases
+        if case.completed and case.quoted is None and case.margin is not None and because_text(case)
+    ]
+
+
 def _held_again(summary: MarginResult) -> list[str]:
     """A sentence for each case that kept its bounds once more beyond its first failure."""
     return [
@@ -198,6 +216,17 @@ def _flawed(summary: MarginResult) -> list[str]:
         for name, words in _FLAWS.items()
         if getattr(probe, name)
     ]
+
+
+def _reasons(summary: MarginResult) -> list[str]:
+    """Explain the reasons of losses at the first failures, but of loops that keep their bounds."""
+    failed = [probe for case in summary.cases if (probe := case.probe_at(case.first_failure))]
+    return reason_sentences(
+        name
+        for probe in failed
+        if not any(getattr(probe, flaw) for flaw in _FLAWS)
+        for name in probe.losses
+    )
 
 
 def _without_theory(summary: MarginResult) -> list[MarginCase]:

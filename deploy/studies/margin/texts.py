@@ -37,7 +37,8 @@ def because_text(case: MarginCase) -> str:
         return "unstable without a delay, in theory"
     words: dict[str, str] = {
         Because.THEORY: "unstable beyond it, in theory",
-        Because.PATTERN: "a varying delay loses the bounds beyond it",
+        Because.PATTERN: "a varying delay loses the bounds "
+        + ("beyond it" if case.quoted is not None else "at every size tried"),
         Because.ROTORS: "with a tenth of the estimated rotors",
         Because.MODEL: f"with {_worst_model(case)}",
     }

@@ -21,7 +21,7 @@ ADDED = {
     ],
     "reason of a loss": [
         (REASONS, "    START = (", "    TIRED = 'tired', 'as one that is tired', 'made up'\n"),
-        (REASONS, "            self._ran_out() or",
+        (REASONS, "            self._of_chunks() or",
          "            self._because(Reason.TIRED) or\n"),
     ],
     "figure of a run": [

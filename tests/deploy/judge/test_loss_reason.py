@@ -10,6 +10,7 @@ from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.loss_reason import LossReason, Reason, loss_reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import summarise
+from deploy.reports.studies.study_texts import reason_sentences
 from deploy.reports.verdict_texts import loss_words
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -44,6 +45,37 @@ def loss(*overrides, arm="paper_arm", duration_s=0.5):
 def test_a_loss_has_a_reason(overrides, reason):
     found = loss(*overrides)
     assert (found and found["reason"]) == reason
+
+
+@pytest.mark.parametrize(
+    ("overrides", "reason", "words"),
+    [
+        # Both keep their bounds over shorter delays. The first command acts after 95 ms.
+        ((ON, "link.uplink.delay_ms=95", "controller.law=smc"), "delay",
+         "sooner than the law could act, over a delay of 95 ms"),
+        (("link.uplink.delay_ms=20", "controller.law=pid"), "delay",
+         "sooner than the law could act, over a delay of 20 ms"),
+        (("link.uplink.delay_ms=14", "controller.law=pid"), "delay or model",
+         "slowly, as by friction or an error of the model over a delay of 14 ms"),
+        (("link.uplink.delay_ms=10", "plant.friction.coulomb_nm=150", "controller.law=pid"),
+         "friction or model", "slowly, as by friction or an error of the model"),
+    ],
+)  # fmt: skip
+def test_a_slow_loss_names_its_delay_where_the_error_arose_within_it(overrides, reason, words):
+    found = loss(*overrides)
+    assert (found["reason"], loss_words(LossReason(**found))) == (reason, words)
+
+
+def test_swings_that_do_not_grow_are_an_oscillation():
+    """At 21.5 ms this switching law keeps its bounds."""
+    found = loss("link.uplink.delay_ms=22", "controller.law=smc", duration_s=11)
+    assert found["reason"] == "oscillation"
+    assert 5.0 < found["frequency_hz"] < 15.0
+
+
+def test_a_study_explains_each_reason_in_one_clause():
+    said = reason_sentences(["growing", "growing", "of an older version"])
+    assert said == ["Lost by growing: an error left its bounds as an oscillation grew."]
 
 
 @pytest.mark.parametrize("error", [np.nan, np.inf])
@@ -137,7 +169,7 @@ def test_slow_growth_is_not_called_friction(tmp_path):
 
 
 def test_a_transport_delay_is_a_lag_of_its_length(tmp_path):
-    """A loop at the drives with both poles at -100/s is 2/100 s behind, and the delay more."""
+    """A drive loop with both poles at -100/s is 2/100 s behind, and the delay more."""
     found = loss_of(policy_setup(tmp_path, "link.downlink.delay_ms=80"))
     assert found["reason"] == "lag"
     assert found["lag_ms"] == pytest.approx(80.0 + 20.0, rel=0.05)
@@ -223,6 +255,21 @@ def test_a_law_of_torques_is_lost_by_the_lag_of_the_robot_it_drives(law):
     quick = "plant.interface.servoj={dead_time_ms: 0, lag_ms: 0}"
     held = loss(*SERVOJ, quick, f"controller.law={law}")
     assert held is None or held["reason"] != "robot's lag"
+
+
+OUTAGE = "link.downlink.schedule=[{{kind: outage, at_s: {}, for_s: {}}}]"
+
+
+@pytest.mark.parametrize(("law", "preview_ms", "outage", "reason"), [
+    ("streaming", 0, (0.3, 0.18), "robot's lag"),  # 138 ms, which alone leave the bounds
+    ("streaming", 133, (0.3, 0.5), "late command"),  # of which 5 ms are left
+    ("computed_torque", "auto", (0.1, 0.1), "robot's lag"),
+])  # fmt: skip
+def test_a_late_command_does_not_hide_the_lag_of_the_robot(law, preview_ms, outage, reason):
+    words = (f"controller.law={law}", f"controller.preview_ms={preview_ms}")
+    words = (*words, "plant.command_timeout_ms=1000")
+    found = loss(SERVOJ[0], *words, OUTAGE.format(*outage), duration_s=1.5)
+    assert found["reason"] == reason
 
 
 SAG_RAD = 1.0 * 9.81 * 0.3 / 100.0

@@ -169,7 +169,7 @@ def test_tip_error_is_the_distance_that_the_joints_make(setup: Setup) -> None:
 @pytest.mark.parametrize("ticks", [[], [at(0.0)] * 5, [at(0.0)] * 12 + [at(np.nan)]])
 def test_tip_error_is_unknown_without_positions(setup: Setup, ticks) -> None:
     found = judged(setup, ticks)
-    assert found["tip_error_mm"] == {"rms": None, "largest": None}
+    assert found["tip_error_mm"] == {"rms": None, "largest": None, "at_loss": None}
     assert row(RunResult(**found), 1)["tip_largest_mm"] is None
 
 
@@ -178,7 +178,7 @@ def test_tip_error_is_unknown_where_no_joint_moves_the_tip(setup: Setup) -> None
     first = ET.fromstring(setup.robot.text).find(f"joint[@name='{JOINTS[0]}']/child").get("link")
     robot = replace(setup.robot, tip_link=first)
     found = judged(replace(setup, robot=robot), [at(0.02, 0.0, 0.0)] * 12)
-    assert found["tip_error_mm"] == {"rms": None, "largest": None}
+    assert found["tip_error_mm"] == {"rms": None, "largest": None, "at_loss": None}
 
 
 def test_torque_figures(setup: Setup) -> None:

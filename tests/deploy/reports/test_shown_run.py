@@ -121,6 +121,19 @@ def test_host_alone_is_blamed_only_where_the_link_cannot_be_late(settings, who):
     assert who in shown(missing(data, slice(50, 53)))
 
 
+def test_a_controller_that_was_killed_is_named_in_place_of_the_host(run):
+    """Its last command ages until the end; virtual time is no help."""
+    late = missing(run, slice(60, 100))
+    killed = replace(late, failures=["the controller was killed by SIGKILL"])
+    said = " ".join(run_page(JudgedRun("", killed)).verdict.reasons)
+    assert (
+        "40 of 100 ticks (40 %) missed their deadline, at most 40 in a row (40 ms), as the"
+        " controller process ended: the controller was killed by SIGKILL."
+    ) in said
+    assert "host" not in said
+    assert "The host was late" in " ".join(run_page(JudgedRun("", late)).verdict.reasons)
+
+
 def test_one_command_repeats_a_late_run_in_lockstep(run, tmp_path):
     folder = tmp_path / "late run"
     folder.mkdir()
@@ -148,12 +161,10 @@ def test_ticks_skipped_by_a_late_plant_are_shown(run):
     truth["timing.skipped"][60:] = 7
     skipped = replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
     assert summarise(skipped)["recording"]["ticks_skipped"] == 7
-    assert (
-        "7 ticks skipped because the plant was late, and counted as missed deadlines; states sent:"
-        " 100"
-    ) in shown(skipped)
+    said = "the plant was late: it skipped 7 ticks, which count as missed, and sent 100 states"
+    assert said in shown(skipped)
     truth["timing.skipped"][60:] = 1
-    assert "1 tick skipped because the plant" in shown(skipped)
+    assert "it skipped 1 tick, which counts as missed, and" in shown(skipped)
     rows = dict(health_table(judge(skipped)).rows)
     assert (rows["Ticks"], rows["Ticks skipped by a late plant"]) == (100, 1)
     assert "skipped" not in shown(run)

@@ -1,4 +1,4 @@
-"""What a loop at the drives is worth, and what it leaves alone, in virtual time."""
+"""What a drive loop is worth, and what it leaves alone, in virtual time."""
 
 from __future__ import annotations
 

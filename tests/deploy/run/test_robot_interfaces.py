@@ -326,6 +326,6 @@ def test_the_part_of_lost_messages_is_named_or_how_to_find_it(kind, is_known):
     assert ("--set link.uplink.loss=0 shows" in reasons) == (not is_known)
     if is_known:
         assert lag.late_tip_rms_mm == pytest.approx(tip_mm * lag.late_ms / moves.lag_ms[0], rel=0.1)
-        assert f"about {lag.late_tip_rms_mm:.3g} mm at the tip" in reasons
+        assert f"about {lag.late_tip_rms_mm:.3g} mm at the tip (RMS)" in reasons
     else:  # its lag is one thing with all points, another one with two thirds of them
         assert lag.late_tip_rms_mm is None

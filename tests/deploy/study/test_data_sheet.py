@@ -54,8 +54,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     # begins at 51 %. The worst stretch of a constant delay is its beginning, as of another window.
     network, quote, windows, quoted, searches, best, *_ = summary["headline"]
     assert network == (
-        "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
-        " (--quick)."
+        "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive loop (--quick)."
     )
     assert windows == (
         "95 % interval of the share of windows that are kept: 51–100 % (of 4 windows; for more:"
@@ -156,14 +155,14 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     out, _, _ = made
     summary = summary_of(out)
     for point in summary["parts"]["network"]["points"]:
-        point["runs_kept"] = int(point["values"][3])  # with feedback at the drives alone
+        point["runs_kept"] = int(point["values"][3])  # with drive loop alone
     verdict, _, *rest = headline_of(summary)
     assert [verdict, *rest[:2]] == [
-        "calm.txt: lost in 4 of 4 windows of 0.4 s with compensation, without drive feedback"
+        "calm.txt: lost in 4 of 4 windows of 0.4 s with compensation, without drive loop"
         " (--quick).",
         "95 % interval of the share of windows that are kept: 0–49 % (of 4 windows; for more:"
         " --windows 8).",
-        "Kept in 4 of 4 with compensation, with drive feedback: add"
+        "Kept in 4 of 4 with compensation, with drive loop: add"
         " --set controller.drive_feedback.enabled=true.",
     ]
 

@@ -30,7 +30,7 @@ def delayed(law, round_trip_ms):
     ("law", "round_trip_ms", "reason"),
     [
         ("fixed_time_neural", 8, "growing"),
-        ("pid", 30, "friction or model"),
+        ("pid", 30, "delay"),
         ("smc", 200, "start"),
     ],
 )

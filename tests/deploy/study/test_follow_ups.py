@@ -17,7 +17,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.studies.margin.command import MarginOptions, definition_with
 from deploy.studies.margin.result import MarginResult
-from deploy.studies.margin.sentences import margin_sentences
+from deploy.studies.margin.sentences import brief_margin_sentences, margin_sentences
 from deploy.studies.margin.tables import disturbance_tables, help_tables, margin_table
 from deploy.study.execution.folder import create_folder, find_folder
 from deploy.study.follow_ups.disturbances import DisturbanceSizes, changes
@@ -34,7 +34,7 @@ def helped(**values):
 
 
 def below_six(run):
-    """At 6 ms all is lost, but with compensation or a loop at the drives."""
+    """At 6 ms all is lost, but with compensation or a drive loop."""
     change, value = run.columns["change"], run.columns["value"]
     if value < 6.0 or (change in HELPS and change is not None):
         return made_up(run) | {"margin_min": HELPS.get(change, 0.1)}
@@ -354,12 +354,28 @@ def test_estimated_rotors_have_a_margin_at_both_ends(tmp_path):
     assert json.loads(tried.partition("=")[2]) == pytest.approx(
         [0.1 * each for each in own], rel=5e-3
     )
-    assert "8 ms; 4 ms if the rotors are a tenth." in " ".join(
+    assert "8 ms with the estimated rotors, 4 ms with a tenth of them." in " ".join(
         margin_sentences(MarginResult.model_validate(summary))
     )
     table = margin_table(MarginResult.model_validate(summary))
     (column,) = [n for n, each in enumerate(table.columns) if "rotors" in each.title]
     assert [row[column] for row in table.rows] == ["4 ms"]
+
+
+def test_a_margin_of_none_beside_a_value_that_held_has_a_sentence(tmp_path):
+    def lost_with_small_rotors(run):
+        is_lost = run.columns["change"] is not None or run.columns["value"] > 8.0
+        return made_up(run, **(LOST if is_lost else {}))
+
+    study = of_rotors()
+    _, folder = conduct(study, tmp_path / "out", Here(lost_with_small_rotors))
+    result = MarginResult.model_validate(study.summary(folder.rows))
+    said = (
+        "8 ms held on the arm as given, but the margin is none (with a tenth of the estimated"
+        " rotors): it is the smallest result of all tests."
+    )
+    for sentences in (margin_sentences(result), brief_margin_sentences(result)):
+        assert said in " ".join(sentences)
 
 
 @pytest.mark.parametrize(

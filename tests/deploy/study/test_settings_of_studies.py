@@ -47,7 +47,7 @@ OWN_KEYS = {
     "downlink loss": ({"direction": "downlink", "quantity": "loss"}, [f"{DOWN}.loss"]),
     "running": ({"running": "on", "duration": 5.0}, [f"{UP}.schedule", f"{DOWN}.schedule"]),
     "compensation": ({"compensation": "off"}, [COMPENSATION]),
-    "drive feedback": ({"drive_feedback": "on"}, [DRIVES]),
+    "drive loop": ({"drive_feedback": "on"}, [DRIVES]),
     "plants": (PLANTS, [f"{UP}.delay_ms", "uncertainty"]),
     "plants of a key": (PLANTS | {"quantity": "plant.actuator.lag_ms"}, ["plant.actuator.lag_ms"]),
 }  # fmt: skip

@@ -28,7 +28,7 @@ class Policy:
         pass
 
     def torque(self, tracking):
-        return np.zeros_like(tracking.error)  # the loops at the drives make the torque
+        return np.zeros_like(tracking.error)  # the drive loops make the torque
 
     def target(self, tracking):
         reference = tracking.reference_position, tracking.reference_velocity
