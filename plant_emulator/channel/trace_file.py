@@ -42,7 +42,7 @@ class Trace:
 
     @property
     def assumed(self) -> str:
-        """How the file is read, and what it cannot show; empty for nothing to say."""
+        """Sentence on how the file is read, and what it cannot show; empty for nothing to say."""
         return "; ".join(filter(None, [self.read_as, self.sparse_text]))
 
     @property

@@ -58,8 +58,8 @@ def scenario_warnings(setup: Setup) -> list[str]:
             f"{data}: replace the estimates in the scenario (funnel-hil robot --scenario writes"
             " one)"
         )
-    given = scenario.plant.model_fields_set
-    if not given & {"friction", "actuator"} and robot.path.parent != ROBOTS:
+    in_plant = scenario.plant.model_fields_set
+    if not in_plant & {"friction", "actuator"} and robot.path.parent != ROBOTS:
         sentences.append(
             f"{robot.path.name}: the plant has neither rotors nor friction, so margins are of"
             " bare links: funnel-hil robot --scenario writes a scenario with estimates of both"

@@ -85,10 +85,9 @@ def margin_table(summary: MarginResult) -> Table:
         summary.cases,
         "The margin to quote is the smallest of all that is known; held and every pattern are of"
         " the arm as given, the best case. RMS error there: of the worst joint, at the margin. A"
-        " loop starts with the full value, or is running, and the value grows while the arm moves. A value holds if the"
-        " bounds are kept from every start with every seed; held is the"
-        f" {furthest(summary)} value up to"
-        " which all tested values held, theory is for the linear loop. Held-arm"
+        " loop starts with the full value, or is running, and the value grows while the arm moves."
+        " A value holds if the bounds are kept from every start with every seed; held is the"
+        f" {furthest(summary)} value up to which all tested values held, theory is for the linear loop. Held-arm"
         " ceiling: until the first command acts the brakes hold the arm, and from the worst"
         " start its error leaves the funnel after this time; no law can start under a longer"
         " delay. Every pattern: the margin for delays that vary; guaranteed where each"
