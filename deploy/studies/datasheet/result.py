@@ -55,8 +55,8 @@ def caveat_text(result: SheetResult, margin: MarginResult) -> str:
 
 
 def more_windows(count: int) -> str:
-    """Return how many windows of a network were tried, and how to try more."""
-    return f"of {number_of(count, 'window')}; for more: --windows {2 * count}"
+    """Say how to try more windows of a network than were tried."""
+    return f"more windows: --windows {2 * count}"
 
 
 class Parts(Part):

@@ -135,7 +135,7 @@ def _kept_sentences(result: RobotSheetResult) -> list[str]:
         return []
     best, *others = sorted(result.ways, key=lambda way: -way.kept)
     windows = f"windows of {result.duration_s:g} s of {Path(result.network).name}"
-    more = f" ({'--quick; ' * result.quick}for more: --windows {2 * best.runs})"
+    more = f" ({'--quick; ' * result.quick}more windows: --windows {2 * best.runs})"
     if not best.kept:
         each = f", in each of the {len(others) + 1} ways tried" if others else f", {best.way}"
         return [f"{_subject(result)}: bounds are lost in all {best.runs} {windows}{each}{more}."]

@@ -57,8 +57,7 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
         "calm.txt: kept in 4 of 4 windows of 0.4 s with compensation, without drive loop (--quick)."
     )
     assert windows == (
-        "95 % interval of the share of windows that are kept: 51–100 % (of 4 windows; for more:"
-        " --windows 8)."
+        "95 % interval of the share of windows that are kept: 51–100 % (more windows: --windows 8)."
     )
     # Then the worst of what is not known of the arm, and only then the best case.
     numbers = {on: case["quoted"] for on, case in cases.items()}
@@ -160,8 +159,7 @@ def test_the_headline_says_what_would_keep_a_lost_network(made):
     assert [verdict, *rest[:2]] == [
         "calm.txt: lost in 4 of 4 windows of 0.4 s with compensation, without drive loop"
         " (--quick).",
-        "95 % interval of the share of windows that are kept: 0–49 % (of 4 windows; for more:"
-        " --windows 8).",
+        "95 % interval of the share of windows that are kept: 0–49 % (more windows: --windows 8).",
         "Kept in 4 of 4 with compensation, with drive loop: add"
         " --set controller.drive_feedback.enabled=true.",
     ]

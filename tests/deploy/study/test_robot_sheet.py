@@ -91,7 +91,7 @@ def test_a_network_that_is_lost_comes_before_the_margin_of_a_constant_delay(made
     for way in result.ways:
         way.runs, way.kept = 5, kept if way.way == "streaming, with preview" else 0
     said = robot_page.headline(result)
-    assert said[0] == f"{result.arm} over servoj: {answer} (--quick; for more: --windows 10)."
+    assert said[0] == f"{result.arm} over servoj: {answer} (--quick; more windows: --windows 10)."
     assert not any("quote" in each for each in said)
     margin_ms = result.margin.cases[0].margin
     assert said[1 + kept].startswith(
