@@ -21,6 +21,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import AroundLaw, ControlLaw, Diagnostics, Dynamics, Tracking
+from controller.demonstrator import Demonstrator
 from controller.errors import described, is_of_the_law
 from controller.laws.read_files import OUR_FOLDER, files_read
 
@@ -88,6 +89,10 @@ def laws_given(makers: Mapping[str, Maker]) -> Iterator[None]:
 def is_given(name: str) -> bool:
     """Whether a law of this name was given, within `laws_given`."""
     return name in _given.get()
+
+
+SHIPPED = {"funnel_hil:Demonstrator": Demonstrator}
+"""Custom laws that are ours, by name, whose code any command may use."""
 
 
 class LeftOut:
