@@ -21,7 +21,7 @@ from pydantic import (
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import BusError
-from bus_schema.foreign_text import shortened
+from bus_schema.foreign_text import shown as shown
 
 
 class ConfigurationError(BusError, ValueError):
@@ -175,8 +175,3 @@ def expand_fields(gains: Gains, joints: int, key: str) -> Gains:
         if isinstance(value, np.ndarray)
     }
     return gains._replace(**values)  # type: ignore[attr-defined,no-any-return]
-
-
-def shown(value: Any) -> str:
-    """Format a value for messages: its Python form, `null` for None, shortened where it is long."""
-    return "null" if value is None else shortened(repr(value))

@@ -36,6 +36,11 @@ def shortened(text: str, longest: int = 120) -> str:
     return line if len(line) <= longest else line[: longest - 3] + "..."
 
 
+def shown(value: object) -> str:
+    """Format a value for messages: its Python form, `null` for None, shortened where it is long."""
+    return "null" if value is None else shortened(repr(value))
+
+
 def _number(match: re.Match[str]) -> str:
     return f"\\u{ord(match[0]):04x}"
 

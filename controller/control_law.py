@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -186,6 +186,20 @@ class Dynamics(Protocol):
         self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
     ) -> Matrix:
         """Return Y, N m per parameter, shape (joints, parameters), without rotors."""
+
+
+class AroundLaw:
+    """A law around another one, `_law`, whose diagnostics it has."""
+
+    _law: Any
+    _diagnostics: Diagnostics
+    """In place of those of a law without any; NaN."""
+
+    @property
+    def diagnostics(self) -> Diagnostics:
+        """Those of the law, which may be new after a reset."""
+        own: Diagnostics | None = getattr(self._law, "diagnostics", None)
+        return self._diagnostics if own is None else own
 
 
 class ControlLaw(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,11 @@ class Demonstrator:
         self.diagnostics = Diagnostics(model.joints)
         self._ahead_s: Vector = period_s * np.arange(actions, dtype=np.float64)
         self._return_s, self._lead_s = return_s, lead_s
+
+    @staticmethod
+    def acts_ahead(gains: Mapping[str, Any]) -> bool:
+        """Whether an instance with these settings makes up for the robot's lag."""
+        return gains.get("lead_s") is None
 
     def make_up_for(self, lag_s: float) -> None:
         """Act ahead by the lag of the robot's own controller, unless a lead is given."""

@@ -16,7 +16,7 @@ from controller.chunks.answer import NEAR, Answer, AnswerShapeError, Holding, ch
 from controller.chunks.merge import ChunkMerge
 from controller.chunks.merges import Replace
 from controller.chunks.switches import ChunkLog
-from controller.control_law import ControlLaw, Diagnostics, Tracking
+from controller.control_law import AroundLaw, ControlLaw, Tracking
 from controller.timed_calls import CallThread
 
 
@@ -90,7 +90,7 @@ class WaitingAnswer:
         return self.answer
 
 
-class SlowLaw:
+class SlowLaw(AroundLaw):
     """A law of which one question at a time is open.
 
     The first answer acts at once, as a robot is released only when its policy has answered.
@@ -121,11 +121,6 @@ class SlowLaw:
         self._in_force: Answer | None = None
         self._open: OpenQuestion | None = None
         self._forget()
-
-    @property
-    def diagnostics(self) -> Diagnostics:
-        """Those of the law, which may be new after a reset."""
-        return self._law.diagnostics
 
     def reset(self) -> None:
         """Forget all answers, and have the law forget everything."""

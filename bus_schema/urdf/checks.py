@@ -7,7 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 
-from bus_schema.configuration import shown
+from bus_schema.foreign_text import shown
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.foreign_text import shortened
 

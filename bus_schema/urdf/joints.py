@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from bus_schema.configuration import shown
+from bus_schema.foreign_text import shown
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
 from bus_schema.foreign_text import shortened
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number

@@ -20,7 +20,8 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
-from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
+from controller.control_law import AroundLaw, ControlLaw, Diagnostics, Dynamics, Tracking
+from controller.demonstrator import Demonstrator
 from controller.errors import described, is_of_the_law
 from controller.laws.read_files import OUR_FOLDER, files_read
 
@@ -90,6 +91,10 @@ def is_given(name: str) -> bool:
     return name in _given.get()
 
 
+SHIPPED = {"funnel_hil:Demonstrator": Demonstrator}
+"""Custom laws that are ours, by name, whose code any command may use."""
+
+
 class LeftOut:
     """Placeholder for a law that must not be imported or started; it returns no torque."""
 
@@ -108,7 +113,7 @@ class LeftOut:
         raise RuntimeError("the law was left out")
 
 
-class TargetsAlone:
+class TargetsAlone(AroundLaw):
     """A custom law of targets without a method ``torque``: its torques are zero.
 
     It needs neither a method ``reset`` nor ``diagnostics``.
@@ -119,7 +124,7 @@ class TargetsAlone:
     """
 
     def __init__(self, law: Any, joints: int) -> None:
-        self._law: Any = law
+        self._law = law
         self._torque: Vector = np.zeros(joints)
         self._diagnostics = Diagnostics(joints)
 
@@ -127,12 +132,6 @@ class TargetsAlone:
         if name == "_law":  # not set yet, as in a copy
             raise AttributeError(name)
         return getattr(self._law, name)
-
-    @property
-    def diagnostics(self) -> Diagnostics:
-        """Those of the law, which may be new after a reset; NaN where it has none."""
-        own: Diagnostics | None = getattr(self._law, "diagnostics", None)
-        return self._diagnostics if own is None else own
 
     def torque(self, _tracking: Tracking) -> Vector:
         """Return zeros: a drive loop or the robot's own controller finds its torques."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from controller.control_law import ControlLaw, Diagnostics, Tracking
+from controller.control_law import AroundLaw, ControlLaw, Tracking
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies.vectors import invert, product
 
 
-class Admittance:
+class Admittance(AroundLaw):
     """A law whose torque becomes positions and velocities.
 
     Args:
@@ -30,11 +30,6 @@ class Admittance:
         self._target: Matrix = np.zeros((2, model.joints))
         self._inverse_mass: Matrix = np.zeros((model.joints, model.joints))
         self._begins = True
-
-    @property
-    def diagnostics(self) -> Diagnostics:
-        """Those of the law, which may be new after a reset."""
-        return self._law.diagnostics
 
     @property
     def log(self) -> object:

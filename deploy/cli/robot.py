@@ -33,7 +33,7 @@ from deploy.scenario.checking.plausibility import (
     size_warnings,
     weak_joint_warnings,
 )
-from deploy.scenario.checking.warnings import scenario_warnings
+from deploy.scenario.checking.warnings import estimated_rotor_warnings, scenario_warnings
 from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.interface_choice import interface_values
 from deploy.scenario.referenced_files import find_urdf
@@ -199,6 +199,7 @@ def robot_warnings(setup: Setup) -> list[str]:
     arm = setup.robot
     return [
         *scenario_warnings(setup),
+        *estimated_rotor_warnings(setup),
         *tip_warnings(ET.fromstring(arm.text), arm.tip_link, arm.joint_names),
         *telescope_warnings(ET.fromstring(arm.text), arm.joint_names),
         *weak_joint_warnings(arm),

@@ -10,6 +10,7 @@ from typing import Any
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
+from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.referenced_files import DATA_FILES, DIRECTIONS
 
 _KINDS: dict[str, Callable[[ChannelConfiguration], object]] = {
@@ -61,6 +62,12 @@ def _network(file: str, direction: str, manifest: Mapping[str, Any]) -> str | No
     return None if given in _RECORDED_TRACES else _DIGEST.sub("", given)
 
 
-def has_no_effect(link: LinkConfiguration) -> bool:
-    """Whether the emulated link delivers every message at once."""
-    return link_words(link) == link_words(LinkConfiguration())
+def has_no_delay(scenario: ScenarioConfiguration) -> bool:
+    """Whether the emulated link delivers every message at once, and commands act at once."""
+    link, dead_time_ms = scenario.link, scenario.plant.actuator.delay_ms
+    is_changed = any(
+        way.delay_ms or way.trace is not None or any(has(way) for has in _KINDS.values())
+        for way in (link.uplink, link.downlink)
+    )
+    is_held = isinstance(link.playout_ms, float) and link.playout_ms > 0.0
+    return not (is_changed or is_held or dead_time_ms)

@@ -7,11 +7,13 @@ from typing import Annotated, Any, Self
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.bounds import Bounds, all_damage, judge_bounds, may_have_moved, plant_count
-from deploy.judge.chunks import Chunks, chunks
 from deploy.judge.findings.identified import identified
 from deploy.judge.findings.loss_reason import LossReason, loss_reason
 from deploy.judge.findings.ranges import BeyondRange, beyond_ranges
-from deploy.judge.joint_lag import lag_ms
+from deploy.judge.motion.chunks import Chunks, chunks
+from deploy.judge.motion.joint_lag import lag_ms
+from deploy.judge.motion.robot_lag import RobotLag, robot_lag
+from deploy.judge.motion.tip_error import TipError, tip_error_mm
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.reported_values import Reflex
 from deploy.judge.result.oscillation import (
@@ -35,9 +37,7 @@ from deploy.judge.result.timing import Timing, timing
 from deploy.judge.result.torque import Limits, Torque, limits, torque
 from deploy.judge.result.tracking import Tracking, tracking
 from deploy.judge.result.transport import Transport, transport
-from deploy.judge.robot_lag import RobotLag, robot_lag
 from deploy.judge.run_data import RunData
-from deploy.judge.tip_error import TipError, tip_error_mm
 from deploy.judge.verdict import Verdict, decide
 
 _SHORTEST_S = 1e-6

@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from deploy.judge.bounds import plant_count
-from deploy.judge.chunks import Chunks
 from deploy.judge.findings.loss_reason import LossReason, Reason
 from deploy.judge.metrics import RunResult
+from deploy.judge.motion.chunks import Chunks
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks
 from deploy.judge.run_data import RunData
 from deploy.judge.verdict import Verdict

@@ -12,7 +12,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
-from controller.laws.custom import EXTERNAL, LeftOut, TargetsAlone, tell_lag
+from controller.laws.custom import EXTERNAL, SHIPPED, LeftOut, TargetsAlone, tell_lag
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from controller.policies.configuration import is_address
@@ -25,7 +25,6 @@ from plant_emulator.interfaces.settings import TORQUE
 _SECTION = "plant.interface"
 _KEY = f"{_SECTION}.kind"
 _LAW, _PREVIEW = "controller.law", "controller.preview_ms"
-_DEMONSTRATOR = "funnel_hil:Demonstrator"
 _UNLESS = (
     "unless controller.drive_feedback.enabled is true or a robot takes positions or velocities"
 )
@@ -134,10 +133,9 @@ def uncovered_lag_s(setup: CheckedScenario) -> float:
     """Return the part of `own_lag_s` for which the law does not make up by reading ahead."""
     controller, own_s = setup.scenario.controller, own_lag_s(setup)
     law = controller.law
-    if law not in LAWS:  # whose code is not loaded to judge a recording; but one is ours
-        acts_ahead = (
-            law == _DEMONSTRATOR and controller.gains.get("custom", {}).get("lead_s") is None
-        )
+    if law not in LAWS:  # whose code is not loaded to judge a recording, but for our own
+        shipped = SHIPPED.get(law)
+        acts_ahead = shipped is not None and shipped.acts_ahead(controller.gains.get("custom", {}))
         return 0.0 if acts_ahead else own_s
     if LAWS[law].gives == TORQUE:
         return own_s

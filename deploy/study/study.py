@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
 from deploy.judge.conditions import Conditions, conditions_of_runs, seeds_text
+from deploy.judge.gate import Gauged
 from deploy.judge.run_rows import Row
 from deploy.judge.tested_with import tested_with
 from deploy.run.confirmation import CONFIRMATION, confirmations
@@ -98,6 +99,11 @@ class StudyOfRuns(ABC):
     def unit(self) -> str:
         """Of what a gate looks at: the smallest margin to a bound, unless a kind has others."""
         return OF_BOUND
+
+    @property
+    def furthest(self) -> Gauged | None:
+        """The last value that it tries; None for studies that search for no margin."""
+        return None
 
     @property
     def tested_with(self) -> dict[str, dict[str, Any]]:

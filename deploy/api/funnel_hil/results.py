@@ -136,17 +136,17 @@ class Run(Drawn):
 
     @property
     def times_s(self) -> Vector:
-        """Ticks of the plant, shape (ticks,)."""
+        """Begin of each tick of the plant, and the end of the run, shape (ticks + 1,)."""
         return self.data.times_s(topics.PLANT_TRUTH)
 
     @property
     def errors_rad(self) -> Matrix:
-        """True joint errors at every tick, shape (ticks, joints)."""
+        """True joint errors at `times_s`, shape (ticks + 1, joints)."""
         return self.data.true_errors_rad
 
     @property
     def torques_nm(self) -> Matrix:
-        """Torque on the joints at every tick, shape (ticks, joints)."""
+        """Torque on the joints at `times_s`, shape (ticks + 1, joints)."""
         torques: Matrix = self.table(topics.PLANT_TRUTH.name)["torque"]
         return torques
 

@@ -77,7 +77,7 @@ def run_study(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: boo
     if isinstance(options, GateOptions):
         gate = ResultGate(
             options, study.definition.name, study.unit, study.tested_with, study.kind, quantity,
-            patterns=pattern is not None, furthest=getattr(study, "furthest", None),
+            patterns=pattern is not None, furthest=study.furthest,
         )  # fmt: skip
     say_warnings(*study.bases)
     with carried_out(study, options, console, threading.Event()) as done:

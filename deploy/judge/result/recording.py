@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from bus_schema.messages import topics
+from deploy.judge.motion.torques import torques
 from deploy.judge.recorded_ticks import KnownTicks, rows_after_gaps
 from deploy.judge.result.section import Section
 from deploy.judge.run_data import RunData
-from deploy.judge.torques import torques
 
 UNAUTHENTICATED = (
     "without link.security, the check of the commander protects against mistakes, but not against"

@@ -10,9 +10,9 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.judge.findings.chattering import chatter_shares
+from deploy.judge.motion.torques import torques
 from deploy.judge.result.section import Column, PerJoint, Section
 from deploy.judge.run_data import RunData
-from deploy.judge.torques import torques
 
 
 class Torque(Section):

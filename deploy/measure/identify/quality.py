@@ -44,8 +44,9 @@ def residual_notes(fit: Fit, trial: Trial, joints: tuple[str, ...]) -> list[str]
             share = _explained(by, left[:, j])
             if share > _MUCH:
                 notes.append(
-                    f"{name}: {100 * share:.0f} % of what the model leaves depends on {what}"
-                    f"{' and direction' if what == 'load' else ''}"
+                    f"{name}: the model lacks a torque that depends on {what}"
+                    f"{' and direction' if what == 'load' else ''}: {100 * share:.0f} % of the"
+                    " variance of its error"
                 )
         if (drift := _drift(fit, trial, left, j)) is not None:
             notes.append(

@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from deploy.judge.chunks import Jump, chunks
+from deploy.judge.motion.chunks import Jump, chunks
 from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
 from deploy.reports.tables import number

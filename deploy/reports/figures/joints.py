@@ -13,8 +13,8 @@ from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from deploy.judge.bounds import bound_usage
 from deploy.judge.findings.chattering import CHATTER_HZ, power_spectrum
+from deploy.judge.motion.torques import torques as judged_torques
 from deploy.judge.run_data import RunData
-from deploy.judge.torques import torques as judged_torques
 from deploy.reports.figures import style
 from deploy.reports.figures.several_runs import (
     add_envelopes,

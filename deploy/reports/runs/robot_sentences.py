@@ -9,7 +9,7 @@ from deploy.judge.findings.loss import is_mostly
 from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
-from deploy.judge.robot_lag import RobotLag
+from deploy.judge.motion.robot_lag import RobotLag
 from deploy.judge.run_data import ROBOT_SERVER, RunData
 from deploy.reports.runs.run_numbers import worst_lag_ms
 from deploy.reports.tables import number

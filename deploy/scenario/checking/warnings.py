@@ -64,11 +64,6 @@ def scenario_warnings(setup: Setup) -> list[str]:
             f"{robot.path.name}: the plant has neither rotors nor friction, so margins are of"
             " bare links: funnel-hil robot --scenario writes a scenario with estimates of both"
         )
-    if (tenth := tenth_of_rotors(setup)) is not None:
-        why = (
-            "rotors are estimated and decide margins: funnel-hil margin also searches with a tenth"
-        )
-        sentences.append(f"{why}; elsewhere --set '{tenth}'")
     sentences += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
     largest_nm = setup.largest_torques_nm
@@ -77,6 +72,16 @@ def scenario_warnings(setup: Setup) -> list[str]:
     of_file = np.isclose(viscous, robot.drives.damping_nm_s, rtol=1e-3)
     sentences += damping_warnings(robot, np.where(of_file, viscous, 0.0), largest_nm)
     return sentences + setup.link_kind.warnings(setup.link_run(lockstep=True), most_nm)
+
+
+def estimated_rotor_warnings(setup: Setup) -> list[str]:
+    """Return a warning about estimated rotors, with the option for a tenth of them."""
+    if (tenth := tenth_of_rotors(setup)) is None:
+        return []
+    return [
+        "rotor inertias are estimated, and margins depend on them: funnel-hil margin also searches"
+        f" with a tenth of them; other commands take --set '{tenth}'"
+    ]
 
 
 def tenth_of_rotors(setup: Setup) -> str | None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from deploy.judge.findings.remedies import remedy_of
-from deploy.judge.link_words import has_no_effect, link_words
+from deploy.judge.link_words import has_no_delay, link_words
 from deploy.judge.result.section import PerJoint
 from deploy.reports.page import ReportHead
 from deploy.reports.tables import number
@@ -56,7 +56,9 @@ def _conditions(runs: Sequence[JudgedRun]) -> list[str]:
     laws = [run.data.setup.scenario.controller.law for run in runs]
     asked = f"{_scenario_file(runs[0])} --laws {','.join(map(shlex.quote, laws))}"
     at = f"on the same link ({link_words(setup.link)})"
-    if has_no_effect(setup.link):
+    if dead_ms := setup.scenario.plant.actuator.delay_ms:
+        at += f", with a dead time of the actuators of {dead_ms:g} ms"
+    if has_no_delay(setup.scenario):
         at = "without a link delay, which says nothing about how much delay each survives"
     own = [law for law, run in zip(laws, runs, strict=True) if _gives_gains(law, run, runs)]
     gains = (

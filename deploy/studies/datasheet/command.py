@@ -149,7 +149,7 @@ def _of_robot(options: DatasheetOptions, interface: str) -> None:
 
 def _furthest(margin: StudyOfRuns) -> Gauged | None:
     """Return the last value that its search for margins tries, which no option of it sets."""
-    found: Gauged | None = getattr(margin, "furthest", None)
+    found = margin.furthest
     return None if found is None else replace(found, name=_FURTHEST)
 
 

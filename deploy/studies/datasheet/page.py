@@ -147,11 +147,11 @@ def _best_case_sentence(margin: MarginResult, on: MarginCase) -> str:
         return f"With compensation it keeps its bounds at no delay ({texts.loss_text(on)})."
     or_more = " or more" if on.first_failure is None else ""
     d_ms = on.guaranteed_d_ms
-    playout = "" if d_ms is None else f", and commands act {d_ms:.9g} ms after their states"
+    playout = "" if d_ms is None else f" with a play-out of {d_ms:.9g} ms"
     return (
-        f"Best case{model_text([on])}: with compensation the bounds are kept at any delay up to"
-        f" {any_ms:g} ms{or_more}, if messages arrive in order and none is lost{playout};"
-        f" at a constant delay up to {texts.margin_text(on, margin)}."
+        f"Best case{model_text([on])}: with compensation the bounds are kept at every constant"
+        f" delay up to {texts.margin_text(on, margin)}, and at any delay up to"
+        f" {any_ms:g} ms{or_more}{playout}, if messages arrive in order and none is lost."
     )
 
 

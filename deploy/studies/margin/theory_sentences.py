@@ -45,8 +45,8 @@ def _stability(theory: Theory) -> str:
         )
     weakest = f"; weakest: {theory.joint}" if theory.joint else ""
     return (
-        f"stable up to a constant {theory.constant_ms:g} ms, and below"
-        f" {theory.any_pattern_ms:g} ms for every pattern (round trip; {_OF_THEORY}{weakest})"
+        f"stable with every constant round trip up to {theory.constant_ms:g} ms, and with every"
+        f" varying one below {theory.any_pattern_ms:g} ms ({_OF_THEORY}{weakest})"
     )
 
 

@@ -55,7 +55,7 @@ def test_run_is_that_of_the_command(run):
     assert run.margin == run.summary["bounds"]["margin_min"]
     np.testing.assert_array_equal(run.errors_rad, data.true_errors_rad)
     assert run.times_s.shape == (201,)
-    assert run.torques_nm.shape == (201, 3)
+    assert run.torques_nm.shape == run.errors_rad.shape == (run.summary["ticks"] + 1, 3)
 
 
 @pytest.mark.parametrize("form", ["mapping", "extended", "sections", "arrays", "file", "scenario"])

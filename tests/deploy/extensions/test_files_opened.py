@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
 REASONS = "deploy/judge/findings/loss_reason.py"
-TIP = "deploy/judge/tip_error.py"
+TIP = "deploy/judge/motion/tip_error.py"
 DRIVE = "plant_emulator/drives/drive.py"
 ADDED = {
     "key of the plant": [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.judge.joint_lag import lags_s, mean_speeds_rad_s
+from deploy.judge.motion.joint_lag import lags_s, mean_speeds_rad_s
 
 
 def test_lag_behind_a_ramp_that_arrives_in_steps_is_that_of_the_steps():

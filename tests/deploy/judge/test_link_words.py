@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 
 from bus_schema.link.configuration import LinkConfiguration
-from deploy.judge.link_words import has_no_effect, link_words
+from deploy.judge.link_words import has_no_delay, link_words
+from deploy.scenario.scenario import load_setup
 
 
 @pytest.mark.parametrize(
@@ -26,12 +27,18 @@ from deploy.judge.link_words import has_no_effect, link_words
 def test_words_name_the_round_trip_and_what_else_happens(uplink, downlink, words):
     link = LinkConfiguration.model_validate({"uplink": uplink, "downlink": downlink})
     assert link_words(link) == words
-    assert has_no_effect(link) is (words == "no link delay")
+    scenario = load_setup("paper_arm").scenario.model_copy(update={"link": link})
+    assert has_no_delay(scenario) is (words == "no link delay")
 
 
 def test_a_playout_delays_every_command():
     assert link_words(LinkConfiguration(playout_ms=30.0)) == "play-out 30 ms"
-    assert not has_no_effect(LinkConfiguration(playout_ms=30.0))
+
+
+@pytest.mark.parametrize("setting", ["link.playout_ms=30", "plant.actuator.delay_ms=5"])
+def test_what_delays_commands_beside_the_link_is_a_delay(setting):
+    assert has_no_delay(load_setup("paper_arm").scenario)
+    assert not has_no_delay(load_setup("paper_arm", [setting]).scenario)
 
 
 @pytest.mark.parametrize(

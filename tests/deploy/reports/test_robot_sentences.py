@@ -8,7 +8,7 @@ import pytest
 from bus_schema.messages import topics
 from controller.control_law import Diagnostics
 from deploy.judge.metrics import RunResult, judge, summarise
-from deploy.judge.tip_error import tips_apart_m
+from deploy.judge.motion.tip_error import tips_apart_m
 from deploy.reports.verdict_texts import verdict_on_run
 from deploy.run.execute import JudgedRun
 from deploy.run.simulate import simulate

@@ -159,7 +159,7 @@ def test_the_headline_of_margins_has_those_of_the_table(margin):
 
 def test_report_shows_the_theory_of_an_older_version(margin, page_of):
     margin["cases"][0]["theory"] = {"constant_ms": 6.5, "any_pattern_ms": 2.5, "joint": "elbow"}
-    sentence = "in theory stable up to a constant 6.5 ms, and below 2.5 ms for every pattern"
+    sentence = "stable with every constant round trip up to 6.5 ms, and with every varying"
     assert sentence in page_of(margin)
     assert sentence in " ".join(shown(margin).split())
 

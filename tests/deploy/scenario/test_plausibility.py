@@ -8,7 +8,11 @@ import pytest
 from bus_schema.robot_description import load_robot
 from deploy.cli.robot import at_rest, robot_warnings
 from deploy.scenario.checking.plausibility import loads_of
-from deploy.scenario.checking.warnings import scenario_warnings, tenth_of_rotors
+from deploy.scenario.checking.warnings import (
+    estimated_rotor_warnings,
+    scenario_warnings,
+    tenth_of_rotors,
+)
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
 from tests.arms import ARMS, shipped_arm
@@ -223,10 +227,13 @@ def test_rotors_that_an_override_gives_are_estimated_no_longer(arm):
 
 
 def test_a_tenth_of_estimated_rotors_has_its_command(arm):
-    (warned,) = [e for e in scenario_warnings(load_setup(str(arm(60, 20)))) if "rotors" in e]
+    setup = load_setup(str(arm(60, 20)))
+    (warned,) = estimated_rotor_warnings(setup)
     assert "--set 'plant.actuator.rotor_inertia_kg_m2=[0.048, 0.016]'" in warned
     tenth = load_setup(str(arm(60, 20)), ["plant.actuator.rotor_inertia_kg_m2=[0.048, 0.016]"])
     np.testing.assert_allclose(tenth.scenario.plant.actuator.rotor_inertia_kg_m2, [0.048, 0.016])
+    assert estimated_rotor_warnings(tenth) == []
+    assert not any("margin" in each for each in scenario_warnings(setup))  # of every command
 
 
 def test_an_arm_without_largest_torques_has_a_first_scenario_that_is_warned_of(arm):

@@ -75,7 +75,8 @@ def test_its_headline_has_the_numbers_of_its_parts(made):
     # The model of paper_arm errs by design, so that nothing is claimed of an exact one.
     assert best.startswith("Best case, with a model of 0.9 × its masses: ")
     or_more = " or more" if cases[True]["first_failure"] is None else ""
-    assert f"any delay up to {guaranteed:g} ms{or_more}, if messages arrive in order" in best
+    at_any = f"at any delay up to {guaranteed:g} ms{or_more} with a play-out of "
+    assert re.search(at_any + r"[\d.]+ ms, if messages arrive in order and none is lost\.$", best)
     values = [at["value"] for at in summary_of(out / "plants")["cases"][0]["values"]]
     assert values[-1] == guaranteed
     assert all(sentence in " ".join(output.split()) for sentence in summary["headline"])

@@ -61,7 +61,9 @@ def test_margin_prints_theory_beside_what_it_found(tmp_path):
     }  # fmt: skip
     assert set(smc["theory"]) == {"reason", "beside_ms"}
     text = margin_sentences(MarginResult.model_validate(summary))
-    assert any("up to a constant 13.54 ms, and below 8.94 ms for every pattern" in s for s in text)
+    assert any(
+        "round trip up to 13.54 ms, and with every varying one below 8.94 ms" in s for s in text
+    )
     (smc_has_none,) = (each for each in text if each.startswith("No theoretical margin for smc: "))
     assert "no slope at zero error" in smc_has_none
 
@@ -76,9 +78,9 @@ CASE = {
     "arm": "arm", "law": "pid", "compensation": None, "drive_feedback": None, "running": False,
 }  # fmt: skip
 SENTENCES = {
-    "stable up to a constant 2.17 ms, and below 1.66 ms for every pattern (round trip; linear, the"
-    " arm at its start, viscous friction alone; weakest: j0); unstable from 2.17 to 3 ms, 8.33 to"
-    " 9.37 ms, 14.49 to 15.7 ms, and so on (4 windows)": {
+    "stable with every constant round trip up to 2.17 ms, and with every varying one below 1.66 ms"
+    " (linear, the arm at its start, viscous friction alone; weakest: j0); unstable from 2.17 to"
+    " 3 ms, 8.33 to 9.37 ms, 14.49 to 15.7 ms, and so on (4 windows)": {
         "constant_ms": 2.17, "any_pattern_ms": 1.66, "joint": "j0", "unstable_without_delay": None,
         "unstable_ms": [[2.17, 3.0], [8.33, 9.37], [14.49, 15.7], [20.64, None]],
     },
@@ -92,8 +94,8 @@ SENTENCES = {
         "constant_ms": None, "any_pattern_ms": None, "joint": "j0", "unstable_ms": [[0.0, None]],
         "unstable_without_delay": {"rate_per_s": 10.0, "frequency_hz": 0.0, "joint": "j0"},
     },
-    "stable up to a constant 1000 ms, and below 7 ms for every pattern (round trip; linear, the arm"
-    " at its start, viscous friction alone)": {
+    "stable with every constant round trip up to 1000 ms, and with every varying one below 7 ms"
+    " (linear, the arm at its start, viscous friction alone)": {
         "constant_ms": 1000.0, "any_pattern_ms": 7.0, "joint": None, "unstable_ms": [],
         "unstable_without_delay": None,
     },

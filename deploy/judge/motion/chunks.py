@@ -9,10 +9,10 @@ import numpy as np
 
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from deploy.judge.commanded_jerk import commanded_jerk
+from deploy.judge.motion.commanded_jerk import commanded_jerk
+from deploy.judge.motion.tip_error import tips_apart_m
 from deploy.judge.result.section import Column, Section, Spread
 from deploy.judge.run_data import RunData
-from deploy.judge.tip_error import tips_apart_m
 
 _MM, _MS = 1e3, 1e3
 

@@ -12,10 +12,10 @@ from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from bus_schema.messages import topics
 from controller.laws import LAWS
 from controller.outer_laws.streaming import Streaming
-from deploy.judge.joint_lag import follows, lags_s
+from deploy.judge.motion.joint_lag import follows, lags_s
+from deploy.judge.motion.tip_error import tips_apart_m
 from deploy.judge.result.section import Section
 from deploy.judge.run_data import RunData
-from deploy.judge.tip_error import tips_apart_m
 from deploy.scenario.robot_interface import own_lag_s, preview_s
 from plant_emulator.interfaces.settings import TORQUE
 
