@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import operator
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numba
 from llvmlite import binding
-from numba.core import codegen, compiler, compiler_machinery, typed_passes, types
+from numba.core import codegen, compiler, compiler_machinery, cpu, typed_passes, types
 from numba.core import ir as _ir
+from numba.core.datamodel import models, registry
+
+from bus_schema.runtime.kernel_cache import PACKAGES
 
 ir: Any = _ir
 AnalysisPass: Any = compiler_machinery.AnalysisPass
@@ -22,7 +26,6 @@ _register_pass: Any = compiler_machinery.register_pass
 _JITCodeLibrary: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.Compiler
 _njit: Any = numba.njit
-config: Any = numba.config
 
 
 def link_into_callers(dispatcher: Any, function: Callable[..., Any], **options: Any) -> None:
@@ -102,8 +105,15 @@ class _EntryLibrary(_Unoptimized):
         super().finalize()
 
     def _optimize_final_module(self) -> None:
-        """Once: numba does it twice, for counts of references, of which these kernels have few."""
-        passes, builder = self._codegen._module_pass_manager()
+        """Optimize at LLVM's first level: a tenth of the time less, for code as fast.
+
+        More levels, vectors and unrolling are for long loops; those of kernels run over few joints.
+        """
+        tuning = binding.create_pipeline_tuning_options(speed_level=1)
+        tuning.loop_vectorization = tuning.slp_vectorization = tuning.loop_unrolling = False
+        builder = binding.create_pass_builder(self._codegen._tm, tuning)
+        passes = builder.getModulePassManager()
+        passes.add_refprune_pass()
         passes.run(self._final_module, builder)
 
 
@@ -147,6 +157,31 @@ class _ReferenceCounts(AnalysisPass):  # type: ignore[misc]
         return False
 
 
+def _load_known(context: Any) -> None:
+    """Only what was registered since: numba imports it all again, a thousand times a kernel."""
+    for each in tuple(context._registries):
+        context.install_registry(each)
+
+
+_DataModel: Any = models.DataModel
+_AnyFunction: Any = types.BaseFunction
+_find_call_type: Any = _AnyFunction.get_call_type
+_call_types: dict[Any, Any] = {}
+_OPERATORS = {getattr(operator, name) for name in operator.__all__} | {bool, range}
+_PLAIN = (types.Number, types.Boolean, types.Array, types.BaseTuple, types.SliceType)
+
+
+def _known_call_type(function: Any, context: Any, arguments: Any, named: Any) -> Any:
+    """Remember the result of operators: for each use, numba tries all that it could mean."""
+    is_operator = function.typing_key in _OPERATORS
+    if named or not is_operator or not all(isinstance(each, _PLAIN) for each in arguments):
+        return _find_call_type(function, context, arguments, named)
+    key = id(function), tuple(arguments)
+    if key not in _call_types:
+        _call_types[key] = _find_call_type(function, context, arguments, named), function
+    return _call_types[key][0]
+
+
 class _LinkedCompiler(_Compiler):  # type: ignore[misc]
     def define_pipelines(self) -> Any:
         (pipeline,) = super().define_pipelines()
@@ -164,8 +199,9 @@ class EntryCompiler(_LinkedCompiler):
         self.state.library.enable_object_caching()
         with (
             _garbage_kept(),
-            _optimized_once(),
             _replaced(generator, _library_class=_LinkedLibrary),
+            _replaced(cpu.CPUContext, load_additional_registries=_load_known),
+            _replaced(_AnyFunction, get_call_type=_known_call_type),
         ):
             result = super().compile_extra(function)
         for environment in result._find_referenced_environments():
@@ -173,9 +209,32 @@ class EntryCompiler(_LinkedCompiler):
         return result
 
 
+class _WholeArgument(_DataModel):  # type: ignore[misc]
+    """Passes our tuples whole: numba takes them apart for each call, to hundreds of numbers."""
+
+    def _is_ours(self) -> bool:
+        return self._fe_type.instance_class.__module__.partition(".")[0] in PACKAGES
+
+    def get_argument_type(self) -> Any:
+        return self.get_value_type() if self._is_ours() else super().get_argument_type()
+
+    def as_argument(self, builder: Any, value: Any) -> Any:
+        return value if self._is_ours() else super().as_argument(builder, value)
+
+    def from_argument(self, builder: Any, value: Any) -> Any:
+        return value if self._is_ours() else super().from_argument(builder, value)
+
+
+for _kind, _model in (
+    (types.NamedTuple, models.TupleModel),
+    (types.NamedUniTuple, models.UniTupleModel),
+):
+    registry.register_default(_kind)(type("_Whole", (_WholeArgument, _model), {}))
+
+
 @contextlib.contextmanager
 def _garbage_kept() -> Iterator[None]:
-    """Pause garbage collection, which takes a fifth of the time of a compilation."""
+    """Collect no garbage of a compilation, which takes a fifth of its time."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -184,16 +243,6 @@ def _garbage_kept() -> Iterator[None]:
         if was_on:
             gc.freeze()
             gc.enable()
-
-
-@contextlib.contextmanager
-def _optimized_once() -> Iterator[None]:
-    """Let LLVM optimize at its first level: a tenth of the time less, for code as fast.
-
-    More levels and vectors are for long loops; those of kernels run over a few joints.
-    """
-    with _replaced(config, OPT=type(config.OPT)(1), LOOP_VECTORIZE=0):
-        yield
 
 
 @contextlib.contextmanager
