@@ -16,16 +16,17 @@ _MOST_SWEEPS = 50
 """Ten suffice for the joints of an arm; the limit ends the loop for a matrix with NaN."""
 
 
-@compiled
 def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
-    """Return a symmetric matrix's eigenvalues, in no order, and its unit eigenvectors as columns.
+    """Return a symmetric matrix's eigenvalues, in any order, and unit eigenvectors as columns."""
+    a, vectors = np.array(matrix, np.float64, order="C"), np.eye(len(matrix))
+    _diagonalize(a, vectors)
+    return a.diagonal().copy(), vectors
 
-    Jacobi rotations run row by row until all off-diagonal values are below rounding.
-    """
-    n = matrix.shape[0]
-    a, vectors, found = matrix.copy(), np.zeros((n, n)), np.empty(n)
-    for k in range(n):  # np.eye and np.diag would take longer to compile than all else here
-        vectors[k, k] = 1.0
+
+@compiled
+def _diagonalize(a: Matrix, vectors: Matrix) -> None:
+    """Apply Jacobi's rotations row by row until all off-diagonal values are below rounding."""
+    n = a.shape[0]
     for _ in range(_MOST_SWEEPS):
         is_diagonal = True
         for p in range(n):
@@ -44,9 +45,6 @@ def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
                 a[p, q] = a[q, p] = 0.0
         if is_diagonal:
             break
-    for k in range(n):
-        found[k] = a[k, k]
-    return found, vectors
 
 
 @compiled

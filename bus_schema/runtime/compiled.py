@@ -45,7 +45,11 @@ os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 import numba  # noqa: E402  (reads both at import)
 import numpy as np  # noqa: E402
 from llvmlite import binding  # noqa: E402
+from numba.core import cgutils as _cgutils  # noqa: E402
+from numba.np import arrayobj as _arrayobj  # noqa: E402
 
+cgutils: Any = _cgutils
+arrayobj: Any = _arrayobj
 _linking: Any = None
 _Cache: Any = object
 # Internal to numba; without it, compiling and loading take longer.
@@ -152,6 +156,36 @@ def copying(source: Matrix, target: Matrix) -> Callable[[], None]:
     if source.flags.c_contiguous and target.flags.c_contiguous:
         return partial(setitem, target.data.cast("B"), slice(None), source.data.cast("B"))
     return bind(assign, target, source)
+
+
+def _scratch(_typing: Any, shape: Any) -> Any:
+    """Return an array of floats for this call only, not initialized; a kernel cannot return it.
+
+    Args:
+        _typing: what numba passes besides.
+        shape: a size, or sizes.
+    """
+    types, size = numba.types, np.dtype(float).itemsize
+    array = types.Array(types.float64, getattr(shape, "count", 1), "C")
+
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        shape, made = arguments[0], arrayobj.make_array(array)(context, builder)
+        sizes = cgutils.unpack_tuple(builder, shape) if array.ndim > 1 else [shape]
+        strides = [context.get_constant(types.intp, size)]
+        for each in reversed(sizes):
+            strides.insert(0, builder.mul(strides[0], each))
+        memory = builder.alloca(cgutils.int8_t, strides[0])
+        memory.align = 2 * size
+        data = builder.bitcast(memory, made.data.type)
+        arrayobj.populate_array(made, data, sizes, strides[1:], strides[-1], None)
+        return made._getvalue()
+
+    return array(shape), generate
+
+
+scratch: Callable[..., Any] = cast("Any", numba).extending.intrinsic(_scratch)
+if _linking is not None:
+    _linking.UNCOUNTED.add(scratch)
 
 
 @compiled

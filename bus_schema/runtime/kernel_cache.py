@@ -20,7 +20,7 @@ FOLDER = "NUMBA_CACHE_DIR"
 REFUSED = "FUNNEL_HIL_KERNELS_ARE_KEPT_ELSEWHERE"
 """Environment variable: why the usual folder is not used; children do not report it again."""
 _SOURCES = Path(__file__).resolve().parents[2]
-_PACKAGES = ("controller", "plant_emulator", "bus_schema")
+PACKAGES = ("controller", "plant_emulator", "bus_schema")
 """The packages with kernels."""
 _ENOUGH_BYTES = 32 << 20
 """Larger than all kernels."""
@@ -105,12 +105,12 @@ def place_of(source: str) -> str:
     """Return the folder for the kernels of one of our files, by its package; empty for others."""
     path = Path(source).resolve()
     inside = path.relative_to(_SOURCES).parts[:-1] if path.is_relative_to(_SOURCES) else ()
-    return ".".join(inside) if inside[:1] and inside[0] in _PACKAGES else ""
+    return ".".join(inside) if inside[:1] and inside[0] in PACKAGES else ""
 
 
 def _digest_of_sources() -> str:
     digest = hashlib.sha256()
-    for package in _PACKAGES:
+    for package in PACKAGES:
         for source in sorted((_SOURCES / package).rglob("*.py")):
             text = source.read_bytes()
             if b"\n@compiled" in text:

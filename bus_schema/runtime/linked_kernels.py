@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import operator
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numba
-from numba.core import codegen, compiler
+from llvmlite import binding
+from numba.core import codegen, compiler, compiler_machinery, cpu, typed_passes, types
+from numba.core import ir as _ir
+from numba.core.datamodel import models, registry
 
+from bus_schema.runtime.kernel_cache import PACKAGES
+
+ir: Any = _ir
+AnalysisPass: Any = compiler_machinery.AnalysisPass
+_register_pass: Any = compiler_machinery.register_pass
 _JITCodeLibrary: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.Compiler
 _njit: Any = numba.njit
-config: Any = numba.config
 
 
 def link_into_callers(dispatcher: Any, function: Callable[..., Any], **options: Any) -> None:
@@ -42,65 +50,208 @@ class _NoMachineCode:
         """Does nothing: `EntryCompiler` does it for the callers."""
 
 
-class _LinkedLibrary(_JITCodeLibrary):  # type: ignore[misc]
-    """Intermediate code of a kernel, with that of the kernels that it calls."""
+def _link_each_once(module: Any, libraries: Any, linked: set[Any]) -> None:
+    """Add the code of these libraries to a module, with that of those they call."""
+    for library in libraries:
+        if library not in linked:
+            linked.add(library)
+            if isinstance(library, _LinkedLibrary):
+                module.link_in(library._final_module, preserve=True)
+                _link_each_once(module, library._linking_libraries, linked)
+            else:
+                module.link_in(library._get_module_for_linking(), preserve=True)
 
-    codegen = _NoMachineCode()
 
+class _Unoptimized(_JITCodeLibrary):  # type: ignore[misc]
     def _optimize_functions(self, module: Any) -> None:
-        """Leave that to the callers."""
+        """Leave that to the outermost kernel, which optimizes all functions together."""
         module.data_layout = self._codegen._data_layout
 
+
+class _LinkedLibrary(_Unoptimized):
+    """Intermediate code of a function that kernels call, without that of those that it calls."""
+
+    codegen = _NoMachineCode()
+    _shared_module: Any
+
     def finalize(self) -> None:
-        for library in dict.fromkeys(self._linking_libraries):
+        for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == binding.Linkage.external:
+                function.linkage = "linkonce_odr"
         self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        """For callers that are not ours."""
+        if self._shared_module is None:
+            self._shared_module = self._final_module.clone()
+            _link_each_once(self._shared_module, self._linking_libraries, {self})
+        return self._shared_module
 
     def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002
         self._ensure_finalized()
         return 0
 
 
+class _EntryLibrary(_Unoptimized):
+    _linking_libraries: list[Any]
+
+    def finalize(self) -> None:
+        for library in self._linking_libraries:
+            self._reload_init.update(library._reload_init)
+        _link_each_once(self._final_module, self._linking_libraries, set())
+        self._linking_libraries = []
+        super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        """Optimize at LLVM's first level: a tenth of the time less, for code as fast.
+
+        More levels, vectors and unrolling are for long loops; those of kernels run over few joints.
+        """
+        tuning = binding.create_pipeline_tuning_options(speed_level=1)
+        tuning.loop_vectorization = tuning.slp_vectorization = tuning.loop_unrolling = False
+        builder = binding.create_pass_builder(self._codegen._tm, tuning)
+        passes = builder.getModulePassManager()
+        passes.add_refprune_pass()
+        passes.run(self._final_module, builder)
+
+
+UNCOUNTED: set[Any] = set()
+"""Functions whose arrays live as long as their caller's call."""
+_BORROWS = {
+    "getitem", "static_getitem", "typed_getitem", "getattr", "build_tuple", "exhaust_iter",
+    "iternext", "getiter", "pair_first", "pair_second", "cast", "phi",
+}  # fmt: skip
+
+
+@_register_pass(mutates_CFG=False, analysis_only=True)
+class _ReferenceCounts(AnalysisPass):  # type: ignore[misc]
+    """Leaves out counts of references, half of the code, where no arrays are made or returned."""
+
+    _name = "reference_counts"
+
+    def __init__(self) -> None:
+        """The base class requires one."""
+
+    def run_pass(self, state: Any) -> bool:
+        def counts(kind: Any) -> bool:
+            return bool(state.targetctx.data_model_manager[kind].contains_nrt_meminfo())
+
+        def makes_arrays(line: Any) -> bool:
+            if isinstance(line, ir.Assign):
+                makes = isinstance(line.value, ir.Expr) and line.value.op not in _BORROWS
+                if makes and line.value.op == "call":
+                    called = state.typemap[line.value.func.name]
+                    makes = getattr(called, "typing_key", None) not in UNCOUNTED
+                    makes &= not isinstance(called, types.NamedTupleClass)
+                return makes and counts(state.typemap[line.target.name])
+            if isinstance(line, (ir.SetItem, ir.StaticSetItem, ir.SetAttr)):
+                return counts(state.typemap[line.value.name])
+            return not isinstance(line, (ir.Jump, ir.Branch, ir.Return, ir.Del, ir.StaticRaise))
+
+        lines = (line for block in state.func_ir.blocks.values() for line in block.body)
+        returns = state.func_ir.is_generator or counts(state.return_type)
+        if not returns and not any(map(makes_arrays, lines)):
+            state.targetctx = state.targetctx.subtarget(enable_nrt=False)
+        return False
+
+
+def _load_known(context: Any) -> None:
+    """Only what was registered since: numba imports it all again, a thousand times a kernel."""
+    for each in tuple(context._registries):
+        context.install_registry(each)
+
+
+_DataModel: Any = models.DataModel
+_AnyFunction: Any = types.BaseFunction
+_find_call_type: Any = _AnyFunction.get_call_type
+_call_types: dict[Any, Any] = {}
+_OPERATORS = {getattr(operator, name) for name in operator.__all__} | {bool, range}
+_PLAIN = (types.Number, types.Boolean, types.Array, types.BaseTuple, types.SliceType)
+
+
+def _known_call_type(function: Any, context: Any, arguments: Any, named: Any) -> Any:
+    """Remember the result of operators: for each use, numba tries all that it could mean."""
+    is_operator = function.typing_key in _OPERATORS
+    if named or not is_operator or not all(isinstance(each, _PLAIN) for each in arguments):
+        return _find_call_type(function, context, arguments, named)
+    key = id(function), tuple(arguments)
+    if key not in _call_types:
+        _call_types[key] = _find_call_type(function, context, arguments, named), function
+    return _call_types[key][0]
+
+
 class _LinkedCompiler(_Compiler):  # type: ignore[misc]
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        if self.state.library is None:
-            self.state.library = _LinkedLibrary(self.state.targetctx.codegen(), "linked")
+    def define_pipelines(self) -> Any:
+        (pipeline,) = super().define_pipelines()
+        pipeline.add_pass_after(_ReferenceCounts, typed_passes.NopythonTypeInference)
+        pipeline.finalize()
+        return [pipeline]
 
 
-class EntryCompiler(_Compiler):  # type: ignore[misc]
+class EntryCompiler(_LinkedCompiler):
     """Compiles kernels that Python calls, and their environments with those of what they call."""
 
     def compile_extra(self, function: Any) -> Any:
-        with _garbage_kept(), _optimized_once():
+        generator = self.state.targetctx.codegen()
+        self.state.library = _EntryLibrary(generator, function.__qualname__)
+        self.state.library.enable_object_caching()
+        with (
+            _garbage_kept(),
+            _replaced(generator, _library_class=_LinkedLibrary),
+            _replaced(cpu.CPUContext, load_additional_registries=_load_known),
+            _replaced(_AnyFunction, get_call_type=_known_call_type),
+        ):
             result = super().compile_extra(function)
         for environment in result._find_referenced_environments():
             result.library.codegen.set_env(environment.env_name, environment)
         return result
 
 
+class _WholeArgument(_DataModel):  # type: ignore[misc]
+    """Passes our tuples whole: numba takes them apart for each call, to hundreds of numbers."""
+
+    def _is_ours(self) -> bool:
+        return self._fe_type.instance_class.__module__.partition(".")[0] in PACKAGES
+
+    def get_argument_type(self) -> Any:
+        return self.get_value_type() if self._is_ours() else super().get_argument_type()
+
+    def as_argument(self, builder: Any, value: Any) -> Any:
+        return value if self._is_ours() else super().as_argument(builder, value)
+
+    def from_argument(self, builder: Any, value: Any) -> Any:
+        return value if self._is_ours() else super().from_argument(builder, value)
+
+
+for _kind, _model in (
+    (types.NamedTuple, models.TupleModel),
+    (types.NamedUniTuple, models.UniTupleModel),
+):
+    registry.register_default(_kind)(type("_Whole", (_WholeArgument, _model), {}))
+
+
 @contextlib.contextmanager
 def _garbage_kept() -> Iterator[None]:
-    """Pause garbage collection, which takes a fifth of the time of a compilation."""
+    """Collect no garbage of a compilation, which takes a fifth of its time."""
     was_on = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if was_on:
+            gc.freeze()
             gc.enable()
 
 
 @contextlib.contextmanager
-def _optimized_once() -> Iterator[None]:
-    """Let LLVM optimize at its first level: a tenth of the time less, for code as fast.
-
-    More levels and vectors are for long loops; those of kernels run over a few joints.
-    """
-    chosen = config.OPT, config.LOOP_VECTORIZE
-    config.OPT, config.LOOP_VECTORIZE = type(config.OPT)(1), 0
+def _replaced(thing: Any, **values: Any) -> Iterator[None]:
+    before = {name: getattr(thing, name) for name in values}
+    for name, value in values.items():
+        setattr(thing, name, value)
     try:
         yield
     finally:
-        config.OPT, config.LOOP_VECTORIZE = chosen
+        for name, value in before.items():
+            setattr(thing, name, value)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import all_finite, bind, compiled
+from bus_schema.runtime.compiled import all_finite, bind, compiled, scratch
 from controller.compensation.arm_belief import ArmBelief, NominalArm, smooth_sign
 from controller.compensation.command_timeline import Commands, add_change
 from controller.control_law import Tracking
@@ -62,7 +62,7 @@ def _fill(
 ) -> None:  # fmt: skip
     """Turn the reference at the ends of the pieces into the plan, and fill the rows by it."""
     plan, limits_nm, joints = commands.next_plan, nominal.limits_nm, error.size
-    torque, values, omega = np.empty(joints), np.empty((3, joints)), _RETURNS_RAD_S
+    torque, values, omega = scratch(joints), scratch((3, joints)), _RETURNS_RAD_S
     for end in range(len(plan)):
         after_s = end * piece_s
         left = math.exp(-omega * after_s)

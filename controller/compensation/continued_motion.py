@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.runtime.compiled import assign, compiled
+from bus_schema.runtime.compiled import assign, compiled, scratch
 from controller.compensation.arm_belief import ArmBelief, NominalArm
 from controller.compensation.command_timeline import HELD, Commands, Flight
 from controller.compensation.motion_predictor import RigidBodyTerms, is_possible, stretch
@@ -84,7 +84,7 @@ def continue_motion(
     newest, joints = commands.state[0].newest, predicted.shape[1]
     from_ns = continued.until_ns[0]
     if in_force > HELD and 0 < acts_ns - from_ns <= horizon_ns:
-        motion, impulse = np.empty((3, joints)), np.empty(joints)
+        motion, impulse = scratch((3, joints)), scratch(joints)
         assign(motion[:2], continued.motion)
         stretch(
             terms, nominal.limits_nm, belief, drive, commands,

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import assign, compiled
+from bus_schema.runtime.compiled import compiled, scratch
 from controller.compensation.arm_belief import ArmBelief, NominalArm
 from controller.compensation.motion_window import WINDOW_S, Window, add_step, empty_window
 from controller.rigid_bodies.dynamics import ROTOR, inverse_dynamics
@@ -174,20 +174,24 @@ def _update(
     """Process a full window that ended with this velocity."""
     window, joints = filter_.window, velocity.size
     elapsed_s = window.elapsed_s[0]
-    position, mean_velocity = window.position / elapsed_s, window.angle / elapsed_s
-    acceleration = (velocity - window.first_velocity) / elapsed_s
-    nominal_torque, tip_torque = np.empty(joints), np.empty(joints)
-    motion = (position, mean_velocity, acceleration)
-    inverse_dynamics(nominal.bodies, nominal.inertia, *motion, nominal_torque)
-    inverse_dynamics(nominal.bodies, nominal.tip_inertia, *motion, tip_torque)
-    needed = np.empty(joints)
-    inverse_dynamics(nominal.bodies, belief.inertia, *motion, needed)
+    position, mean_velocity, acceleration = scratch(joints), scratch(joints), scratch(joints)
+    for i in range(joints):
+        position[i] = window.position[i] / elapsed_s
+        mean_velocity[i] = window.angle[i] / elapsed_s
+        acceleration[i] = (velocity[i] - window.first_velocity[i]) / elapsed_s
+    nominal_torque, tip_torque = scratch(joints), scratch(joints)
+    needed, changed = scratch(joints), scratch(joints)
+    for inertia, torque in (
+        (nominal.inertia, nominal_torque), (nominal.tip_inertia, tip_torque),
+        (belief.inertia, needed),
+    ):  # fmt: skip
+        inverse_dynamics(nominal.bodies, inertia, position, mean_velocity, acceleration, torque)
 
     size = filter_.estimate.size
     rotor = PER_JOINT + 3 * joints
     for k in range(size):
         filter_.covariance[k, k] += elapsed_s * filter_.per_root_s[k] ** 2
-    row = np.zeros(size)
+    row = scratch(size)
     for i in range(joints):
         if window.saturated[i] > 0.0:
             continue
@@ -205,8 +209,7 @@ def _update(
         _correct(filter_, row, measured, filter_.noise_nm[i] + _NOISE_OF_SPREAD * spread_nm)
     _believe(nominal, filter_, belief)
 
-    changed = np.empty(joints)
-    inverse_dynamics(nominal.bodies, belief.inertia, *motion, changed)
+    inverse_dynamics(nominal.bodies, belief.inertia, position, mean_velocity, acceleration, changed)
     for i in range(joints):
         # the model now explains this part of the disturbance: the prediction does not jump
         belief.disturbance_nm[i] += changed[i] - needed[i]
@@ -217,7 +220,8 @@ def _correct(filter_: Identification, row: Vector, measured: float, noise: float
     """Apply one scalar measurement, in Joseph's form, which keeps the covariance positive."""
     theta, covariance = filter_.estimate, filter_.covariance
     size = theta.size
-    spread = np.zeros(size)
+    gain, spread = scratch(size), scratch(size)
+    spread[:] = 0.0
     total = noise * noise
     surprise = measured
     for k in range(size):
@@ -228,8 +232,8 @@ def _correct(filter_: Identification, row: Vector, measured: float, noise: float
     if not (0.0 < total < 1e300 and -1e300 < surprise < 1e300):
         _forget_certainty(filter_)
         return
-    gain = spread / total
     for k in range(size):
+        gain[k] = spread[k] / total
         theta[k] += gain[k] * surprise
     for k in range(size):
         for j in range(k + 1):
@@ -266,18 +270,21 @@ def _believe(nominal: NominalArm, filter_: Identification, belief: ArmBelief) ->
     """Update the belief from the estimate, within its limits."""
     theta, joints = filter_.estimate, belief.coulomb_nm.size
     _keep_within_limits(filter_)
-    payload_inertia = theta[PAYLOAD] * nominal.tip_inertia
-    assign(belief.inertia, (1.0 + theta[INERTIA]) * nominal.inertia + payload_inertia)
+    share, payload_kg = 1.0 + theta[INERTIA], theta[PAYLOAD]
+    for index in np.ndindex(belief.inertia.shape):
+        payload_inertia = payload_kg * nominal.tip_inertia[index]
+        belief.inertia[index] = share * nominal.inertia[index] + payload_inertia
     if theta.size > PER_JOINT + 3 * joints:
         for i in range(joints):
             factor = 1.0 + theta[PER_JOINT + 3 * joints + i]
             belief.inertia[i, ROTOR] = factor * nominal.inertia[i, ROTOR]
     belief.lag_s[0] = theta[LAG]
-    mean_sign = filter_.window.sign / filter_.window.elapsed_s[0]
-    mean_velocity = filter_.window.angle / filter_.window.elapsed_s[0]
+    window = filter_.window
     for i in range(joints):
         coulomb = theta[PER_JOINT + joints + i]
         viscous = theta[PER_JOINT + 2 * joints + i]
-        belief.disturbance_nm[i] += (coulomb - belief.coulomb_nm[i]) * mean_sign[i]
-        belief.disturbance_nm[i] += (viscous - belief.viscous_nm_s[i]) * mean_velocity[i]
+        mean_sign = window.sign[i] / window.elapsed_s[0]
+        mean_velocity = window.angle[i] / window.elapsed_s[0]
+        belief.disturbance_nm[i] += (coulomb - belief.coulomb_nm[i]) * mean_sign
+        belief.disturbance_nm[i] += (viscous - belief.viscous_nm_s[i]) * mean_velocity
         belief.coulomb_nm[i], belief.viscous_nm_s[i] = coulomb, viscous

@@ -14,7 +14,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains, drive_torque
-from bus_schema.runtime.compiled import assign, compiled
+from bus_schema.runtime.compiled import assign, compiled, scratch
 from controller.compensation.arm_belief import ArmBelief, NominalArm, smooth_sign
 from controller.compensation.command_timeline import (
     CAPACITY,
@@ -75,7 +75,7 @@ def move(
     """
     joints = actuator.size
     mass, inverse, load = terms
-    middle = np.empty((2, joints))
+    middle = scratch((2, joints))
     motion[2] = 0.0
     impulse[:] = 0.0
     in_force, upcoming, newest, delay_ns = flight
@@ -113,8 +113,8 @@ def stretch(
     in_force, upcoming, newest, delay_ns = flight
     _, inverse_mass, load = terms
     joints, lag_s = position.size, belief.lag_s[0]
-    asked, total, slope = np.empty(joints), np.empty(joints), np.empty(joints)
-    row = np.empty((3, joints))
+    asked, total, slope = scratch(joints), scratch(joints), scratch(joints)
+    row = scratch((3, joints))
     assign(acceleration, velocity)  # start velocity, replaced at the end
     now_ns, last_step_ns, left, mean_left = from_ns, 0, 0.0, 0.0
     while now_ns < until_ns:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
-from bus_schema.runtime.compiled import all_finite, assign, compiled
+from bus_schema.runtime.compiled import all_finite, assign, compiled, scratch
 from controller.compensation.arm_belief import ArmBelief, NominalArm
 from controller.compensation.command_timeline import (
     CAPACITY,
@@ -150,8 +150,10 @@ def _learn(
     """Compare the arm's motion since the last state with the prediction."""
     nominal, belief, identification, drive, commands, last, _, _, terms, _ = arm
     joints, step_s = error.size, (stamp_ns - last_ns) * 1e-9
-    motion, impulse = np.empty((3, joints)), np.empty(joints)
-    actuator, actuator_before = belief.actuator_nm.copy(), belief.actuator_nm.copy()
+    motion, impulse = scratch((3, joints)), scratch(joints)
+    actuator, actuator_before = scratch(joints), scratch(joints)
+    assign(actuator, belief.actuator_nm)
+    assign(actuator_before, actuator)
     assign(motion[:2], last)
     move(
         nominal, belief, drive, commands, flight, last_ns, stamp_ns, terms,
@@ -190,8 +192,8 @@ def move_ahead(arm: Arm, state: Matrix, stamp_ns: int, moved: Matrix) -> int:
     """
     nominal, belief, _, drive, commands, _, last_answered, _, terms, _ = arm
     joints = state.shape[1]
-    motion, impulse = np.empty((3, joints)), np.empty(joints)
-    actuator = belief.actuator_nm.copy()
+    motion, impulse, actuator = scratch((3, joints)), scratch(joints), scratch(joints)
+    assign(actuator, belief.actuator_nm)
     assign(motion[:2], state)
     flight = ahead(commands, last_answered[1], stamp_ns)
     acts_ns = stamp_ns + commands.state[0].horizon_ns + int(1e9 * belief.lag_s[0])

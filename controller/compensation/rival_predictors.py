@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import all_finite, assign, compiled
+from bus_schema.runtime.compiled import all_finite, assign, compiled, scratch
 from controller.compensation.command_timeline import CAPACITY, HELD, LONGEST_HORIZON_NS
 from controller.compensation.motion_predictor import move
 from controller.compensation.prediction import Arm, acted_since_last, aim, move_ahead
@@ -44,7 +42,7 @@ def foresee_smith(
     last_ns = arm.last_answered[0]
     knows, flight = acted_since_last(arm, stamp_ns, sequence, delay_ns, arrival_ns)
     joints, model = measured.shape[1], arm.last
-    motion, impulse = np.empty((3, joints)), np.empty(joints)
+    motion, impulse = scratch((3, joints)), scratch(joints)
     assign(motion[:2], model)
     if knows:
         actuator = arm.belief.actuator_nm
@@ -82,11 +80,13 @@ def foresee_network(
     motions faster than λ only.
     """
     commands, memory, step_ns = arm.commands, arm.memory, stamp_ns - arm.last_answered[0]
-    joints, last_velocity = measured.shape[1], arm.last[1].copy()
+    joints = measured.shape[1]
+    last_velocity, asked = scratch(joints), scratch(joints)
+    assign(last_velocity, arm.last[1])
     acted_since_last(arm, stamp_ns, sequence, delay_ns, arrival_ns)
     begins = commands.state[0].newest == HELD or step_ns > LONGEST_HORIZON_NS
     if not begins:
-        asked = _acceleration(arm, measured, commands.state[0].newest % CAPACITY)
+        _accelerate(arm, measured, commands.state[0].newest % CAPACITY, asked)
         _observe(memory, asked, last_velocity, measured[1], bandwidth_rad_s, 1e-9 * step_ns)
         begins = not _is_plausible(memory)
     if begins:
@@ -111,19 +111,18 @@ def _is_plausible(memory: Matrix) -> bool:
 
 
 @compiled
-def _acceleration(arm: Arm, measured: Matrix, slot: int) -> Vector:
-    """Return the acceleration that a command's torque would give the nominal model, rad/s²."""
+def _accelerate(arm: Arm, measured: Matrix, slot: int, acceleration: Vector) -> None:
+    """Write the acceleration that a command's torque would give the nominal model, rad/s²."""
     joints = measured.shape[1]
-    mass, inverse, load = np.empty((joints, joints)), np.empty((joints, joints)), np.empty(joints)
+    mass, inverse, load = scratch((joints, joints)), scratch((joints, joints)), scratch(joints)
     mass_and_load(arm.nominal.bodies, arm.belief.inertia, measured[0], measured[1], mass, load)
     invert(mass, inverse)
-    acceleration = np.zeros(joints)
+    acceleration[:] = 0.0
     for j in range(joints):
         limit_nm = arm.nominal.limits_nm[j]
         torque_nm = min(max(arm.commands.torques_nm[slot, j], -limit_nm), limit_nm)
         for i in range(joints):
             acceleration[i] += inverse[i, j] * (torque_nm - load[j])
-    return acceleration
 
 
 @compiled

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import assign, compiled
+from bus_schema.runtime.compiled import assign, compiled, scratch
 from controller.rigid_bodies.vectors import (
     Vec,
     add,
@@ -85,13 +85,9 @@ class _Placed(NamedTuple):
 
 
 @compiled
-def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
+def _place(bodies: RigidBodies, inertia: Matrix, position: Vector, placed: _Placed) -> None:
     count = bodies.parents.size
-    placed = _Placed(
-        np.empty((count, 3)), np.empty((count, 3)), np.empty(count),
-        np.empty((count, 3)), np.empty((count, 6)),
-    )  # fmt: skip
-    frames, origins, fixed = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((3, 3))
+    frames, origins, fixed = scratch((count, 3, 3)), scratch((count, 3)), scratch((3, 3))
     for i in bodies.outwards:
         parent, origin = bodies.parents[i], get(bodies.origins, i)
         if parent < 0:
@@ -118,7 +114,6 @@ def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
             put(placed.moments, i, cross(origin, z))
         put(origins, i, origin)
         _place_inertia(inertia[i], frames[i], origin, i, placed)
-    return placed
 
 
 @compiled
@@ -179,7 +174,12 @@ def inverse_dynamics(
         acceleration: q̈, rad/s².
         out: shape (joints,).
     """
-    placed = _place(bodies, inertia, position)
+    count = bodies.parents.size
+    placed = _Placed(
+        scratch((count, 3)), scratch((count, 3)), scratch(count),
+        scratch((count, 3)), scratch((count, 6)),
+    )  # fmt: skip
+    _place(bodies, inertia, position, placed)
     _recursive_newton_euler(bodies, placed, velocity, acceleration, out)
     for i in range(out.size):
         out[i] += inertia[i, ROTOR] * acceleration[i]
@@ -190,8 +190,7 @@ def _recursive_newton_euler(
     bodies: RigidBodies, placed: _Placed, velocity: Vector, acceleration: Vector, out: Vector
 ) -> None:
     count = bodies.parents.size
-    twists, rates = np.empty((2, count, 3)), np.empty((2, count, 3))
-    forces = np.empty((2, count, 3))
+    twists, rates, forces = scratch((2, count, 3)), scratch((2, count, 3)), scratch((2, count, 3))
     for i in bodies.outwards:
         z, s, parent = get(placed.axes, i), get(placed.moments, i), bodies.parents[i]
         turning, moving = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -240,8 +239,15 @@ def mass_and_load(
         mass: shape (joints, joints).
         load: shape (joints,).
     """
-    placed = _place(bodies, inertia, position)
-    _recursive_newton_euler(bodies, placed, velocity, np.zeros(velocity.size), load)
+    count = bodies.parents.size
+    placed = _Placed(
+        scratch((count, 3)), scratch((count, 3)), scratch(count),
+        scratch((count, 3)), scratch((count, 6)),
+    )  # fmt: skip
+    _place(bodies, inertia, position, placed)
+    still = scratch(velocity.size)
+    still[:] = 0.0
+    _recursive_newton_euler(bodies, placed, velocity, still, load)
     _composite_rigid_bodies(bodies, placed, mass)
     _add_rotors(inertia, mass)
 
@@ -249,7 +255,13 @@ def mass_and_load(
 @compiled
 def mass_matrix(bodies: RigidBodies, inertia: Matrix, position: Vector, mass: Matrix) -> None:
     """Write M(q) into `mass`, kg m², shape (joints, joints); the rest as for `mass_and_load`."""
-    _composite_rigid_bodies(bodies, _place(bodies, inertia, position), mass)
+    count = bodies.parents.size
+    placed = _Placed(
+        scratch((count, 3)), scratch((count, 3)), scratch(count),
+        scratch((count, 3)), scratch((count, 6)),
+    )  # fmt: skip
+    _place(bodies, inertia, position, placed)
+    _composite_rigid_bodies(bodies, placed, mass)
     _add_rotors(inertia, mass)
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import compiled, scratch
 
 Vec = tuple[float, float, float]
 
@@ -92,7 +92,7 @@ def product(matrix: Matrix, vector: Vector) -> Vector:
 def invert(mass: Matrix, inverse: Matrix) -> None:
     """Write M⁻¹ into `inverse` by Cholesky's M = L Lᵀ; `mass` is not changed."""
     n = mass.shape[0]
-    lower = np.zeros((n, n))
+    lower = scratch((n, n))
     for i in range(n):
         for j in range(i + 1):
             total = mass[i, j]
