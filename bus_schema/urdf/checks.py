@@ -7,9 +7,8 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 
-from bus_schema.foreign_text import shown
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.foreign_text import shortened
+from bus_schema.foreign_text import shortened, shown
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

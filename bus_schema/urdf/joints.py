@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from bus_schema.foreign_text import shown
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
-from bus_schema.foreign_text import shortened
+from bus_schema.foreign_text import shortened, shown
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number
 from bus_schema.urdf.end_effectors import SLIDE, no_arm_joints, sliding_fingers
 

@@ -9,8 +9,8 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from bus_schema.foreign_text import shown
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.foreign_text import shown
 from bus_schema.mujoco_library import mujoco
 from bus_schema.urdf.mjcf.actuators import ONE_SIDED, Actuator
 from bus_schema.urdf.mjcf.joint_actuators import JointActuators, Omissions
