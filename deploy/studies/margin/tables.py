@@ -87,12 +87,12 @@ def margin_table(summary: MarginResult) -> Table:
         " the arm as given, the best case. RMS error there: of the worst joint, at the margin. A"
         " loop starts with the full value, or is running, and the value grows while the arm moves."
         " A value holds if the bounds are kept from every start with every seed; held is the"
-        f" {furthest(summary)} value up to which all tested values held,"
-        " theory is for the linear loop. Held-arm ceiling: until the first command acts the brakes hold the arm, and from the worst"
-        " start its error leaves the funnel after this time; no law can start under a longer"
-        " delay. Every pattern: the margin for delays that vary; guaranteed where each"
-        " command waits until its play-out, a fixed time after its state, or"
-        " where so many patterns were tried, the largest value at which all of them held.",
+        f" {furthest(summary)} value up to which all tested values held, theory is for the linear"
+        " loop. Held-arm ceiling: until the first command acts the brakes hold the arm, and from"
+        " the worst start its error leaves the funnel after this time; no law can start under a"
+        " longer delay. Every pattern: the margin for delays that vary; guaranteed where each"
+        " command waits until its play-out, a fixed time after its state, or where so many"
+        " patterns were tried, the largest value at which all of them held.",
     )  # fmt: skip
 
 
