@@ -36,6 +36,11 @@ def shortened(text: str, longest: int = 120) -> str:
     return line if len(line) <= longest else line[: longest - 3] + "..."
 
 
+def quoted(text: str) -> str:
+    """A text in one line and in quotes, without the rest of a long one."""
+    return shortened(repr(text))
+
+
 def _number(match: re.Match[str]) -> str:
     return f"\\u{ord(match[0]):04x}"
 

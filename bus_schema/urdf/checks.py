@@ -7,9 +7,8 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 
-from bus_schema.configuration import shown
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.foreign_text import shortened
+from bus_schema.foreign_text import quoted, shortened
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -54,10 +53,10 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise RobotDescriptionError(f"{attribute}={shown(text)} of {owner} is not a finite number")
+        raise RobotDescriptionError(f"{attribute}={quoted(text)} of {owner} is not a finite number")
     if abs(value) > _LARGEST:
         allowed = f"must be at most {_LARGEST:g} in size"
-        raise RobotDescriptionError(f"{attribute}={shown(text)} of {owner} {allowed}")
+        raise RobotDescriptionError(f"{attribute}={quoted(text)} of {owner} {allowed}")
     return value
 
 
@@ -81,15 +80,15 @@ def _check_texts(root: ET.Element) -> None:
     """
     for element in root.iter():
         named = element.get("name", "")
-        where = f"<{element.tag}" + (f" name={shown(named)}>" if named else ">")
+        where = f"<{element.tag}" + (f" name={quoted(named)}>" if named else ">")
         for name, text in element.attrib.items():
             if (found := _UNEXPANDED.search(text)) is not None:
                 raise RobotDescriptionError(
-                    f"{name} of {where} holds {shown(found.group())}, which xacro has not"
+                    f"{name} of {where} holds {quoted(found.group())}, which xacro has not"
                     " expanded: name the .xacro file itself, or run xacro on it first"
                 )
         if "%" in named:
-            raise RobotDescriptionError(f"name={shown(named)} of <{element.tag}> must have no %")
+            raise RobotDescriptionError(f"name={quoted(named)} of <{element.tag}> must have no %")
 
 
 def _check_names(kind: str, elements: list[ET.Element]) -> None:
@@ -100,7 +99,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
     for name, count in Counter(names).items():
         if count > 1 or not name or len(name) > _LONGEST_NAME:
             allowed = f"must be unique and not empty, of at most {_LONGEST_NAME} characters"
-            raise RobotDescriptionError(f"{kind} names {allowed}: {shown(name)}")
+            raise RobotDescriptionError(f"{kind} names {allowed}: {quoted(name)}")
 
 
 def _check_tree(root: ET.Element) -> None:
@@ -111,12 +110,12 @@ def _check_tree(root: ET.Element) -> None:
         ends = joint_ends(joint)
         for kind, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:
-                raise RobotDescriptionError(f"{kind} of {_owner(joint)}: no link {shown(link)}")
+                raise RobotDescriptionError(f"{kind} of {_owner(joint)}: no link {quoted(link)}")
         parent, child = ends
         if parent == child:
             allowed = "parent and child must be two links"
             raise RobotDescriptionError(
-                f"{_owner(joint)} joins link {shown(child)} to itself; {allowed}"
+                f"{_owner(joint)} joins link {quoted(child)} to itself; {allowed}"
             )
         if child in carriers:
             raise RobotDescriptionError(f"link {child!r} is the child of more than one joint")
@@ -146,13 +145,13 @@ def _reached(base: str, carriers: dict[str, str]) -> set[str]:
 def _check_joint(joint: ET.Element) -> None:
     owner, kind = _owner(joint), joint.get("type", "")
     if kind not in _TYPES:
-        raise RobotDescriptionError(f"type={shown(kind)} of {owner}: one of {', '.join(_TYPES)}")
+        raise RobotDescriptionError(f"type={quoted(kind)} of {owner}: one of {', '.join(_TYPES)}")
     _check_places(owner, joint)
     axis = joint.find("axis")
     if kind in MOVING_TYPES and axis is not None:
         direction = _vector(owner, "axis xyz", axis.get("xyz", "1 0 0"))
         if not 1e-3 < math.hypot(*direction) < 1e3:
-            given = f"axis xyz={shown(axis.get('xyz', ''))} of {owner} is no direction"
+            given = f"axis xyz={quoted(axis.get('xyz', ''))} of {owner} is no direction"
             raise RobotDescriptionError(f"{given}; must be 0.001 to 1000 long, such as 0 0 1")
     for limit in joint.findall("limit"):
         for name in ("lower", "upper", "effort", "velocity"):
@@ -171,7 +170,7 @@ def _check_resistance(owner: str, name: str, text: str) -> None:
         return
     if finite_number(owner, name, text) < 0.0:
         raise RobotDescriptionError(
-            f"{name}={shown(text)} of {owner} must not be negative: it would drive the joint"
+            f"{name}={quoted(text)} of {owner} must not be negative: it would drive the joint"
         )
 
 
@@ -229,7 +228,7 @@ def _check_places(owner: str, element: ET.Element) -> None:
 def _vector(owner: str, name: str, text: str) -> list[float]:
     parts = text.split()
     if len(parts) != 3:
-        raise RobotDescriptionError(f"{name}={shown(text)} of {owner} must be three numbers")
+        raise RobotDescriptionError(f"{name}={quoted(text)} of {owner} must be three numbers")
     return [finite_number(owner, name, part) for part in parts]
 
 

@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from bus_schema.configuration import shown
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
-from bus_schema.foreign_text import shortened
+from bus_schema.foreign_text import quoted, shortened
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number
 from bus_schema.urdf.end_effectors import SLIDE, no_arm_joints, sliding_fingers
 
@@ -179,7 +178,7 @@ def _check_wanted(key: str, wanted: Iterable[str], possible: list[str]) -> None:
         if name not in possible:
             allowed = f"{key} must be some of {shortened(', '.join(possible)) or 'none'}"
             hint = did_you_mean(name, possible)
-            raise JointNameError(f"{allowed}; not {shown(name)}{hint}")
+            raise JointNameError(f"{allowed}; not {quoted(name)}{hint}")
 
 
 def _follower(joint: ET.Element, mimic: ET.Element) -> Follower:

@@ -9,8 +9,8 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from bus_schema.configuration import shown
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.foreign_text import quoted
 from bus_schema.mujoco_library import mujoco
 from bus_schema.urdf.mjcf.actuators import ONE_SIDED, Actuator
 from bus_schema.urdf.mjcf.joint_actuators import JointActuators, Omissions
@@ -97,7 +97,7 @@ def _actuated(model: Any, omitted: Omissions) -> dict[int, JointActuators]:
             omitted.add("adhesion", f"actuator {name}")
         else:
             raise RobotDescriptionError(
-                f"actuator {shown(str(name))} must drive a joint or a tendon"
+                f"actuator {quoted(str(name))} must drive a joint or a tendon"
             )
     drives = {each.joint: JointActuators() for each in found if each.has_input}
     if not drives and not has_tendon:
