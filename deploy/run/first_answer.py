@@ -1,4 +1,4 @@
-"""The first answer of a custom law, asked before a study plans its runs."""
+"""The first answer of a policy, asked before a study plans its runs."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ from deploy.scenario.yaml_files import naming
 
 
 def require_answers(setups: Iterable[Setup]) -> None:
-    """Check that custom laws answer with the shape that their scenarios need.
+    """Check that policies answer with the shape that their scenarios need.
 
-    Each law is asked once for each scenario, as at the start of a run.
+    Custom laws of a scenario with a horizon of actions are asked once, as at the start of a run;
+    others are not, as a law may count its questions.
 
     Raises:
         ScenarioError: an answer has another shape, so that every run would fail.
     """
     first = {(each.scenario.name, each.scenario.controller.law): each for each in setups}
     for (_, law), setup in first.items():
-        if is_custom(law) and law != EXTERNAL:
+        chunks = setup.scenario.controller.chunks
+        has_horizon = chunks is not None and chunks.horizon is not None
+        if has_horizon and is_custom(law) and law != EXTERNAL:
             _require_answer(setup)
 
 
