@@ -17,9 +17,10 @@ from deploy.judge.findings.divergence import divergence
 from deploy.judge.findings.growing import Growth, turning_points
 from deploy.judge.findings.lag import lag_s
 from deploy.judge.findings.vibration import at_limits
+from deploy.judge.motion.robot_lag import uncovered_lag_of
 from deploy.judge.recorded_ticks import rows_after_gaps
 from deploy.judge.run_data import RunData, Table
-from deploy.scenario.robot_interface import own_lag_s, uncovered_lag_s
+from deploy.scenario.robot_interface import own_lag_s
 
 _BEFORE_S = 1.0
 """Time before the loss that is looked at."""
@@ -111,7 +112,7 @@ class Loss:
 
     @cached_property
     def uncovered_lag_s(self) -> float:
-        return uncovered_lag_s(self.run.setup)
+        return uncovered_lag_of(self.run)
 
     @cached_property
     def is_disturbed(self) -> bool:

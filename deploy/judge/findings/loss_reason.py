@@ -26,7 +26,7 @@ from deploy.judge.findings.loss import (
     is_mostly,
 )
 from deploy.judge.result.section import Column, Section
-from deploy.judge.run_data import RunData
+from deploy.judge.run_data import ROBOT_SERVER, RunData
 from deploy.scenario.robot_interface import moves_model
 
 _LAGS_OF_A_SWING = 4.0
@@ -219,7 +219,9 @@ class _Loss(Loss):
     def _is_lost_by_own_lag(self, found: LossReason) -> bool:
         """Whether the lag of the robot's own controller explains a loss."""
         if found.lag_ms is not None:
-            return is_mostly(1e3 * self.uncovered_lag_s, found.lag_ms)
+            own_ms, is_client = 1e3 * self.uncovered_lag_s, self.run.link == ROBOT_SERVER
+            # A client's motion may be lost before the robot's lag has its full size.
+            return is_mostly(own_ms, found.lag_ms) or (is_client and own_ms > found.lag_ms)
         if not moves_model(self.run.setup.scenario):
             late_s, is_late = self.uncovered_lag_s, found.reason == Reason.LATE
             is_slow = found.reason == Reason.SLOW or (is_late and self.is_lag_enough(late_s))

@@ -29,7 +29,7 @@ def remedy_of(reason: str, law: str, compared: Collection[str] = ()) -> str | No
     if reason != Reason.OWN_LAG:
         return None
     if law not in LAWS:
-        return f"send targets for that much later, or {_FASTER}"
+        return f"send each target earlier by that lag, or {_FASTER}"
     if LAWS[law].gives == TORQUE:
         ahead = "use a law of targets, such as position_correction or proportional_velocity, which"
         return f"{ahead} reads the reference ahead by that lag, or {_FASTER}"

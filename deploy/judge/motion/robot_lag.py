@@ -15,8 +15,8 @@ from controller.outer_laws.streaming import Streaming
 from deploy.judge.motion.joint_lag import follows, lags_s
 from deploy.judge.motion.tip_error import tips_apart_m
 from deploy.judge.result.section import Section
-from deploy.judge.run_data import RunData
-from deploy.scenario.robot_interface import own_lag_s, preview_s
+from deploy.judge.run_data import ROBOT_SERVER, RunData
+from deploy.scenario.robot_interface import own_lag_s, preview_s, uncovered_lag_s
 from plant_emulator.interfaces.settings import TORQUE
 
 _MS, _MM = 1e3, 1e3
@@ -49,6 +49,12 @@ class RobotLag(Section):
     tip_rms_mm: float | None
     late_ms: float | None
     late_tip_rms_mm: float | None
+
+
+def uncovered_lag_of(run: RunData) -> float:
+    """Return the robot's own lag for which nothing makes up, s; a client's program is not known."""
+    own_lag = own_lag_s if run.link == ROBOT_SERVER else uncovered_lag_s
+    return own_lag(run.setup)
 
 
 def robot_lag(run: RunData, lags_ms: Sequence[float | None]) -> RobotLag | None:

@@ -9,11 +9,10 @@ from deploy.judge.findings.loss import is_mostly
 from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import RunResult
-from deploy.judge.motion.robot_lag import RobotLag
+from deploy.judge.motion.robot_lag import RobotLag, uncovered_lag_of
 from deploy.judge.run_data import ROBOT_SERVER, RunData
 from deploy.reports.runs.run_numbers import worst_lag_ms
 from deploy.reports.tables import number
-from deploy.scenario.robot_interface import uncovered_lag_s
 
 _OVER_TCP = {"servoj", "speedj"}
 """Interfaces of robots whose clients send commands over TCP."""
@@ -28,12 +27,16 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
         of_joint = "" if each.joint is None else f" of {each.joint}"
         reflex = f"{each.kind}{of_joint}"
         sentences.append(f"The robot stopped at {each.time_s:.3f} s by its reflex {reflex}.")
+    server = result.robot_server or {}
+    if (first_s := server.get("first_target_s")) is not None:  # older recordings lack it
+        until = f"from {first_s:.3f} to {server['last_target_s']:.3f} s"
+        sentences.append(f"The client gave targets {until}; errors count from the first one on.")
     lag, parts = worst_lag_ms(result), result.robot_lag
     if lag is None or parts is None:
         return sentences
     joint = run.setup.robot.joint_names[result.lag_ms.index(lag)]
     way = "behind" if lag >= 0.0 else "ahead of"
-    own_ms = 1e3 * uncovered_lag_s(run.setup)
+    own_ms = 1e3 * uncovered_lag_of(run)
     is_own = lag > 0.0 and is_mostly(own_ms, lag)
     own = f"; the robot's own lag is {own_ms:.0f} ms" if is_own else ""
     tip = (
@@ -51,7 +54,7 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
 
 def helps(reason: Reason, run: RunData) -> list[str]:
     """Return what helps against a reason, as a sentence, where that is known."""
-    remedy = remedy_of(reason, run.setup.scenario.controller.law)
+    remedy = remedy_of(reason, run.controller)
     return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
 
 

@@ -144,7 +144,7 @@ def test_a_lag_that_a_policy_makes_up_for_is_not_blamed(share, is_blamed):
     _, result, said = judged(*words, "duration_s=3", *wide)
     assert result.loss is None
     assert "behind their reference by" in said
-    for blame in ("; the robot's own lag is 138 ms", "Send targets for that much later"):
+    for blame in ("; the robot's own lag is 138 ms", "Send each target earlier by that lag"):
         assert (blame in said) == is_blamed
     narrow = ("funnel.final_rad=0.003", "robot.initial_offset_rad=0")
     _, lost, _ = judged(*words, "duration_s=3", *narrow)
