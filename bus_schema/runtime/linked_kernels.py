@@ -98,8 +98,9 @@ class _LinkedLibrary(_Unoptimized):
 
 def _called_library(generator: Any, name: str) -> Any:
     """Return a library for a function that kernels call, which Python may call too if not ours."""
-    is_called_by_python = not _ConfigStack.top_or_none().no_cfunc_wrapper
-    return (_JITCodeLibrary if is_called_by_python else _LinkedLibrary)(generator, name)
+    flags = _ConfigStack.top_or_none()
+    is_linked = flags.no_cpython_wrapper or flags.no_cfunc_wrapper
+    return (_LinkedLibrary if is_linked else _JITCodeLibrary)(generator, name)
 
 
 class _EntryLibrary(_Unoptimized):
