@@ -26,8 +26,8 @@ logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
 """Environment variable: the message about compiling was shown, also for child processes."""
 COMPILES = (
-    "compiling the numerical kernels for this kind of run, once per machine and version: 3 to"
-    " 10 s of CPU, with delay compensation 10 to 30 s"
+    "compiling the numerical kernels for this kind of run, once per machine and version: 2 to 8 s"
+    " of CPU, with delay compensation 5 to 16 s"
 )
 """The message."""
 P = ParamSpec("P")

@@ -10,11 +10,12 @@ import contextlib
 import gc
 import operator
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numba
 from llvmlite import binding
-from numba.core import codegen, compiler, compiler_machinery, cpu, typed_passes, types
+from numba.core import codegen, compiler, compiler_machinery, cpu, targetconfig, typed_passes, types
 from numba.core import ir as _ir
 from numba.core.datamodel import models, registry
 
@@ -26,6 +27,7 @@ _register_pass: Any = compiler_machinery.register_pass
 _JITCodeLibrary: Any = codegen.JITCodeLibrary
 _Compiler: Any = compiler.Compiler
 _njit: Any = numba.njit
+_ConfigStack: Any = targetconfig.ConfigStack
 
 
 def link_into_callers(dispatcher: Any, function: Callable[..., Any], **options: Any) -> None:
@@ -92,6 +94,13 @@ class _LinkedLibrary(_Unoptimized):
     def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002
         self._ensure_finalized()
         return 0
+
+
+def _called_library(generator: Any, name: str) -> Any:
+    """Return a library for a function that kernels call, which Python may call too if not ours."""
+    flags = _ConfigStack.top_or_none()
+    is_linked = flags.no_cpython_wrapper or flags.no_cfunc_wrapper
+    return (_LinkedLibrary if is_linked else _JITCodeLibrary)(generator, name)
 
 
 class _EntryLibrary(_Unoptimized):
@@ -199,8 +208,8 @@ class EntryCompiler(_LinkedCompiler):
         self.state.library.enable_object_caching()
         with (
             _garbage_kept(),
-            _replaced(generator, _library_class=_LinkedLibrary),
-            _replaced(cpu.CPUContext, load_additional_registries=_load_known),
+            _replaced(generator, create_library=partial(_called_library, generator)),
+            _replaced(cpu.CPUContext, refresh=_load_known),
             _replaced(_AnyFunction, get_call_type=_known_call_type),
         ):
             result = super().compile_extra(function)

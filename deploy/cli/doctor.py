@@ -175,7 +175,7 @@ def _loopback() -> Finding:
 
 
 def _numba_cache() -> Finding:
-    cost = "kernels not found are compiled again, for 3 to 30 s of CPU per kind of run"
+    cost = "kernels not found are compiled again, for 2 to 16 s of CPU per kind of run"
     if reason := os.environ.get(kernel_cache.REFUSED):
         return Finding("numba cache", "limited", reason, cost)
     folder = Path(os.environ[kernel_cache.FOLDER])

@@ -13,7 +13,9 @@ import traceback
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
 from tests.warm_process import ROOT
 
@@ -36,6 +38,38 @@ def twice(value):
 def sum_of_roots(value):
     return root(value) + twice(value)
 """
+ARRAYS = """
+import numpy as np
+from typing import Any, NamedTuple
+from bus_schema.runtime.compiled import compiled, scratch
+
+class Pair(NamedTuple):
+    matrix: Any
+    vector: Any
+
+@compiled
+def row_of(pair, row):
+    return pair.matrix[row]
+
+@compiled
+def times(pair, factor):
+    made = np.zeros(pair.vector.size)
+    for k in range(made.size):
+        made[k] = factor * pair.vector[k]
+    return made
+
+@compiled
+def total(pair, row):
+    sums, products = scratch(2), scratch((2, pair.vector.size))
+    sums[:] = 0.0
+    row, doubled = row_of(pair, row), times(pair, 2.0)
+    for k in range(row.size):
+        products[0, k], products[1, k] = row[k] * doubled[k], row[k]
+    for k in range(row.size):
+        sums[0] += products[0, k]
+        sums[1] += products[1, k]
+    return sums[0] + sums[1]
+"""
 RUN = """
 import numpy as np
 from bus_schema.runtime import compiled
@@ -47,9 +81,9 @@ print(sum(compiled.all_finite.stats.cache_misses.values()), compiled.__file__)
 @pytest.fixture
 def kernels(tmp_path):
     file = tmp_path / "kernels.py"
-    file.write_text(KERNELS)
 
-    def load():
+    def load(text=KERNELS):
+        file.write_text(text)
         spec = importlib.util.spec_from_file_location(file.stem, file)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
@@ -77,6 +111,38 @@ def test_exceptions_of_inner_kernels_reach_python_with_their_arguments(kernels):
         with pytest.raises(ValueError, match="no root of") as raised:
             module.sum_of_roots(-16.0)
         assert raised.value.args == ("no root of", -16.0)
+
+
+def test_arrays_live_as_long_as_they_are_used_and_no_longer(kernels):
+    module = kernels(ARRAYS)
+    pair = module.Pair(np.arange(6.0).reshape(2, 3), np.ones(3))
+    module.total(pair, 1)
+    references = sys.getrefcount(pair.matrix), sys.getrefcount(pair.vector)
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    assert [module.total(pair, row) for row in (0, 1, 0)] == [9.0, 36.0, 9.0]
+    assert module.row_of(pair, 1).tolist() == [3.0, 4.0, 5.0]
+    after = rtsys.get_allocation_stats()
+    _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free > 0
+    assert references == (sys.getrefcount(pair.matrix), sys.getrefcount(pair.vector))
+
+
+def test_functions_of_numba_call_kernels_that_another_kernel_compiled(kernels):
+    module, numbers = kernels(ARRAYS), kernels()
+    pair = module.Pair(np.arange(6.0).reshape(2, 3), np.ones(3))
+    assert module.total(pair, 1) == 36.0
+    assert numbers.sum_of_roots(4.0) == 6.0
+    times, twice = module.times, numbers.twice
+    assert numba.njit(lambda pair: times(pair, 3.0)[2])(pair) == 3.0
+    assert numba.njit(lambda value: twice(value))(9.0) == 6.0
+
+
+def test_python_calls_functions_of_numba_that_a_kernel_called(kernels):
+    module = kernels()
+    half = numba.njit(lambda value: 0.5 * value)
+    assert module.compiled(lambda value: half(value) ** 2)(6.0) == 9.0
+    assert half(6.0) == 3.0
 
 
 def test_another_copy_of_the_sources_uses_the_same_machine_code(tmp_path):
