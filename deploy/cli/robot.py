@@ -189,6 +189,7 @@ def at_rest(arm: RobotDescription, *, duration_s: float = 1.0) -> Setup:
         "duration_s": duration_s,
         "robot": {"urdf": str(arm.path), **arm.reading},
         "reference": {"kind": "minimum_jerk", "waypoints": [rest]},
+        "plant": {"actuator": {}},  # the arm alone: a table shows what is estimated of its drives
         "metrics": {"from_s": 0.5 * duration_s},
     }
     return check(validated(values, ScenarioConfiguration, origin), origin)

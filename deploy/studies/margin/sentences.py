@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 
-from deploy.reports.studies.case_result import case_title, equipment_text, setting_text
+from deploy.reports.studies.case_result import case_title, equipment_text
 from deploy.reports.studies.case_sentences import doubts, saved_runs
 from deploy.reports.studies.study_texts import (
     listed,
@@ -20,6 +19,7 @@ from deploy.studies.margin.texts import (
     because_text,
     furthest,
     furthest_case,
+    least_case,
     margin_text,
     number_text,
     pattern_text,
@@ -27,6 +27,7 @@ from deploy.studies.margin.texts import (
     rotors_text,
 )
 from deploy.studies.margin.theory_sentences import in_theory, theory_sentences
+from deploy.study.study import rows_by
 
 
 def _pattern_sentence(case: MarginCase, summary: MarginResult) -> str | None:
@@ -60,40 +61,37 @@ def _playout_texts(case: MarginCase) -> tuple[str, str]:
 
 
 def margin_headline(summary: MarginResult) -> str:
-    """The margins of the best law in one sentence: of each arm without and with compensation.
+    """The margins to quote in one sentence: of the best law on each arm, by its equipment.
 
-    Of more than two settings it has the best.
+    A law has the smaller one of its loops, as a robot that runs has also started. Of more than two
+    sets of equipment the best is named.
     """
-    cases, texts = summary.cases, []
+    cases = summary.cases
     laws, arms = (
-        list(dict.fromkeys(getattr(case, key) for case in cases)) for key in ("law", "arm")
+        list(dict.fromkeys(getattr(each, key) for each in cases)) for key in ("law", "arm")
     )
-    for arm in arms:
-        settings: dict[str, list[MarginCase]] = {}
-        for case in cases:
-            if case.arm == arm:
-                settings.setdefault(setting_text(case), []).append(case)
-        best = list(map(furthest_case, settings.values()))
-        shown = best if len(best) <= 2 else [furthest_case(best)]
-        margins = ", ".join(map(partial(number_text, result=summary), shown))
-        texts.append(f"{f'{arm} ' if arms[1:] else ''}{margins}")
-    who = _best_law(cases, laws) if laws[1:] else laws[0]
-    on = "" if arms[1:] else f", on {arms[0]}" if laws[1:] else f" on {arms[0]}"
+    shown = {arm: _decisive(each for each in cases if each.arm == arm) for arm in arms}
+    best = {case.law for own in shown.values() for case in own if case.best_known is not None}
+
+    def text(case: MarginCase) -> str:
+        return number_text(case, summary) + (f" by {case.law}" if len(best) > 1 else "")
+
+    texts = [
+        f"{f'{arm} ' * (len(arms) > 1)}{', '.join(map(text, own))}" for arm, own in shown.items()
+    ]
+    named = f"{next(iter(best))}, " if len(best) == 1 else ""
+    who = f"{named}the best of {len(laws)} laws" if len(laws) > 1 else cases[0].law
+    on = "" if len(arms) > 1 else f"{',' * (len(laws) > 1)} on {cases[0].arm}"
     kept = f"{furthest(summary).capitalize()} {summary.title} kept by {who}{on}{model_text(cases)}"
     return f"{kept}: {'; '.join(texts)}"
 
 
-def _best_law(cases: Sequence[MarginCase], laws: Sequence[str]) -> str:
-    """Name the best of several laws, where it is one and the same on every arm."""
-    best = {law for arm in {case.arm for case in cases} for law in _furthest_laws(cases, arm)}
-    named = f"{best.pop()}, " if len(best) == 1 else ""
-    return f"{named}the best of {len(laws)} laws"
-
-
-def _furthest_laws(cases: Sequence[MarginCase], arm: str) -> set[str]:
-    own = [case for case in cases if case.arm == arm]
-    most = furthest_case(own).best_known
-    return {case.law for case in own if most is not None and case.best_known == most}
+def _decisive(cases: Iterable[MarginCase]) -> list[MarginCase]:
+    """Return the cases of an arm whose numbers are quoted: the worse loop of the best law."""
+    laws = rows_by(cases, lambda case: (equipment_text(case), case.law))
+    equipment = rows_by(map(least_case, laws.values()), equipment_text)
+    best = list(map(furthest_case, equipment.values()))
+    return best if len(best) <= 2 else [furthest_case(best)]
 
 
 def model_text(cases: Sequence[MarginCase]) -> str:

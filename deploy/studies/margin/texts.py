@@ -106,11 +106,16 @@ def untested_text(case: CaseResult) -> str:
 
 def furthest_case(cases: Sequence[MarginCase]) -> MarginCase:
     """The case with the furthest margin; one without a margin is behind all others."""
+    return max(cases, key=_reached)
 
-    def reached(case: MarginCase) -> float:
-        return -math.inf if case.best_known is None else case.growth * case.best_known
 
-    return max(cases, key=reached)
+def least_case(cases: Sequence[MarginCase]) -> MarginCase:
+    """The case with the least margin, or one without a margin."""
+    return min(cases, key=_reached)
+
+
+def _reached(case: MarginCase) -> float:
+    return -math.inf if case.best_known is None else case.growth * case.best_known
 
 
 def loss_text(case: MarginCase) -> str:

@@ -53,6 +53,29 @@ def test_runs_that_are_too_short_test_nothing(values, least_s, tmp_path):
     assert bool(gate_failures(summary)) is (least_s is not None)
 
 
+def test_the_headline_has_the_worse_loop_of_the_best_law(tmp_path):
+    """A loop that runs has also started; and each number names its law, if these differ."""
+    more = {"laws": ["smc", "pid"], "compensation": [False, True], "running": [False, True]}
+    summary = summary_of(tmp_path, by_value, **{**DELAYED, **more, "duration_s": 5.5})
+    quoted = {
+        ("smc", False): (22, 30), ("pid", False): (2, 128), ("smc", True): (78, 90),
+        ("pid", True): (108, 79),
+    }  # fmt: skip
+    for case in summary["cases"]:
+        number = float(quoted[case["law"], case["compensation"]][case["running"]])
+        case |= {
+            "quoted": number,
+            "margin": number,
+            "quoted_because": "held",
+            "first_failure": 200.0,
+        }
+    headline = margin_headline(MarginResult.model_validate(summary))
+    assert headline.endswith(
+        ": 22 ms without compensation by smc, 79 ms with compensation, running by pid"
+    )
+    assert "kept by the best of 2 laws, on " in headline
+
+
 @pytest.mark.parametrize(
     ("key", "limit", "resolution"),
     [
