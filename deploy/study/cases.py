@@ -19,6 +19,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming, validated
 from deploy.study.definition import require_own_names, scenario_name
+from deploy.study.doubts import too_short
 from deploy.study.execution.growth import may_be_added, may_change
 from deploy.study.planned_run import PlannedRun
 from deploy.study.plants import Variant, with_ranges
@@ -111,6 +112,10 @@ class StudyOfCases(StudyOfRuns):
             sign = -1 if last < quantity.origin and not quantity.is_of_link else 1
             found.append(Gauged(self.named_furthest, last, quantity.unit, sign))
         return min(found, key=lambda each: each.sign * (each.value or 0.0))
+
+    @property
+    def doubts_before(self) -> list[str]:
+        return list(dict.fromkeys(filter(None, (too_short(case.setting) for case in self.cases))))
 
     @property
     def own_test(self) -> dict[str, Any]:

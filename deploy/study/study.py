@@ -106,6 +106,11 @@ class StudyOfRuns(ABC):
         return None
 
     @property
+    def doubts_before(self) -> list[str]:
+        """Reasons, known before any run, why its runs will show no margin."""
+        return []
+
+    @property
     def tested_with(self) -> dict[str, dict[str, Any]]:
         """The test of its results, as `deploy.judge.tested_with` describes it."""
         files = {f"file {Path(name).name}": {"digest": each} for name, each in self.files.items()}

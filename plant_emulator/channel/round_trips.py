@@ -269,7 +269,8 @@ def _from_table(path: Path, names: Sequence[str]) -> RoundTrips | None:
             raise ValueError(f"{path}: the columns are {shown(', '.join(names))}: one must be of"
                              f" times ({_listed(_SENT)}) and one of delays"
                              f" ({_listed(_ONE_WAY | _ROUND_TRIP)}), with units, as time_s and"
-                             " delay_ms or round_trip_ms")  # fmt: skip
+                             " delay_ms or round_trip_ms; or name them: funnel-hil trace import csv"
+                             f" {path} --from TIME --delay DELAY")  # fmt: skip
         return None
     (time,), (delay,) = times, delays
     unit = words[delay][1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 import typer
@@ -68,9 +68,9 @@ def parse_laws(text: str | None, option: str = "--laws") -> list[str] | None:
     return named
 
 
-def say_warnings(*setups: Setup) -> None:
-    """Print each warning about the scenarios and arms once, to standard error."""
-    for each in all_warnings(setups):
+def say_warnings(*setups: Setup, more: Sequence[str] = ()) -> None:
+    """Print each warning about the scenarios and arms once, and `more`, to standard error."""
+    for each in (*all_warnings(setups), *more):
         say(f"warning: {each}", err=True)
 
 

@@ -79,7 +79,7 @@ def run_study(study: StudyOfRuns, options: WorkerOptions, *, require_bounds: boo
             options, study.definition.name, study.unit, study.tested_with, study.kind, quantity,
             patterns=pattern is not None, furthest=study.furthest,
         )  # fmt: skip
-    say_warnings(*study.bases)
+    say_warnings(*study.bases, more=[f"not tested: {each}" for each in study.doubts_before])
     with carried_out(study, options, console, threading.Event()) as done:
         results = show_results(console, done.folder, lambda: write_study(study, done.folder))
     if not results.summary["completed"]:

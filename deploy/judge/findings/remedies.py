@@ -9,7 +9,7 @@ from deploy.judge.findings.gravity import with_gravity
 from deploy.judge.findings.loss_reason import Reason
 from plant_emulator.interfaces.settings import TORQUE
 
-_FASTER = (
+FASTER = (
     "make the robot's own loop faster (with servoj, by a larger gain or a shorter lookahead_time_s)"
 )
 
@@ -29,8 +29,8 @@ def remedy_of(reason: str, law: str, compared: Collection[str] = ()) -> str | No
     if reason != Reason.OWN_LAG:
         return None
     if law not in LAWS:
-        return f"send each target earlier by that lag, or {_FASTER}"
+        return f"send each target earlier by that lag, or {FASTER}"
     if LAWS[law].gives == TORQUE:
         ahead = "use a law of targets, such as position_correction or proportional_velocity, which"
-        return f"{ahead} reads the reference ahead by that lag, or {_FASTER}"
-    return f"read the reference ahead by it (controller.preview_ms: auto), or {_FASTER}"
+        return f"{ahead} reads the reference ahead by that lag, or {FASTER}"
+    return f"read the reference ahead by it (controller.preview_ms: auto), or {FASTER}"

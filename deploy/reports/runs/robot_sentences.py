@@ -7,7 +7,7 @@ from shlex import quote
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from deploy.judge.findings.loss import is_mostly
 from deploy.judge.findings.loss_reason import Reason
-from deploy.judge.findings.remedies import remedy_of
+from deploy.judge.findings.remedies import FASTER, remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.motion.robot_lag import RobotLag, uncovered_lag_of
 from deploy.judge.run_data import ROBOT_SERVER, RunData
@@ -55,6 +55,8 @@ def sentences_on_the_robot(run: RunData, result: RunResult) -> list[str]:
 def helps(reason: Reason, run: RunData) -> list[str]:
     """Return what helps against a reason, as a sentence, where that is known."""
     remedy = remedy_of(reason, run.controller)
+    if reason == Reason.OWN_LAG and run.setup.scenario.controller.preview_ms == 0.0:
+        remedy = FASTER  # somebody wants no preview, as for teleoperation
     return [f"{remedy[0].upper()}{remedy[1:]}."] if remedy else []
 
 

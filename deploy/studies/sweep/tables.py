@@ -28,6 +28,7 @@ def point_table(summary: SweepResult) -> Table:
         (Column("Plants kept", brief="Plants\nkept"), share_text),
         (Column("Wilson's 95 % interval"), interval_text),
     ]
+    failed: TableColumn = Column("Failed runs", brief="Failed"), lambda point: point.runs_failed
     return table_of(
         f"{summary.name} · {summary.scenario}",
         [
@@ -36,12 +37,14 @@ def point_table(summary: SweepResult) -> Table:
             *(plants if summary.plants is not None else ()),
             (Column("Runs that kept their bounds", brief="Bounds\nkept"),
              lambda point: f"{point.runs_kept} of {point.runs}"),
+            (Column("Smallest margin of all runs", "%", "Bound\nleft"),
+             spread("margin_min", "lowest", 100.0)),
             (Column("Ticks outside", "%", "Outside"), spread("violation_fraction", "mean", 100.0)),
             (Column("Ticks outside in the worst run", "%", None),
              spread("violation_fraction", "highest", 100.0)),
             (Column("RMS error of the worst joint", "mrad", "Worst\nRMS"),
              spread("worst_rms_rad", "mean", 1e3)),
-            (Column("Failed runs", brief="Failed"), lambda point: point.runs_failed),
+            *([failed] if any(point.runs_failed for point in summary.points) else []),
         ],
         summary.points,
         "Means over the seeds and plants of a point; the worst run is the one with the most ticks"

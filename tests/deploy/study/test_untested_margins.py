@@ -53,6 +53,14 @@ def test_runs_that_are_too_short_test_nothing(values, least_s, tmp_path):
     assert bool(gate_failures(summary)) is (least_s is not None)
 
 
+def test_runs_that_are_too_short_are_pointed_out_before_they_start():
+    """A gate on them fails in any case, after minutes."""
+    values = {**DELAYED, "running": [False, True], "duration_s": 4}
+    (doubt,) = margin_study(values, Path("margin")).doubts_before
+    assert doubt.startswith("runs of 4 s are too short: they must last 5.5 s (--duration 6)")
+    assert margin_study({**values, "duration_s": 6}, Path("margin")).doubts_before == []
+
+
 def test_the_headline_has_the_worse_loop_of_the_best_law(tmp_path):
     """A loop that runs has also started; and each number names its law, if these differ."""
     more = {"laws": ["smc", "pid"], "compensation": [False, True], "running": [False, True]}
