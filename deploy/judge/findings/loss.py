@@ -162,15 +162,35 @@ class Loss:
         return float(0.5 / np.median(np.diff(times_s[turns])[is_large]))
 
     @cached_property
+    def rising(self) -> slice:
+        """The ticks in which the error rose from half of its size at the loss."""
+        sizes = np.abs(self.errors_rad[self.acting : self.tick + 1])
+        small = np.flatnonzero(sizes <= 0.5 * sizes[-1])
+        return slice(self.acting + (int(small[-1]) if small.size else 0), self.tick + 1)
+
+    @cached_property
+    def is_too_weak(self) -> bool:
+        """Whether the joint's torque was at its limit against the error for most of its rise."""
+        against = self.sides[self.rising] * np.sign(self.errors_rad[self.rising]) < 0.0
+        return bool(against.mean() > MOSTLY)
+
+    @cached_property
+    def reflex(self) -> str | None:
+        """The first stop that the robot's own controller decided before the loss."""
+        found = self.run.last_values(Role.PLANT, EventKind.COUNTS).get("reflexes", [])
+        lost_s = float(self.times_s[self.tick])
+        return next(
+            (f"{e['kind']} at {e['time_s']:.3f} s" for e in found if e["time_s"] <= lost_s), None
+        )
+
+    @cached_property
     def is_starved(self) -> bool:
         """Whether the law had nothing left to send for most of the time in which the error rose."""
         ended = self.run.last_values(Role.CONTROLLER, EventKind.ENDED)
         stretches_s = ended.get("starved", {}).get("stretches_s", [])
         if not stretches_s:
             return False
-        sizes = np.abs(self.errors_rad[self.acting : self.tick + 1])
-        small = np.flatnonzero(sizes <= 0.5 * sizes[-1])
-        rising_s = self.times_s[self.acting + (int(small[-1]) if small.size else 0) : self.tick + 1]
+        rising_s = self.times_s[self.rising]
         begins, ends = np.transpose(stretches_s)
         within = np.searchsorted(begins, rising_s, "right") - 1
         return bool(((within >= 0) & (rising_s <= ends[within])).mean() >= MOSTLY)

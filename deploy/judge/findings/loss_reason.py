@@ -62,6 +62,10 @@ class Reason(StrEnum):
         "injected fault", "after the injected fault",
         "a fault of the scenario had begun, and had not ended more than a second before",
     )  # fmt: skip
+    STOPPED = (
+        "reflex", "after the robot stopped by its reflex",
+        "the robot's own controller had stopped the arm",
+    )  # fmt: skip
     UNSTABLE = (
         "unstable", "as an error of an unstable loop grew",
         "the error grew exponentially without a delay, or without swinging, which no delay causes:"
@@ -99,7 +103,8 @@ class Reason(StrEnum):
     )  # fmt: skip
     SATURATED = (
         "saturated", "with torques at their limits",
-        "torques were at their limits for most of the time before",
+        "torques were at their limits for most of the time before, or the joint's own against the"
+        " error for most of its rise: the arm or the motion is too heavy for its motors",
     )  # fmt: skip
     LAG = (
         "lag", "behind the reference, in proportion to its speed",
@@ -152,7 +157,7 @@ class LossReason(Section):
         delay_ms: age of the command in force, ms, where the delay is a reason; null otherwise
         without_delay: whether commands acted without a delay, also of the robot's own controller,
             so that none is the cause
-        fault: the injected fault after which it was lost; null for none
+        fault: the injected fault, or the robot's reflex, after which it was lost; null for none
     """
 
     reason: Annotated[Reason, Column(of_any_part=True)]
@@ -190,6 +195,8 @@ class _Loss(Loss):
         """Return the first reason that fits, the most certain ones first."""
         if self.fault is not None:
             return self._because(Reason.INJECTED).model_copy(update={"fault": self.fault})
+        if self.reflex is not None:
+            return self._because(Reason.STOPPED).model_copy(update={"fault": self.reflex})
         found = (
             self._of_chunks() or self._lag() or self._divergence() or self._oscillation()
             or self._late() or self._at_limits()
@@ -294,7 +301,8 @@ class _Loss(Loss):
         if self.is_without_delay and outwards.mean() > MOSTLY:
             return self._because(Reason.UNSTABLE)
         is_saturated = self.truth["saturated"][self.first : self.tick + 1].mean() > MOSTLY
-        return self._because(Reason.SATURATED) if is_saturated else None
+        is_weak = is_saturated or self.is_too_weak
+        return self._because(Reason.SATURATED) if is_weak else None
 
     def _lag(self) -> LossReason | None:
         return None if self.lag_s is None else self._because(Reason.LAG, lag_ms=1e3 * self.lag_s)

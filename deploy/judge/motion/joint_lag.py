@@ -19,14 +19,16 @@ _HALF_S = 0.05
 def lag_ms(run: RunData) -> list[float | None]:
     """Return the lag of each joint's true error, ms, at `follows`.
 
-    None for a joint whose reference rests, and negative for one that is ahead.
+    Negative for a joint that is ahead. None for one whose reference rests, and for one that does
+    not follow it: whose error is larger than a lag as long as all that time makes it.
     """
     times_s, truth = run.times_s(topics.PLANT_TRUTH), run.tables[topics.PLANT_TRUTH.name]
     rows, errors, speeds = follows(run), run.true_errors_rad, run.reference_velocities_rad_s
     if run.link == ROBOT_SERVER:  # what a client asks for arrives in steps and bursts
         speeds = mean_speeds_rad_s(times_s, truth["position"] - errors)
     lags = lags_s(errors[rows], speeds[rows])
-    return [_MS * float(each) if np.isfinite(each) else None for each in lags]
+    longest_s = 1e-9 * run.setup.grid.period_ns * rows.sum()
+    return [_MS * float(each) if abs(each) <= longest_s else None for each in lags]
 
 
 def follows(run: RunData) -> NDArray[np.bool_]:

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from deploy.judge.motion.joint_lag import lags_s, mean_speeds_rad_s
+from deploy.judge.motion.joint_lag import lag_ms, lags_s, mean_speeds_rad_s
+from deploy.run.simulate import simulate
+from deploy.scenario.scenario import load_setup
 
 
 def test_lag_behind_a_ramp_that_arrives_in_steps_is_that_of_the_steps():
@@ -28,3 +30,11 @@ def test_mean_speeds_are_centred_differences_of_100_ms():
 @pytest.mark.parametrize("rows", [0, 1])
 def test_no_rows_have_no_speed(rows):
     assert mean_speeds_rad_s(np.zeros(rows), np.zeros((rows, 2))).shape == (rows, 2)
+
+
+def test_an_arm_that_does_not_follow_has_no_lag():
+    """Thrown by 100 rad while references move by less than 1 rad/s for 1 s."""
+    data = simulate(load_setup("paper_arm", ["duration_s=1", "metrics.from_s=0"])).data()
+    assert None not in lag_ms(data)
+    data.true_errors_rad[:] -= 100.0 * np.sign(data.reference_velocities_rad_s)
+    assert lag_ms(data) == [None] * 3

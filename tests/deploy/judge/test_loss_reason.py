@@ -66,6 +66,22 @@ def test_a_slow_loss_names_its_delay_where_the_error_arose_within_it(overrides, 
     assert (found["reason"], loss_words(LossReason(**found))) == (reason, words)
 
 
+def test_a_joint_too_weak_for_a_payload_is_saturated_not_slow():
+    """15 kg on a shoulder of 150 N m: at its limit from 2.0 s on, lost 0.14 s later."""
+    links = ("link.uplink.delay_ms=10", "link.downlink.delay_ms=10")
+    found = loss(ON, *links, "plant.payload_kg=15", arm="ur5e_motors", duration_s=2.3)
+    assert (found["reason"], found["joint"]) == ("saturated", "shoulder_lift_joint")
+    assert found["time_s"] == pytest.approx(2.138, abs=0.02)
+
+
+def test_a_loss_after_a_reflex_names_the_reflex():
+    """An initial error steps the torque by 1.59 N m in the second cycle; 1 N m is allowed."""
+    words = ("plant.interface.kind=franka_torque", "controller.law=pid_gravity")
+    found = loss(*words, arm="panda", duration_s=1.5)
+    assert found["reason"] == "reflex"
+    assert found["fault"] == "controller_torque_discontinuity at 0.002 s"
+
+
 def test_swings_that_do_not_grow_are_an_oscillation():
     """At 21.5 ms this switching law keeps its bounds."""
     found = loss("link.uplink.delay_ms=22", "controller.law=smc", duration_s=11)
