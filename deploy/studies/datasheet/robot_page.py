@@ -184,11 +184,14 @@ def _margin_sentences(result: RobotSheetResult) -> list[str]:
     law = margin.cases[0].law
     is_previewed = any(run.preview for run in result.asked if run.law == law)
     known = "trajectory known in advance" if is_previewed else ""
-    rests_on = "; ".join(filter(None, [known, caveat_text(result, margin)]))
+    limiter = "with limiter" if any(run.limiter for run in result.asked) else ""
+    rests_on = "; ".join(filter(None, [known, limiter, caveat_text(result, margin)]))
     conditions = f" ({rests_on})" if rests_on else ""
     quote = f"{_subject(result)} under {law}: quote a round trip of {numbers}, constant"
     if result.network is not None and any(way.kept < way.runs for way in result.ways):
-        quote = f"At a constant delay instead, {law} keeps them up to a round trip of {numbers}"
+        quote = (
+            f"Delays that do not vary are easier: {law} keeps them up to a round trip of {numbers}"
+        )
     sentences = [f"{quote}{conditions}."]
     if is_previewed:
         sentences.append("For a trajectory not known in advance: --set controller.preview_ms=0.")
