@@ -64,7 +64,10 @@ def headline(result: RobotSheetResult) -> list[str]:
         *_margin_sentences(result),
         *filter(None, tip),
         *_reflex_sentences(result),
-        *theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]})),
+        *(
+            f"{each} Stable is not yet inside the bounds." if "in theory stable" in each else each
+            for each in theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]}))
+        ),
     ]
 
 
@@ -219,8 +222,10 @@ def _tip_errors(result: RobotSheetResult) -> go.Figure:
             x=[run.link for run in ended], y=[run.tip_largest_mm for run in ended],
             customdata=[run.command for run in ended], name=way, marker_color=style.palette(index),
         )  # fmt: skip
-    figure.update_layout(barmode="group", showlegend=True, legend_orientation="h", legend_y=1.15)
-    return figure.update_yaxes(type="log", dtick="D2", exponentformat="none")
+    figure.update_layout(barmode="group")
+    style.put_legend_on_top(figure, 1 + len(figure.data) // 4)
+    ticks = [float(f"{digit}e{power}") for power in range(-3, 5) for digit in (1, 2, 5)]
+    return figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{at:g}" for at in ticks])
 
 
 def _runs_table(result: RobotSheetResult) -> Table:
