@@ -26,7 +26,8 @@ _SECTION = "plant.interface"
 _KEY = f"{_SECTION}.kind"
 _LAW, _PREVIEW = "controller.law", "controller.preview_ms"
 _UNLESS = (
-    "unless controller.drive_feedback.enabled is true or a robot takes positions or velocities"
+    "unless controller.drive_feedback.enabled is true, or a robot takes positions or velocities"
+    " (as with --set plant.interface.kind=servoj)"
 )
 _OF_ITS_CONTROLLER = ("rate_hz", "clock_ppm", "phase_ms", "bandwidth_rad_s")
 """Keys of the section that only robots with a controller of their own have."""

@@ -93,7 +93,9 @@ def other_margins(bounds: Bounds, from_s: float) -> list[str]:
         return []
     later = f"from {from_s:g} s on at least {margin_text(bounds.margin_steady)}"
     start = (
-        "" if bounds.margin_start is None else f"{margin_text(bounds.margin_start)} at the start, "
+        ""
+        if bounds.margin_start is None
+        else f"{margin_text(bounds.margin_start)} at the first tick, "
     )
     return [f"Left of the bound: {start}{later}."]
 
