@@ -36,9 +36,13 @@ _FOREIGN = (Kind.CANDUMP, Kind.CSV, Kind.MCAP)
 _READ_BY = {
     "--from": _FOREIGN, "--to": _FOREIGN, "--delay": (Kind.CSV,), "--unit": (Kind.CSV,),
     "--delay-unit": (Kind.CSV,), "--interface": (Kind.CANDUMP,), "--interval": (Kind.PING,),
-    "--one-clock": (Kind.CSV, Kind.MCAP),
+    "--one-clock": (Kind.CSV, Kind.MCAP), "--round-trip": (Kind.CSV,),
 }  # fmt: skip
 """The kinds that read an option."""
+_READ_AS = {
+    True: "column {} is read as round trips, half of each in each direction; else: --one-way",
+    False: "column {} is read as one-way delays, all of each in each direction; else: --round-trip",
+}
 
 
 @app.callback()
@@ -95,6 +99,14 @@ def import_trace(
             "--one-clock", help="Sent and received times are of one clock: keep delays that grow."
         ),
     ] = False,
+    round_trip: Annotated[
+        bool | None,
+        typer.Option(
+            "--round-trip/--one-way",
+            help="The CSV column --delay has round trips, of which each direction takes half."
+            r"  \[default: by its name]",
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="The trace, .csv or .parquet; by default <file>_trace.csv.")
     ] = None,
@@ -108,7 +120,7 @@ def import_trace(
         kind,
         {"--from": sent, "--to": received, "--delay": delay, "--unit": unit,
          "--delay-unit": delay_unit, "--interface": interface, "--interval": interval_s,
-         "--one-clock": one_clock or None},
+         "--one-clock": one_clock or None, "--round-trip": round_trip},
     )  # fmt: skip
     has_two_clocks = (kind is Kind.MCAP and not received) or (kind is Kind.CSV and not delay)
     if one_clock and not has_two_clocks:
@@ -117,22 +129,35 @@ def import_trace(
     measurements = _read(kind, file, _Names(sent, received, delay), interval_s, interface,
                          (unit, delay_unit))  # fmt: skip
     path = out or Path(f"{file.stem}_trace.csv")
-    is_round_trip = kind is Kind.PING or delay == ACK_ROUND_TRIP
+    is_round_trip = kind is Kind.PING or _has_round_trips(delay, round_trip)
     for bus, measured in measurements.items():
         own = path if len(measurements) == 1 else path.with_stem(f"{path.stem}_{_word(bus)}")
         try:
             check_interval(measured.sent_s)
             ppm = drift_ppm(measured) if has_two_clocks and not one_clock else 0.0
+            if is_round_trip and kind is Kind.CSV and delay != ACK_ROUND_TRIP:
+                measured = MeasuredDelays(measured.sent_s, 0.5 * measured.delays_ms)
             measured = at_least(without_drift(measured, ppm), least_ms)
         except ValueError as error:
             raise InputError(f"{file}: {error}") from error
         write_trace(measured, own, is_round_trip=is_round_trip)
         print(f"{bus}: {measured.summary()}" if bus else measured.summary())
+        if delay is not None and delay != ACK_ROUND_TRIP and round_trip is None:
+            print(_READ_AS[is_round_trip].format(delay))
         if sparse := read_trace(own).sparse_text:
             print(f"warning: {own}: {sparse}")
         if ppm:
             print(_drift_sentence(ppm, measured))
         print("\n".join(scenario_lines({"uplink": own, "downlink": own})))
+
+
+def _has_round_trips(delay: str | None, asked: bool | None) -> bool:
+    """Whether a column of delays has round trips: as asked, else by its name."""
+    if asked is not None and delay is None:
+        raise InputError("trace import csv: --round-trip and --one-way are for --delay")
+    words = re.split(r"[\W_]+", (delay or "").lower())
+    is_named = not {"rtt", "ping", "roundtrip"}.isdisjoint(words) or "round trip" in " ".join(words)
+    return (is_named or delay == ACK_ROUND_TRIP) if asked is None else asked
 
 
 class _Names(NamedTuple):

@@ -56,7 +56,10 @@ class RunCounter:
         self._done += 1
         self._before += before
         self._failed += values["error"] is not None
-        notes = {"runs were there from before": self._before, "failed": self._failed}
+        notes = {
+            "runs were there from before": self._before,
+            "ended by a fault or reflex": self._failed,
+        }
         note = ", ".join(f"{count} {what}" for what, count in notes.items() if count)
         if before:
             self._progress.skip_to(self._before)

@@ -36,6 +36,8 @@ _FEWEST_SWINGS, _TIMES_REFERENCE = 4, 2
 SWUNG_BACK = 2
 """Changes from one torque limit to the other; a braked motion has one."""
 _A_LITTLE_MORE = 1.2
+_UNEVEN = 3.0
+"""Cycles of the robot."""
 _FEW_DELAYS = 2.0
 """A law that had less time than this shows little effect yet."""
 
@@ -206,6 +208,14 @@ class Loss:
         """Whether a command in force in the last moments was much older than usual before."""
         usual_ns = np.median(self.truth["command_age_ns"][self.first : self.tick + 1])
         return bool(1e9 * self.oldest_s > max(MUCH_OLDER * usual_ns, usual_ns + LATE_NS))
+
+    @cached_property
+    def is_jittery(self) -> bool:
+        """Whether the age of commands varied by much more than their arrival in steps makes it."""
+        setup = self.run.setup
+        cycle_ns = max(setup.grid.period_ns, 1e9 * setup.scenario.plant.interface.true_period_s)
+        ages_ns = self.truth["command_age_ns"][self.first : self.tick + 1]
+        return bool(np.ptp(ages_ns) > _UNEVEN * cycle_ns)
 
     @cached_property
     def delay_s(self) -> float:

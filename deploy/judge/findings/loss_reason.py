@@ -28,10 +28,13 @@ from deploy.judge.findings.loss import (
 from deploy.judge.result.section import Column, Section
 from deploy.judge.run_data import ROBOT_SERVER, RunData
 from deploy.scenario.robot_interface import moves_model
+from plant_emulator.interfaces.settings import TORQUE
 
 _LAGS_OF_A_SWING = 4.0
 """An integrator behind a delay of L is lost with swings of 4 L, and a double one with longer ones:
 a loss before that shows none."""
+_FAST_HZ = 5.0
+"""Loops around robots swing more slowly."""
 _NOTABLE = 0.05
 """Share of a slow error that arose within the delay; friction alone has less."""
 
@@ -88,6 +91,11 @@ class Reason(StrEnum):
         "late command", "after a command that was much later than usual",
         "shortly before, a command in force was much older than usual",
     )  # fmt: skip
+    JITTER = (
+        "jitter", "as targets arrived irregularly",
+        "targets reached the robot at uneven times, and the error swung faster than a loop around"
+        " the robot does: a play-out (`link.playout_ms`) or a longer lookahead smooths them",
+    )  # fmt: skip
     RAN_OUT = (
         "chunk ran out", "with nothing left to send",
         "the law's chunk had no row left, and the next one was not there yet: answers take too"
@@ -139,6 +147,10 @@ class Reason(StrEnum):
         "friction or model", "slowly, as by friction or an error of the model",
         "any other slow error, next to none of which is due to the delay",
     )  # fmt: skip
+
+
+_OF_TARGETS = (Reason.LAG, Reason.LATE, Reason.SATURATED, Reason.RAN_OUT, Reason.JUMPED)
+"""Reasons of a law without a loop that jitter does not hide."""
 
 
 class LossReason(Section):
@@ -201,6 +213,14 @@ class _Loss(Loss):
             or self._late() or self._at_limits()
             or self._sag() or self._because(Reason.SLOW)
         )  # fmt: skip
+        is_slow = 0.0 < (found.frequency_hz or math.inf) < _FAST_HZ
+        if (
+            self._gives_targets
+            and self.is_jittery
+            and not is_slow
+            and found.reason not in _OF_TARGETS
+        ):
+            found = self._because(Reason.JITTER)
         if not self.is_disturbed:
             if self._is_lost_by_own_lag(found):
                 own_ms = 1e3 * self.uncovered_lag_s
@@ -210,14 +230,24 @@ class _Loss(Loss):
                 found = self._slow()
         return found.model_copy(update={"without_delay": self.is_without_delay})
 
+    @property
+    def _gives_targets(self) -> bool:
+        """Whether the law gives positions or velocities."""
+        law = self.run.setup.scenario.controller.law
+        return law in LAWS and LAWS[law].gives != TORQUE
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether the law closes no loop."""
+        law = self.run.setup.scenario.controller.law
+        return law in LAWS and LAWS[law].build is Streaming
+
     def _slow(self) -> LossReason:
         """Return what keeps an error large: swings, or its delay, of a law that acts on errors."""
         if self.swings_hz is not None:
             return self._because(Reason.SWINGING, hertz=self.swings_hz)
-        law = self.run.setup.scenario.controller.law
-        is_open = law in LAWS and LAWS[law].build is Streaming
         is_due = self.is_early or self.arisen_share >= MOSTLY
-        if is_open or self.is_without_delay or not (is_due or self.arisen_share >= _NOTABLE):
+        if self._is_open or self.is_without_delay or not (is_due or self.arisen_share >= _NOTABLE):
             return self._because(Reason.SLOW)
         found = self._because(Reason.DELAY if is_due else Reason.DELAY_OR_MODEL)
         return found.model_copy(update={"delay_ms": 1e3 * self.delay_s})

@@ -11,6 +11,7 @@ from plant_emulator.interfaces.settings import TORQUE
 
 FASTER = (
     "make the robot's own loop faster (with servoj, by a larger gain or a shorter lookahead_time_s)"
+    ", or allow wider bounds (funnel)"
 )
 
 
@@ -26,11 +27,13 @@ def remedy_of(reason: str, law: str, compared: Collection[str] = ()) -> str | No
         if sibling in compared:
             return f"it has no gravity term, which {sibling} has"
         return f"compare {sibling}, which has a gravity term"
+    if reason == Reason.JITTER:
+        return "let targets wait until a fixed time after their states (link.playout_ms)"
     if reason != Reason.OWN_LAG:
         return None
     if law not in LAWS:
-        return f"send each target earlier by that lag, or {FASTER}"
+        return f"send each target earlier by that lag, {FASTER}"
     if LAWS[law].gives == TORQUE:
         ahead = "use a law of targets, such as position_correction or proportional_velocity, which"
-        return f"{ahead} reads the reference ahead by that lag, or {FASTER}"
-    return f"read the reference ahead by it (controller.preview_ms: auto), or {FASTER}"
+        return f"{ahead} reads the reference ahead by that lag, {FASTER}"
+    return f"read the reference ahead by it (controller.preview_ms: auto), {FASTER}"

@@ -64,7 +64,10 @@ def headline(result: RobotSheetResult) -> list[str]:
         *_margin_sentences(result),
         *filter(None, tip),
         *_reflex_sentences(result),
-        *theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]})),
+        *(
+            f"{each} Stable is not yet inside the bounds." if "in theory stable" in each else each
+            for each in theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]}))
+        ),
     ]
 
 
@@ -184,11 +187,14 @@ def _margin_sentences(result: RobotSheetResult) -> list[str]:
     law = margin.cases[0].law
     is_previewed = any(run.preview for run in result.asked if run.law == law)
     known = "trajectory known in advance" if is_previewed else ""
-    rests_on = "; ".join(filter(None, [known, caveat_text(result, margin)]))
+    limiter = "with limiter" if any(run.limiter for run in result.asked) else ""
+    rests_on = "; ".join(filter(None, [known, limiter, caveat_text(result, margin)]))
     conditions = f" ({rests_on})" if rests_on else ""
     quote = f"{_subject(result)} under {law}: quote a round trip of {numbers}, constant"
     if result.network is not None and any(way.kept < way.runs for way in result.ways):
-        quote = f"At a constant delay instead, {law} keeps them up to a round trip of {numbers}"
+        quote = (
+            f"Delays that do not vary are easier: {law} keeps them up to a round trip of {numbers}"
+        )
     sentences = [f"{quote}{conditions}."]
     if is_previewed:
         sentences.append("For a trajectory not known in advance: --set controller.preview_ms=0.")
@@ -216,8 +222,10 @@ def _tip_errors(result: RobotSheetResult) -> go.Figure:
             x=[run.link for run in ended], y=[run.tip_largest_mm for run in ended],
             customdata=[run.command for run in ended], name=way, marker_color=style.palette(index),
         )  # fmt: skip
-    figure.update_layout(barmode="group", showlegend=True, legend_orientation="h", legend_y=1.15)
-    return figure.update_yaxes(type="log", dtick="D2", exponentformat="none")
+    figure.update_layout(barmode="group")
+    style.put_legend_on_top(figure, 1 + len(figure.data) // 4)
+    ticks = [float(f"{digit}e{power}") for power in range(-3, 5) for digit in (1, 2, 5)]
+    return figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{at:g}" for at in ticks])
 
 
 def _runs_table(result: RobotSheetResult) -> Table:

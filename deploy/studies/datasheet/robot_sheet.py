@@ -124,6 +124,8 @@ class RobotSheet(Sheet):
         """Return the search for the largest constant delay; raises ScenarioError."""
         given = {**interface_values(self.interface, self.loop), **self._set()}
         own = {key: each for key, each in given.items() if not key.startswith((*_LINK, LAW))}
+        if _has_limiter(self.interface):
+            own.setdefault(limiter_key(self.interface), True)
         values = {
             "name": "margin", "scenarios": [self.arm], "laws": [self.loop], "running": [False],
             "seeds": [1], "offsets": [1.0], "duration_s": self.duration_s,

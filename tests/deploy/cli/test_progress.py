@@ -42,7 +42,9 @@ def test_runs_of_earlier_commands_are_counted_apart_and_have_no_speed(console):
         counter = RunCounter(progress)
         counter.done({"error": None}, 4, True)
         counter.done({"error": "it broke"}, 4, True)
-    assert lines(console) == ["2 of 4 runs, 2 runs were there from before, 1 failed"]
+    assert lines(console) == [
+        "2 of 4 runs, 2 runs were there from before, 1 ended by a fault or reflex"
+    ]
 
 
 def test_a_total_of_a_search_never_rises_and_its_time_left_counts_down(console, monkeypatch):

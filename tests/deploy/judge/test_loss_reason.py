@@ -82,6 +82,22 @@ def test_a_loss_after_a_reflex_names_the_reflex():
     assert found["fault"] == "controller_torque_discontinuity at 0.002 s"
 
 
+@pytest.mark.parametrize("law", ["streaming", "position_correction"])
+def test_targets_that_arrive_in_bunches_are_jitter_and_no_unstable_loop(tmp_path, law):
+    """Those of each 90 ms arrive together; a robot that follows them at once steps. A play-out
+    of 95 ms evens that out."""
+    rows = (f"{1e-3 * k:.3f},{90 - k % 90}" for k in range(4000))
+    (tmp_path / "t.csv").write_text("\n".join(["time_s,delay_ms", *rows]))
+    words = (
+        "plant.interface.kind=rsi", f"controller.law={law}", "robot.initial_offset_rad=0",
+        f"link.downlink={{trace: {{file: {tmp_path / 't.csv'}}}}}",
+    )  # fmt: skip
+    found = loss(*words, arm="ur5e_motors", duration_s=2.0)
+    assert found["reason"] == "jitter"
+    assert "link.playout_ms" in remedy_of(found["reason"], law)
+    assert loss(*words, "link.playout_ms=95", arm="ur5e_motors", duration_s=2.0) is None
+
+
 def test_swings_that_do_not_grow_are_an_oscillation():
     """At 21.5 ms this switching law keeps its bounds."""
     found = loss("link.uplink.delay_ms=22", "controller.law=smc", duration_s=11)

@@ -121,7 +121,7 @@ def test_buses_with_the_same_identifiers_are_kept_apart(tmp_path: Path, funnel_h
     ("header", "row", "words"),
     [
         ("time_s,delay_us", "{s},700", ("--from", "time_s", "--delay", "delay_us")),
-        ("t [s],rtt (µs)", "{s},700", ("--from", "t [s]", "--delay", "rtt (µs)")),
+        ("t [s],owd (µs)", "{s},700", ("--from", "t [s]", "--delay", "owd (µs)")),
         ("t,d", "{s},700", ("--from", "t", "--delay", "d", "--delay-unit", "us")),
         ("t,d_ms", "{s},700", ("--from", "t", "--delay", "d_ms", "--delay-unit", "us")),
         ("t,got_ns", "{ms},{got_ns}", ("--from", "t", "--to", "got_ns", "--unit", "ms")),
@@ -142,6 +142,35 @@ def test_csv_is_the_difference_of_two_columns_or_one_of_delays(imported) -> None
     assert imported("log.csv", CSV, *words, "--to", "got") == [2500, LOST_NS, 1000]
     assert imported("log.csv", CSV, *words, "--to", "got", "--least", "4") == [5500, LOST_NS, 4000]
     assert imported("log.csv", CSV, *words, "--delay", "seq") == [1000, 2000, 3000]
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "is_round_trip"),
+    [("rtt [ms]", "", True), ("rtt [ms]", "--one-way", False), ("Round trip", "", True),
+     ("Latenz", "", False), ("Latenz", "--round-trip", True)],
+)  # fmt: skip
+def test_a_column_of_round_trips_is_halved(tmp_path, funnel_hil, name, word, is_round_trip):
+    """By its name, or as asked; the output says how it was read, if nothing is asked."""
+    file, out = tmp_path / "log.csv", tmp_path / "trace.csv"
+    file.write_text(f"time_s,{name}\n0,4\n0.01,8\n0.02,\n")
+    words = (
+        "trace",
+        "import",
+        "csv",
+        file,
+        "--from",
+        "time_s",
+        "--delay",
+        name,
+        "--delay-unit",
+        "ms",
+    )
+    output = " ".join(funnel_hil.output(*words, *word.split(), "--out", out).split())
+    found = read_trace(out)
+    expected = [2 * MS, 4 * MS, LOST_NS] if is_round_trip else [4 * MS, 8 * MS, LOST_NS]
+    assert (found.delays_ns.tolist(), found.is_round_trip) == (expected, is_round_trip)
+    read_as = "read as round trips" if is_round_trip else "read as one-way delays"
+    assert (f"column {name} is {read_as}" in output) is (not word)
 
 
 def test_mcap_is_the_time_to_the_answer_with_the_same_stamp(tmp_path: Path, funnel_hil) -> None:

@@ -154,7 +154,7 @@ def test_the_merge_that_jumps_least_at_the_inference_time_asked_for_is_recommend
     ({0.0: 0, 25.0: 0}, "saturated",
      "no merge keeps the bounds, even at an inference time of 0 ms (saturated)"),
     ({0.0: 0, 25.0: 0}, "robot's lag",
-     "(robot's lag). Send each target earlier by that lag, or make the robot's own loop faster"),
+     "(robot's lag). Send each target earlier by that lag, make the robot's own loop faster"),
 ])  # fmt: skip
 def test_a_policy_without_a_time_to_quote_says_what_its_runs_did(kept, ends, said):
     merge = case("replace", None, 0.0)

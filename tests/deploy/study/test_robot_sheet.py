@@ -95,7 +95,7 @@ def test_a_network_that_is_lost_comes_before_the_margin_of_a_constant_delay(made
     assert not any("quote" in each for each in said)
     margin_ms = result.margin.cases[0].margin
     assert said[1 + kept].startswith(
-        "At a constant delay instead, position_correction keeps them up to a round trip of"
+        "Delays that do not vary are easier: position_correction keeps them up to a round trip of"
         f" {margin_ms:g} ms (trajectory known in advance; --quick"
     )
 
