@@ -113,7 +113,7 @@ def summary() -> str:
         if (earlier := first.setdefault(each.section, place)) != place:
             rows[place] = [f"`{place}.…`", "", f"the same keys as `{earlier}.…`"]
         elif meaning := _meaning(each):
-            rows[key] = [key, unit_of(each.path[-1]), meaning]
+            rows[key] = [key, unit_of(_name(each.path)), meaning]
     return table(["key", "unit", "meaning"], list(rows.values()))
 
 

@@ -14,8 +14,9 @@ from bus_schema.units import split_unit
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that a name ends with; empty for none."""
-    return split_unit(name)[1]
+    """Return the unit that a name or its last part but one ends with; empty for none."""
+    parts = name.split(".")[-2:]
+    return next(filter(None, (split_unit(part)[1] for part in reversed(parts))), "")
 
 
 def table(header: list[str], rows: list[list[str]]) -> str:

@@ -64,7 +64,7 @@ class RunResult(Section):
             on; negative ahead of it, null where it rests
         robot_lag: where the lag of a robot that takes positions or velocities comes from; null for
             others
-        beyond_ranges: joints that pass an end of their range by much; stops are not emulated
+        beyond_ranges: joints that pass an end of their range by much; MuJoCo has no end stops
         growing: joints whose error grows exponentially over the last half of the run
         not_tested_below_hz: slower oscillations may grow unseen, as the run is too short; null if
             nothing was tested

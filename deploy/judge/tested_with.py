@@ -112,5 +112,9 @@ def _changes(place: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> I
     prefix = "" if place == STUDY else f"{place}: "
     for key in dict.fromkeys((*before, *now)):
         old, new = (side.get(key, _default(key)) for side in (before, now))
-        if json.dumps(old) != json.dumps(new):
+        if json.dumps(old) == json.dumps(new):
+            continue
+        if key in _FILES and old and new:  # digests tell a reader nothing
+            yield f"{prefix}{key}: the file or its arguments changed"
+        else:
             yield f"{prefix}{key} = {shown(old)} before, {shown(new)} now"

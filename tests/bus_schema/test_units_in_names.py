@@ -7,6 +7,9 @@ from bus_schema.units import split_unit
     ("name", "stem", "unit"),
     [
         ("plant.payload_kg", "plant.payload", "kg"), ("lag_ms", "lag", "ms"),
+        ("share_above_50_hz", "share_above_50_hz", ""),
+        ("jerk_rms_rad_s3", "jerk_rms", "rad/s³"),
+        ("jump_mm", "jump", "mm"),
         ("reference.speed", "reference.speed", ""), ("funnel.rate_per_s", "funnel.rate", "1/s"),
         ("gear_stiffness_nm_rad", "gear_stiffness", "N m/rad"), ("rate_kbit_s", "rate", "kbit/s"),
         ("gear_damping_nm_s", "gear_damping", "N m s/rad"), ("error_mrad", "error", "mrad"),

@@ -121,23 +121,22 @@ class Reason(StrEnum):
     )  # fmt: skip
     OWN_LAG = (
         "robot's lag", "by the robot's own lag",
-        "the same, and the lag of the robot's own controller is half to twice that time, or half of"
-        " a slow error or more is due to it, or of one after a late command, where the lag alone"
-        " leaves the bounds; or a law of torques drives such a robot, whose lag"
-        " is a delay of its loop, and lost it within four times that lag, before an oscillation"
-        " shows: read the reference ahead by the lag (`controller.preview_ms`), or make the robot's"
-        " own loop faster",
+        "the robot's own controller follows late, and its lag explains most of the error. It is"
+        " half to twice the lag found, or explains half or more of a slow error, or leaves the"
+        " bounds by itself where a command came late. A law of torques has this lag as a delay in"
+        " its loop, and loses within four times that lag. Read the reference ahead by it"
+        " (`controller.preview_ms`), or make the robot's own loop faster",
     )  # fmt: skip
     GRAVITY = (
         "no gravity term", "under its weight, for which the law has no term",
-        "a slow error in the direction of the joint's weight, which the law does not know and which"
-        " exceeds friction, disturbance and the payload's part, while the joint could hold the"
-        " weight: compare the same law with a gravity term",
+        "a slow error in the direction of the joint's weight, larger than friction, disturbance and"
+        " payload explain. The joint could hold the weight, but the law does not know it: compare"
+        " the same law with a gravity term",
     )  # fmt: skip
     DELAY = (
         "delay", "sooner than the law could act, over a delay",
-        "a slow error, half of which or more arose after the state that the command in force"
-        " answers, or that was there within two delays of the first command",
+        "a slow error. Half of it or more arose after the state that the command in force answers,"
+        " or it was there within two delays of the first command",
     )  # fmt: skip
     DELAY_OR_MODEL = (
         "delay or model", "slowly, as by friction or an error of the model over a delay",

@@ -52,6 +52,7 @@ def test_reference_has_each_key_of_a_scenario():
         ("commands", "funnel-hil keys init"),
         ("results", "tracking.settling_bound_s"),
         ("results", "uplink_delay_p99_9_ms"),
+        ("results", "`tip_error_mm.rms` | mm |"),
         ("topics", "float64[] sliding_variable"),
         ("topics", "robot_description"),
         ("scenario", "log_uniform"),

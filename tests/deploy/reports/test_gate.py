@@ -246,7 +246,7 @@ def test_arm_with_other_contents_is_another_test_and_a_moved_file_is_not(tmp_pat
     )
     assert require_same_test(before, same, allows_changes=False) == []
     (found,) = require_same_test(before, other, allows_changes=True)
-    assert found.startswith("paper_arm: robot.urdf = ")
+    assert found == "paper_arm: robot.urdf: the file or its arguments changed"
 
 
 def test_command_refuses_a_baseline_of_another_test_or_lists_the_differences(funnel_hil, tmp_path):
