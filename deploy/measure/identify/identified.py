@@ -56,7 +56,7 @@ class Identified:
 
     @property
     def interval(self) -> str:
-        """What intervals are called: the file's masses, if they are the scale, may be wrong."""
+        """Name of the intervals: they leave out errors of the file's masses where these scale."""
         by_weight = self.constants is not None and self.constants.by_weight
         return "noise alone" if by_weight else "95 %"
 

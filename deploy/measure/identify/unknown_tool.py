@@ -27,7 +27,7 @@ _Z_95 = 1.96
 
 
 class Tool(NamedTuple):
-    """What the last link has beyond the file.
+    """Mass and inertia of the last link beyond those of the file.
 
     Attributes:
         kg: its mass, and half of its 95 % interval.
