@@ -12,6 +12,7 @@ from controller.manipulator_model import ManipulatorModel
 from deploy.measure.identify.fit import Fit
 from deploy.measure.identify.noise import covariance_of_sums
 from deploy.measure.identify.regression import LOAD, STRIBECK, Trial
+from deploy.measure.identify.unknown_tool import Tool, unknown_tool
 
 _UNSURE = 0.2
 """Half of an interval over its value, beyond which a constant is taken from the other joints."""
@@ -26,11 +27,18 @@ class Constants(NamedTuple):
 
     Attributes:
         nm_per_a: shape (joints,).
-        half: half of each 95 % interval, same shape; NaN where the motion does not show it.
+        half: half of each 95 % interval, same shape; NaN where the motion does not show it. Of
+            noise alone for constants by weight: the file's masses may be wrong.
+        by_weight: whether the weight of the robot's file is their scale.
+        tool: beyond that weight; None for none that the logs show.
+        fits: whether this weight, with that tool, explains the currents of all joints.
     """
 
     nm_per_a: Vector
     half: Vector
+    by_weight: bool = False
+    tool: Tool | None = None
+    fits: bool = True
 
 
 class Payload(NamedTuple):
@@ -55,11 +63,19 @@ def constants_by_weight(trials: list[Trial], model: ManipulatorModel) -> Constan
         InputError: no joint shows enough of its weight or inertia.
     """
     parameters = model.body_parameters().ravel()
-    joints = trials[0].torque.shape[1]
-    value, half = np.empty((2, joints))
-    for joint in range(joints):
-        solved, sd = _per_torque(trials, parameters, joint)
-        value[joint], half[joint] = 1.0 / solved, _Z_95 * sd / solved**2
+    joints = range(trials[0].torque.shape[1])
+    designs = [_design(trials, parameters, joint) for joint in joints]
+    tool, fits = unknown_tool(designs, trials, model)
+    tool_sd = np.zeros(len(joints))
+    if tool is not None:
+        parameters[-10:] += tool.parameters
+        designs = [_design(trials, parameters, joint) for joint in joints]
+        tool_sd = tool.constant_sd
+    value, half = np.empty((2, len(joints)))
+    for joint, design in enumerate(designs):
+        solved, sd = _per_torque(trials, design, joint)
+        value[joint] = 1.0 / solved
+        half[joint] = _Z_95 * abs(value[joint]) * np.hypot(sd / solved, tool_sd[joint])
     is_sure = (value > 0.0) & (half < _UNSURE * value)
     if not is_sure.any():
         raise InputError(
@@ -67,20 +83,24 @@ def constants_by_weight(trials: list[Trial], model: ManipulatorModel) -> Constan
             " --current-constants gives them in N m/A"
         )
     near = [int(np.flatnonzero(is_sure)[np.abs(np.flatnonzero(is_sure) - j).argmin()])
-            for j in range(joints)]  # fmt: skip
-    return Constants(np.where(is_sure, value, value[near]), np.where(is_sure, half, np.nan))
+            for j in joints]  # fmt: skip
+    value, half = np.where(is_sure, value, value[near]), np.where(is_sure, half, np.nan)
+    return Constants(value, half, by_weight=True, tool=tool, fits=fits)
 
 
-def _per_torque(trials: list[Trial], parameters: Vector, joint: int) -> tuple[float, float]:
-    """Return current per torque of a joint, and its standard deviation."""
-    rows, currents = list[Matrix](), list[Vector]()
-    speeds = np.full(trials[0].torque.shape[1], 0.02)
+def _design(trials: list[Trial], parameters: Vector, joint: int) -> Matrix:
+    """Return columns that explain a joint's current: torque of the bodies, friction, rotor, lag."""
+    rows, speeds = list[Matrix](), np.full(trials[0].torque.shape[1], 0.02)
     for trial in trials:
         own = np.delete(trial.joint_columns(speeds, parameters)[:, joint], [STRIBECK, LOAD], axis=1)
         late = trial.samples.torque_rate[trial.kept][:, joint]
         rows.append(np.column_stack([trial.bodies[:, joint] @ parameters, own, late]))
-        currents.append(trial.torque[:, joint])
-    design, current = np.concatenate(rows), np.concatenate(currents)
+    return np.concatenate(rows)
+
+
+def _per_torque(trials: list[Trial], design: Matrix, joint: int) -> tuple[float, float]:
+    """Return current per torque of a joint, and its standard deviation."""
+    current = np.concatenate([trial.torque[:, joint] for trial in trials])
     solved = np.linalg.lstsq(design, current, rcond=None)[0]
     left = current - design @ solved
     noise = max(float(left.std()), _LEAST_NOISE * float(current.std()))

@@ -25,6 +25,7 @@ from deploy.measure.identify.quality import residual_notes
 from deploy.measure.identify.regression import ROTOR, Trial, split, trial_of
 from deploy.measure.identify.robot_log import RobotLog, read_robot_log
 from deploy.measure.identify.signals import checked, cutoff_hz, moves, samples_of
+from deploy.measure.identify.warnings import warnings_of
 from deploy.measure.latency import find_latency
 from deploy.scenario.starter import Drives, drives_of
 
@@ -113,14 +114,14 @@ def identify(
             f"current constants by the payload differ by {apart:+.1%} (median) from those by the"
             " weight of the robot's file"
         )
-    for trial in held_out:
-        notes += residual_notes(found, trial, robot.joint_names)
+    notes += residual_notes(found, held_out, robot.joint_names)
     result = Identified(
         robot, model, group, drives, found, training, held_out,
         ([each.name for each in files], [each.name for each in tests]), constants, payload,
-        _dead_time(logs), [], list(dict.fromkeys(notes)),
+        _dead_time(logs), [], list(dict.fromkeys(notes)), [],
     )  # fmt: skip
     result.not_seen.extend(not_seen(result))
+    result.warnings.extend(warnings_of(result))
     return result
 
 

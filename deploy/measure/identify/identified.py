@@ -36,6 +36,7 @@ class Identified:
         dead_time_s: from commanded to measured positions, and half of its interval; None without.
         not_seen: a sentence for each value that stays as it was.
         notes: what was changed in the logs, and what residuals show.
+        warnings: a sentence for each reason to doubt the result.
     """
 
     robot: RobotDescription
@@ -51,6 +52,13 @@ class Identified:
     dead_time_s: tuple[float, float] | None
     not_seen: list[str]
     notes: list[str]
+    warnings: list[str]
+
+    @property
+    def interval(self) -> str:
+        """Name of the intervals: they leave out errors of the file's masses where these scale."""
+        by_weight = self.constants is not None and self.constants.by_weight
+        return "noise alone" if by_weight else "95 %"
 
     def errors(self, *, before: bool = False) -> Vector:
         """Return relative RMS errors of the held-out torques, shape (joints,)."""

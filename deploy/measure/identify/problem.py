@@ -62,7 +62,7 @@ class Problem:
 
     def solve(self, x: Vector, weights: Matrix) -> Vector:
         """Return the best parameters, for a weight of each sample and joint."""
-        least_squares, qr = _scipy()
+        least_squares, qr = scipy_parts()
         design = (self._columns.design * weights[:, :, None]).reshape(-1, x.size)
         wanted = (self._columns.torque * weights).reshape(-1, 1)
         (r,) = qr(np.hstack([design, wanted]), mode="r", overwrite_a=True, check_finite=False)
@@ -106,7 +106,7 @@ class Problem:
         return np.asarray(found * np.outer(scale, scale))
 
 
-def _scipy() -> Any:
+def scipy_parts() -> Any:
     """Return scipy's `least_squares` and `qr`.
 
     With one thread: the matrices are small, and threads that wait for each other take many times as

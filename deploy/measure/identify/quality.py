@@ -12,6 +12,8 @@ from deploy.measure.identify.regression import COULOMB, Trial, columns_of
 
 _BINS, _MUCH, _SURELY = 12, 0.25, 4.0
 _LEAST_DRIFT = 0.05
+_LEAST_PART, _ROUGH, _MOST_NOTES = 0.02, 0.1, 2
+"""Error over the torque of a joint that is worth a note, and advice; and notes of each kind."""
 
 
 def relative_errors(predicted: Matrix, measured: Matrix) -> Vector:
@@ -33,27 +35,44 @@ def predicted_before(fit: Fit, trial: Trial) -> Matrix:
     return np.asarray(columns.design @ linear)
 
 
-def residual_notes(fit: Fit, trial: Trial, joints: tuple[str, ...]) -> list[str]:
-    """Return a sentence for each regularity that the residuals of a motion still have."""
-    left = trial.torque * fit.constants - fit.predicted(trial)
-    velocity = trial.samples.velocity[trial.kept]
-    load = trial.bodies @ fit.parameters
-    notes = []
-    for j, name in enumerate(joints):
-        for what, by in (("speed", velocity[:, j]), ("load", load[:, j] * np.sign(velocity[:, j]))):
-            share = _explained(by, left[:, j])
+def residual_notes(fit: Fit, trials: list[Trial], joints: tuple[str, ...]) -> list[str]:
+    """Return sentences for the largest regularities that residuals of motions still have."""
+    missing, drifts = dict[str, float](), dict[str, float]()
+    for trial in trials:
+        left = trial.torque * fit.constants - fit.predicted(trial)
+        velocity = trial.samples.velocity[trial.kept]
+        load = trial.bodies @ fit.parameters * np.sign(velocity)
+        size = left.std(axis=0) / np.sqrt(((trial.torque * fit.constants) ** 2).mean(axis=0))
+        for j, name in enumerate(joints):
+            share = max(_explained(by[:, j], left[:, j]) for by in (velocity, load))
             if share > _MUCH:
-                notes.append(
-                    f"{name}: the model lacks a torque that depends on {what}"
-                    f"{' and direction' if what == 'load' else ''}: {100 * share:.0f} % of the"
-                    " variance of its error"
-                )
-        if (drift := _drift(fit, trial, left, j)) is not None:
-            notes.append(
-                f"{name}: dry friction changes by {drift:+.0%} over {trial.samples.name}, as when"
-                " the joint warms up"
-            )
-    return notes
+                part = float(size[j] * np.sqrt(share))
+                missing[name] = max(missing.get(name, _LEAST_PART), part)
+            if (drift := _drift(fit, trial, left, j)) is not None:
+                drifts[
+                    f"{name}: dry friction changes by {drift:+.0%} over {trial.samples.name}, as"
+                    " when the joint warms up; record when it is warm"
+                ] = abs(drift)
+    return [_of_friction(each, missing[each]) for each in _largest(missing)] + _largest(drifts)
+
+
+def _of_friction(joint: str, part: float) -> str:
+    if part < _ROUGH:
+        matters = "a small error"
+    else:
+        matters = (
+            "the scenario's friction errs by as much: fit a log with the speeds and loads of your"
+            " task"
+        )
+    return (
+        f"{joint}: its friction depends on speed or load in a way that the model does not have,"
+        f" {100 * part:.2g} % of its torque: {matters}"
+    )
+
+
+def _largest(sizes: dict[str, float]) -> list[str]:
+    sure = [each for each in sizes if sizes[each] > _LEAST_PART]
+    return sorted(sure, key=lambda each: -sizes[each])[:_MOST_NOTES]
 
 
 def _explained(by: Vector, left: Vector) -> float:

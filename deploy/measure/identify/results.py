@@ -220,7 +220,8 @@ def summary_of(found: Identified, name: str) -> dict[str, Any]:
         "torque_ahead_ms": _milliseconds((found.fit.delay_s[0], 1.96 * found.fit.delay_s[1])),
         "dead_time_ms": _milliseconds(found.dead_time_s),
         "payload": _payload(found),
-        "not_seen": found.not_seen, "notes": found.notes,
+        "not_seen": found.not_seen, "notes": found.notes, "warnings": found.warnings,
+        "intervals": found.interval,
     }  # fmt: skip
 
 

@@ -27,8 +27,6 @@ from deploy.scenario.referenced_files import named_robot
 from deploy.studies.identify.page import error_table, joint_table, write_identify_report
 
 _DESIGN_S = 30.0
-_POOR = 0.5
-"""Error on held-out data, over the measured torque, from which a fit is doubtful."""
 
 
 @dataclass(kw_only=True)
@@ -203,14 +201,8 @@ def _show(found: Identified, folder: Path) -> None:
     if found.payload is not None:
         kg, half = found.payload.kg
         print(f"payload: {kg:.3f} ± {half:.3f} kg")
-    poor = [
-        name for name, e in zip(found.robot.joint_names, found.errors(), strict=True) if e > _POOR
-    ]
-    if poor:
-        print(
-            f"warning: {', '.join(poor)}: more than {100 * _POOR:g} % of the torque is not"
-            " predicted; is this the robot of the log, and are these its columns?"
-        )
+    for warning in found.warnings:
+        print(f"warning: {warning}")
     for note in found.notes:
         print(f"note: {note}")
     print(f"not seen in these logs: {'; '.join(found.not_seen)}")

@@ -44,9 +44,10 @@ def write_identify_report(found: Identified, summary: Mapping[str, Any], path: P
     errors = found.errors()
     worst = int(np.argmax(errors))
     head = ReportHead(
-        "good" if errors.max() < _GOOD else "mixed",
+        "good" if errors.max() < _GOOD and not found.warnings else "mixed",
         f"Held-out error {100 * np.median(errors):.1f} % (median of the joints)",
         [
+            *(f"Warning: {each}." for each in found.warnings),
             f"The largest is {100 * errors[worst]:.1f} %, of {found.robot.joint_names[worst]}."
             " Errors are RMS over the RMS of the measured torque, on data that were not fitted.",
             *(f"Not seen: {each}." for each in found.not_seen),
@@ -96,7 +97,7 @@ def error_table(found: Identified) -> Table:
 
 
 def joint_table(found: Identified) -> Table:
-    """Return friction and rotors of each joint with 95 % intervals."""
+    """Return friction and rotors of each joint with intervals."""
     shown = [t for t in _SHOWN_TERMS if found.fit.has_term[:, t].any() or t == ROTOR]
     columns = [Column("Joint", is_text=True), *(Column(*_HEADINGS[t]) for t in shown)]
     if found.constants is not None:
@@ -118,7 +119,7 @@ def joint_table(found: Identified) -> Table:
         if by_payload and found.payload is not None and found.payload.nm_per_a is not None:
             row.append(_interval(found.payload.nm_per_a[joint], math.nan))
         rows.append(row)
-    note = "* the log does not show it, or only together with its estimate; ± is 95 %."
+    note = f"* the log does not show it, or only together with its estimate; ± is {found.interval}."
     return Table("Friction and rotors", columns, rows, note)
 
 
@@ -129,8 +130,9 @@ def _interval(value: float, half: float) -> str:
 
 
 def _mass_table(summary: Mapping[str, Any]) -> Table:
+    half = f"± ({summary['intervals']})"
     columns = [Column("Moved by", is_text=True), Column("File", "kg"), Column("Identified", "kg"),
-               Column("± (95 %)", "kg"), Column("From the log", is_text=True)]  # fmt: skip
+               Column(half, "kg"), Column("From the log", is_text=True)]  # fmt: skip
     rows = [[each["joint"], each["mass_before_kg"], each["mass_kg"], each["mass_half_95"],
              "yes" if each["mass_seen"] else "no"] for each in summary["bodies"]]  # fmt: skip
     note = (
@@ -141,8 +143,9 @@ def _mass_table(summary: Mapping[str, Any]) -> Table:
 
 
 def _base_table(summary: Mapping[str, Any]) -> Table:
+    half = f"± ({summary['intervals']})"
     columns = [Column("First parameter", is_text=True), Column("File"), Column("Identified"),
-               Column("± (95 %)"), Column("From the log", is_text=True)]  # fmt: skip
+               Column(half), Column("From the log", is_text=True)]  # fmt: skip
     rows = [[each["name"], each["before"], each["value"], each["half_95"],
              "yes" if each["seen"] else "no"] for each in summary["base_parameters"]]  # fmt: skip
     note = "The combinations of masses (kg), first moments (kg m) and inertias (kg m²) that act."
@@ -236,5 +239,5 @@ PANELS = (
           "Points: measured torque without the torque of masses and rotors. Line: the friction of"
           " the scenario."),
     Panel("Before and after", "changes", "Friction and rotors over their values before", _changes,
-          "1: as the file or the estimate for arms without data. Bars are 95 % intervals."),
+          "1: as the file or the estimate for arms without data. Bars are the tables' intervals."),
 )  # fmt: skip

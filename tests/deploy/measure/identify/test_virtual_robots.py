@@ -23,7 +23,13 @@ from deploy.measure.identify.robot_log import read_robot_log
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.scenario import load_setup
 from tests.arms import PAPER_ARM
-from tests.deploy.measure.identify.virtual_logs import excitation, intervals, truth_of, write_log
+from tests.deploy.measure.identify.virtual_logs import (
+    excitation,
+    intervals,
+    to_currents,
+    truth_of,
+    write_log,
+)
 from tests.warm_process import here, output_of
 
 pytest.importorskip("scipy", reason="the extra identify is not installed")
@@ -275,27 +281,18 @@ def test_currents_need_the_weight_and_find_a_payload(tmp_path):
     truth.bodies[:] = model.body_parameters().ravel()  # its weight is the scale
     write_log(tmp_path / "log.csv", "ur5e", truth, random)
     constants = np.array([11.0, 12.0, 9.0, 10.0, 10.5, 10.0])
-    _to_currents(tmp_path / "log.csv", constants)
+    to_currents(tmp_path / "log.csv", constants)
     found = identify([tmp_path / "log.csv"], [], None, robot, Wishes())
+    assert (found.constants.tool, found.constants.fits) == (None, True)
     sure = np.isfinite(found.constants.half)
     assert sure.sum() >= 3
     assert found.constants.nm_per_a[sure] == pytest.approx(constants[sure], rel=0.05)
     truth.bodies[-10:] += 2.0 * np.array([1, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.01])
     write_log(tmp_path / "loaded.csv", "ur5e", truth, random)
-    _to_currents(tmp_path / "loaded.csv", constants)
+    to_currents(tmp_path / "loaded.csv", constants)
     wishes = Wishes(payload_kg=2.0, constants=constants)
     found = identify([tmp_path / "log.csv"], [], tmp_path / "loaded.csv", robot, wishes)
     assert found.payload.kg[0] == pytest.approx(2.0, rel=0.1)
-
-
-def _to_currents(file, constants) -> None:
-    head, *rows = file.read_text().splitlines()
-    values = np.array([list(map(float, row.split(","))) for row in rows])
-    joints = len(constants)
-    values[:, -joints:] /= constants
-    names = head.split(",")
-    names[-joints:] = [f"current{n}_a" for n in range(1, joints + 1)]
-    np.savetxt(file, values, "%.9g", ",", header=",".join(names), comments="")
 
 
 def test_dead_time_from_command_to_position_becomes_a_delay_of_the_link(virtual, tmp_path):

@@ -100,6 +100,17 @@ def write_log(
     return robot
 
 
+def to_currents(file: Path, constants: np.ndarray) -> None:
+    """Turn the torques of a log into currents."""
+    head, *rows = file.read_text().splitlines()
+    values = np.array([list(map(float, row.split(","))) for row in rows])
+    joints = len(constants)
+    values[:, -joints:] /= constants
+    names = head.split(",")
+    names[-joints:] = [f"current{n}_a" for n in range(1, joints + 1)]
+    np.savetxt(file, values, "%.9g", ",", header=",".join(names), comments="")
+
+
 def intervals(found: Identified, truth: Truth) -> Iterator[tuple[str, Interval, float]]:
     """Yield name, interval and true value of each parameter, also of those that are not seen."""
     true = found.group.matrix @ truth.bodies
