@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 from pydantic import BaseModel
@@ -18,6 +18,7 @@ from bus_schema.foreign_text import markdown_table
 from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
+SOFT_HYPHEN = "\u00ad"
 _FAR_OUTSIDE = -1.0
 """Margin below which an error is shown as a multiple of its bound."""
 _NEARLY_ALL = 0.99
@@ -112,7 +113,12 @@ class Column:
     @property
     def brief_title(self) -> str:
         """Short heading, where it has one, with unit, on one line."""
-        broken = (self.brief or self.heading).replace("-\n", "").replace(".\n", ".")
+        return self.breakable_title.replace(SOFT_HYPHEN, "")
+
+    @property
+    def breakable_title(self) -> str:
+        """The same, with soft hyphens where its words can break."""
+        broken = (self.brief or self.heading).replace("-\n", SOFT_HYPHEN).replace(".\n", ".")
         brief = " ".join(broken.split())
         return f"{brief} ({self.unit})" if self.unit else brief
 
@@ -199,6 +205,24 @@ def table_of(
     """
     rows = [[of(item) for _, of in columns] for item in items]
     return Table(title, [column for column, _ in columns], rows, note, most_printed)
+
+
+def of_columns(table: Table, chosen: Sequence[int]) -> Table:
+    """Return a table with only some of its columns."""
+    rows = [[row[n] for n in chosen] for row in table.rows]
+    return replace(table, columns=[table.columns[n] for n in chosen], rows=rows)
+
+
+def without_shared(table: Table) -> Table | None:
+    """Return a table whose title has what all rows share of the first texts; None if nothing."""
+    every = range(len(table.columns))
+    heads = next((n for n in every if not table.columns[n].is_text), len(every))
+    shared = [n for n in range(heads) if len({row[n].text for row in table.cells}) == 1]
+    if not (shared := shared[: heads - 1]):  # a row has a name
+        return None
+    names = ", ".join(table.cells[0][n].text for n in shared)
+    kept = of_columns(table, [n for n in every if n not in shared])
+    return replace(kept, title=f"{table.title}: {names}")
 
 
 def quotable(table: Table, conditions: Mapping[str, str]) -> str:

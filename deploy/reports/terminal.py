@@ -17,7 +17,14 @@ from rich.text import Text
 from bus_schema.foreign_text import shortened
 from deploy.judge.conditions import EFFORT, conditions_line
 from deploy.reports.page import Level, Page, ReportHead
-from deploy.reports.tables import Column, Status, Table, without_middle
+from deploy.reports.tables import (
+    Column,
+    Status,
+    Table,
+    of_columns,
+    without_middle,
+    without_shared,
+)
 
 STYLES: dict[Status | Level, str] = {
     "": "", "best": "bold", "mixed": "bold",
@@ -94,28 +101,18 @@ def _narrow(console: Console, table: Table) -> rich_table.Table:
 
 def _parts(console: Console, table: Table) -> list[Table]:
     """Return a table in parts that are no wider than the terminal, as far as that is possible."""
-    table = _of_columns(
-        table, [n for n, each in enumerate(table.columns) if each.brief is not None]
-    )
+    table = of_columns(table, [n for n, each in enumerate(table.columns) if each.brief is not None])
     if _fits(console, table):
         return [table]
     every = range(len(table.columns))
     heads = next((n for n in every if not table.columns[n].is_text), len(every))
-    shared = [n for n in range(heads - 1) if len({row[n].text for row in table.cells}) == 1]
-    if shared:
-        names = ", ".join(table.cells[0][n].text for n in shared)
-        kept = _of_columns(table, [n for n in every if n not in shared])
-        return _parts(console, replace(kept, title=f"{table.title}: {names}"))
+    if fewer := without_shared(table):
+        return _parts(console, fewer)
     for last in range(len(every) - 1, heads, -1):
-        first = _of_columns(table, every[:last])
+        first = of_columns(table, every[:last])
         if _fits(console, first):
-            return [first, *_parts(console, _of_columns(table, [*every[:heads], *every[last:]]))]
+            return [first, *_parts(console, of_columns(table, [*every[:heads], *every[last:]]))]
     return [table]
-
-
-def _of_columns(table: Table, chosen: Sequence[int]) -> Table:
-    rows = [[row[n] for n in chosen] for row in table.rows]
-    return replace(table, columns=[table.columns[n] for n in chosen], rows=rows)
 
 
 def _fits(console: Console, table: Table) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 
 from deploy.judge.conditions import conditions_line
 from deploy.reports.page import Page
-from deploy.reports.tables import ABSENT, Table
+from deploy.reports.tables import ABSENT, SOFT_HYPHEN, Table, of_columns, without_shared
 
 _ESCAPES = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
@@ -27,8 +27,11 @@ _ESCAPES = {
 }  # fmt: skip
 _COLUMN_PT, _PAGE_PT = 252.0, 516.0
 """Width of a column and of both, as in IEEE's journals."""
-_GAP_PT, _TEXT_PT = 12.0, 150.0
-"""Between two columns of a table; what a column of text, which can break, needs at least."""
+_GAP_PT, _TEXT_SHARE = 8.0, 0.3
+"""Between two columns of a table; share of the width that a text, which can break, is left."""
+_WORDS, _PIECES = re.compile(r"\S+"), re.compile(r"[^\s_/]*[_/]+|[^\s_/]+")
+"""Parts of a text after which a line can end; names have several."""
+_SYLLABLES = re.compile(f"[^\\s{SOFT_HYPHEN}]+{SOFT_HYPHEN}?")
 _LETTERS_PT = {2.6: "ijl.,:;'|!()[]·", 3.4: " frtsI/-", 7.1: "mw%@×±→≤≥ΣΔ−…", 8.8: "MW"}
 _CAPITAL_PT, _OTHER_PT = 6.7, 4.7
 """Width of letters of 8 pt in Computer Modern, which is wider than Times."""
@@ -67,12 +70,14 @@ def narrow_parts(table: Table, width_pt: float = _PAGE_PT) -> Iterator[Table]:
     """Yield a table as parts with few columns and rows; each repeats the columns that name rows.
 
     Columns that only reports have, such as commands, and those where nothing is known are left
-    out; so is a table without others. The title of a part says what is in it; the first part has
-    the note.
+    out; so is a table without others. What all rows of a split table share is in the title, as is
+    what a part has; the first part has the note.
     """
     table = _for_paper(table)
+    groups = _column_groups(table, width_pt)
+    if len(groups) > 1 and (fewer := without_shared(table)):
+        table, groups = fewer, _column_groups(fewer, width_pt)
     heads = _naming_columns(table)
-    groups = _column_groups(table, heads, width_pt)
     for group in groups:
         columns = [table.columns[index] for index in [*range(heads), *group]]
         named = ", ".join(column.brief_title for column in columns[heads:])
@@ -93,8 +98,7 @@ def _for_paper(table: Table) -> Table:
     """Return a table with the columns that a terminal has too, and in which something is known."""
     known = [any(row[n].text != ABSENT for row in table.cells) for n in range(len(table.columns))]
     kept = [n for n, column in enumerate(table.columns) if known[n] and column.brief is not None]
-    rows = [[row[n] for n in kept] for row in table.rows]
-    return replace(table, columns=[table.columns[n] for n in kept], rows=rows)
+    return of_columns(table, kept)
 
 
 def _naming_columns(table: Table) -> int:
@@ -107,18 +111,26 @@ def _naming_columns(table: Table) -> int:
     return 1
 
 
-def _column_groups(table: Table, heads: int, width_pt: float) -> list[list[int]]:
-    """Return the other columns by the parts of a table: as many as there is room for."""
-    widths = _widths_pt(table)
+def _column_groups(table: Table, width_pt: float) -> list[list[int]]:
+    """Return the other columns by the parts of a table: few parts, of about as many columns."""
+    heads = _naming_columns(table)
+    tried = (
+        _grouped(widths, heads, width_pt, most)
+        for widths in _layouts(table, width_pt)
+        for most in range(1, _MOST_COLUMNS - heads + 1)
+    )
+    return min(tried, key=len)
+
+
+def _grouped(widths: Sequence[float], heads: int, width_pt: float, most: int) -> list[list[int]]:
     groups = list[list[int]]()
     room = 0.0
     for index in range(heads, len(widths)):
-        needed = min(widths[index], _TEXT_PT if table.columns[index].is_text else width_pt)
-        if not groups or len(groups[-1]) == _MOST_COLUMNS - heads or needed > room:
+        if not groups or len(groups[-1]) == most or widths[index] > room:
             groups.append([])
             room = width_pt - sum(widths[:heads])
         groups[-1].append(index)
-        room -= needed
+        room -= widths[index]
     return groups
 
 
@@ -130,21 +142,27 @@ def as_latex(table: Table, label: str, width_pt: float = _PAGE_PT) -> str:
         label: to refer to it by.
         width_pt: its largest width.
     """
-    heads = [column.brief_title for column in table.columns]
-    lines = [heads, *([cell.text for cell in row] for row in table.cells)]
-    widths = _widths_pt(table)
-    kind = "table*" if min(sum(widths), width_pt) > _COLUMN_PT else "table"
-    longest = _longest_pt(widths, width_pt)
-    breaks = [width > longest for width in widths]
-    sides = "".join(
-        f"p{{{longest - _GAP_PT:.0f}pt}}" if broken else "l" if column.is_text else "r"
-        for column, broken in zip(table.columns, breaks, strict=True)
+    whole, broken, least = _layouts(table, width_pt)
+    kind = "table*" if min(sum(whole), width_pt) > _COLUMN_PT else "table"
+    widths = _cut(_cut(whole, broken, width_pt), least, width_pt)
+    breaks = [
+        _GAP_PT + widest > width for widest, width in zip(_widest_pt(table), widths, strict=True)
+    ]
+    sides = ["l" if column.is_text else "r" for column in table.columns]
+    kinds = "".join(
+        f"p{{{width - _GAP_PT:.0f}pt}}" if broken else side
+        for width, broken, side in zip(widths, breaks, sides, strict=True)
     )
+    heads = [column.breakable_title for column in table.columns]
+    headings = [_heading(*each) for each in zip(heads, widths, sides, strict=True)]
     end = r" \tabularnewline" if any(breaks) else r" \\"
-    body = [" & ".join(map(_cell, line, breaks)) + end for line in lines]
+    rows = ([_cell(*each) for each in zip((c.text for c in row), breaks, strict=True)]
+            for row in table.cells)  # fmt: skip
+    body = [" & ".join(line) + end for line in [headings, *rows]]
     note = [f"% {line}" for line in table.note.splitlines()]
     begin = [rf"\begin{{{kind}}}", r"\centering", rf"\caption{{{latex_text(table.title)}}}",
-             rf"\label{{{label}}}", r"\footnotesize", rf"\begin{{tabular}}{{{sides}}}"]  # fmt: skip
+             rf"\label{{{label}}}", rf"\footnotesize\setlength\tabcolsep{{{_GAP_PT / 2:g}pt}}",
+             rf"\begin{{tabular}}{{{kinds}}}"]  # fmt: skip
     rules = [r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule"]
     return "\n".join([*note, *begin, *rules, r"\end{tabular}", rf"\end{{{kind}}}", ""])
 
@@ -157,27 +175,63 @@ def _cell(text: str, is_broken: bool) -> str:
     return rf"\raggedright {words}"
 
 
-def _widths_pt(table: Table) -> list[float]:
-    """Return how wide the columns of a table are, each with its gap."""
-    texts = [[column.brief_title, *(row[index].text for row in table.cells)]
-             for index, column in enumerate(table.columns)]  # fmt: skip
-    return [_GAP_PT + max(map(_width_pt, column)) for column in texts]
+def _heading(text: str, width_pt: float, side: str) -> str:
+    """Return a heading, on several lines where it is wider than its column."""
+    lines = [""]
+    for word in _SYLLABLES.findall(text):
+        is_inside = lines[-1].endswith(SOFT_HYPHEN)
+        longer = (lines[-1].rstrip(SOFT_HYPHEN) + (word if is_inside else f" {word}")).strip()
+        if lines[-1] and _width_pt(longer) > width_pt - _GAP_PT:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    shown = r"\\".join(latex_text(line.replace(SOFT_HYPHEN, "-")) for line in lines)
+    stack = rf"\begin{{tabular}}[b]{{@{{}}{side}@{{}}}}{shown}\end{{tabular}}"
+    return stack if len(lines) > 1 else shown
+
+
+def _layouts(table: Table, width_pt: float) -> tuple[list[float], list[float], list[float]]:
+    """Return widths of all columns with their gaps: whole; headings and texts broken; and least.
+
+    Texts break where they are wider than a share of the table. At least, names do after a _ or a /.
+    """
+    whole, broken, least = list[float](), list[float](), list[float]()
+    for index, (column, widest) in enumerate(zip(table.columns, _widest_pt(table), strict=True)):
+        heading = max(map(_width_pt, _SYLLABLES.findall(column.breakable_title)), default=0.0)
+        cells = [row[index].text for row in table.cells]
+        whole.append(_GAP_PT + max(widest, _width_pt(column.brief_title)))
+        for found, parts in ((broken, _WORDS), (least, _PIECES)):
+            texts = [_broken_pt(cell, parts, _TEXT_SHARE * width_pt) for cell in cells]
+            found.append(_GAP_PT + max(heading, *(texts if column.is_text else [widest])))
+    return whole, broken, least
+
+
+def _broken_pt(text: str, parts: re.Pattern[str], share_pt: float) -> float:
+    """Return the width that a text needs which can break; one of several words has its share."""
+    longest = max(map(_width_pt, parts.findall(text)), default=0.0)
+    return max(longest, min(_width_pt(text), share_pt)) if " " in text else longest
+
+
+def _widest_pt(table: Table) -> list[float]:
+    cells = table.cells
+    return [max((_width_pt(row[n].text) for row in cells), default=0.0)
+            for n in range(len(table.columns))]  # fmt: skip
+
+
+def _cut(full: Sequence[float], least: Sequence[float], width_pt: float) -> list[float]:
+    """Return widths of which the largest are cut until they fit, none to less than its least."""
+    widths = list(full)
+    for longest in range(int(width_pt), 0, -1):
+        if sum(widths) <= width_pt:
+            break
+        widths = [max(low, min(high, longest)) for high, low in zip(full, least, strict=True)]
+    return widths
 
 
 def _width_pt(text: str) -> float:
     return sum(
         _WIDTH_PT.get(letter, _CAPITAL_PT if letter.isupper() else _OTHER_PT) for letter in text
     )
-
-
-def _longest_pt(widths: Sequence[float], width_pt: float) -> float:
-    """Return the width to which the widest columns must be cut to fit into a width."""
-    room = width_pt
-    for place, width in enumerate(sorted(widths)):
-        if width > (share := room / (len(widths) - place)):
-            return share
-        room -= width
-    return width_pt
 
 
 def latex_text(text: str) -> str:

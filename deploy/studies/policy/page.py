@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
@@ -17,12 +19,18 @@ from deploy.studies.policy.result import Merge, Point, PolicyResult
 
 _HEIGHT_PX = 430
 _HELPS: dict[str, str] = {
-    Reason.LATE: "The network delays commands for longer than a chunk bridges: try a longer horizon"
+    Reason.RAN_OUT: "Answers take longer than a chunk lasts: try a longer horizon"
     " (controller.chunks.horizon), or ask earlier (controller.chunks.ask_every)",
     Reason.VIBRATION: "Compare the velocities in the answers with the slope of the positions, and"
     " how far the policy sees ahead with the age of its answers; or make the robot's loop softer",
 }
 """What helps a policy in particular, by the reason why it does not hold."""
+_LOOP = (
+    "A late torque acts on a state that has changed: try a drive loop"
+    " (controller.drive_feedback.enabled=true), or a robot interface of positions"
+    " (plant.interface.kind=servoj)"
+)
+"""What helps arms that get torques over a network."""
 _MERGE_LIMIT = "limit of the merge"
 _FAR_OUTSIDE = 3.0
 """Times its bound from which an error is no matter of a wider bound."""
@@ -31,7 +39,7 @@ _FAR_OUTSIDE = 3.0
 def policy_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """Return the report of a policy."""
     result = PolicyResult.model_validate(study.summary)
-    first, *more = [each for arm in result.arms for each in advice(result, arm)]
+    first, *more = [each for arm in result.arms for each in advice(result, arm, study.rerun)]
     return Page(
         "policy",
         result.name,
@@ -53,17 +61,24 @@ def policy_page(study: DrawnStudy) -> Page[DrawnStudy]:
     )  # fmt: skip
 
 
-def advice(result: PolicyResult, arm: str) -> list[str]:
-    """Return the recommended setting for an arm in one sentence, and what it rests on."""
+def advice(result: PolicyResult, arm: str, rerun: Callable[[str], str]) -> list[str]:
+    """Return the recommended setting for an arm in one sentence, and what it rests on.
+
+    Args:
+        result: the result.
+        arm: the arm.
+        rerun: returns the command that repeats a point.
+    """
     cases = result.arms[arm]
     if not result.completed:
         return [f"{arm}: not complete."]
     best = recommended(cases)
     if best is None or best.at is None:
         reasons = _first_ends(cases)
-        helps = _helps(reasons, result)
+        network = _without_network(result, arm)
+        helps = _helps(reasons, result, arm) or network[1:] or _what_to_change(cases, rerun)
         first = f"{arm}: {_none_holds(cases, reasons)}."
-        return [first, *_least_used(cases), *(helps or _what_to_change(cases))]
+        return [first, *network[:1], *_least_used(cases), *helps]
     if (best.inference_ms or 0.0) < best.at.inference_ms:
         why = f" ({best.ends})" if best.ends else ""
         is_kept = any(case.at and case.at.runs_kept == case.at.runs for case in cases)
@@ -71,7 +86,7 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
         return [
             f"{arm}: {best.merge} holds longest, up to {_up_to(best)} of inference. At"
             f" {best.at.inference_ms:g} ms {flaw}{why}.",
-            *_helps([best.ends] if best.ends else [], result),
+            *_helps([best.ends] if best.ends else [], result, arm),
         ]
     key, last = jump_column(cases), longest(cases)
     jump = _jump(best.at, key)
@@ -85,10 +100,23 @@ def advice(result: PolicyResult, arm: str) -> list[str]:
     ]
 
 
-def _helps(reasons: list[str], result: PolicyResult) -> list[str]:
+def _helps(reasons: list[str], result: PolicyResult, arm: str) -> list[str]:
     """Return what helps against reasons of a loss, a sentence each."""
-    remedies = (_HELPS.get(reason) or remedy_of(reason, result.policy) for reason in reasons)
+    known = _HELPS | (dict[str, str]({Reason.LATE: _LOOP}) if arm in result.torque_arms else {})
+    remedies = (known.get(reason) or remedy_of(reason, result.policy) for reason in reasons)
     return [f"{each[0].upper()}{each[1:]}." for each in remedies if each]
+
+
+def _without_network(result: PolicyResult, arm: str) -> list[str]:
+    """Return what becomes of a run without the network, and what helps where that is the cause."""
+    for each in result.without_network:
+        if each.arm == arm and each.held:
+            cause = f"Without {result.network}, {each.merge} holds: the network is the cause."
+            return [cause, *([f"{_LOOP}."] if arm in result.torque_arms else [])]
+        if each.arm == arm:
+            why = f" ({each.ends})" if each.ends else ""
+            return [f"Without {result.network}, {each.merge} does not hold either{why}."]
+    return []
 
 
 def _first_ends(cases: list[Merge]) -> list[str]:
@@ -124,14 +152,15 @@ def _least_used(cases: list[Merge]) -> list[str]:
     return [f"There, the error with {merge} reaches {number(known[merge])} times its bound{tip}."]
 
 
-def _what_to_change(cases: list[Merge]) -> list[str]:
+def _what_to_change(cases: list[Merge], rerun: Callable[[str], str]) -> list[str]:
     """Return what to do about a loss at the shortest inference time, if no reason says so."""
     used = min((case.points[0].bound_used or 0.0 for case in cases), default=0.0)
     if used <= 1.0:
         return []
     if used < _FAR_OUTSIDE:
         return ["If your task allows that error, widen the bound: --set funnel.final_rad=…."]
-    return ["Run one of the policy alone, with funnel-hil simulate: its report shows the answers."]
+    point = cases[0].points[0].worst_point
+    return [f"To see the policy's answers in the report of one run: {rerun(point)}"]
 
 
 def _up_to(case: Merge) -> str:

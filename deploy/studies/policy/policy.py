@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -12,13 +13,13 @@ from pydantic import Field
 from bus_schema.configuration import ConfigurationError, NonNegative, Positive, Whole
 from controller.chunks.configuration import CHUNK_MERGES
 from deploy.judge.gate import Gauged
-from deploy.judge.run_rows import Row
+from deploy.judge.run_rows import Row, reason_of, tolerated
 from deploy.scenario import study_keys
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import naming, override, validated
 from deploy.studies.policy.findings import merge_findings
-from deploy.studies.policy.result import PolicyResult
+from deploy.studies.policy.result import Alone, PolicyResult
 from deploy.study.definition import (
     Different,
     StudyDefinition,
@@ -27,9 +28,12 @@ from deploy.study.definition import (
 )
 from deploy.study.planned_run import PlannedRun
 from deploy.study.study import StudyOfRuns, rows_by
+from plant_emulator.interfaces.settings import TORQUE
 
 INFERENCE, MERGE, TASK = "controller.inference_ms", "controller.chunks.merge", "reference.task"
 _MOST_TIMES = 1000
+_ALONE = "-alone"
+"""End of the name of a run without the study's network."""
 _YAML = (".yaml", ".yml")
 _OF_ARM_FILES: dict[str, Any] = {
     "plant.interface": {"kind": "servoj", "servoj": {"lookahead_time_s": 0.03, "gain": 1200}},
@@ -113,6 +117,8 @@ class PolicyStudy(StudyOfRuns):
             require_own_names((case.arm, case.scenario) for case in self.cases)
             self._variants = [self._setup(each.scenario, each.merge, 0.0) for each in self.cases]
             self.bases = self._variants[:: len(given.merges)]
+            self._shortest: dict[str, list[tuple[PlannedRun, Row]]] = {}
+            self._alone: set[str] = set()
 
     @property
     def variants(self) -> list[Setup]:
@@ -148,13 +154,52 @@ class PolicyStudy(StudyOfRuns):
                             ends_early=time_ms > case.times_ms[0],  # the first is quoted if lost
                         )  # fmt: skip
 
+    @property
+    def expected(self) -> int:
+        return super().expected + len(self._alone)
+
+    @property
+    def at_most(self) -> int:
+        needed = len(self.definition.merges) * len(self._tasks) * len(self.definition.seeds)
+        open_ = sum(len(self._shortest.get(base.scenario.name, ())) < needed for base in self.bases)
+        return self.expected + open_ * (self.definition.network is not None)
+
+    def follow(self, run: PlannedRun, values: Row) -> Iterable[PlannedRun]:
+        """Request one run without the network where no merge holds at the shortest time."""
+        wanted, time_ms = self.definition, self.cases[int(run.point[:3])].times_ms[0]
+        if wanted.network is None or run.point.endswith(_ALONE):
+            return ()
+        if run.columns["inference_ms"] != time_ms:
+            return ()
+        known = self._shortest.setdefault(run.columns["arm"], [])
+        known.append((run, values))
+        if len(known) < len(wanted.merges) * len(self._tasks) * len(wanted.seeds):
+            return ()
+        of_merge = rows_by(known, lambda each: each[1]["merge"])
+        if any(all(tolerated(row) for _, row in each) for each in of_merge.values()):
+            return ()
+        lost = min((one for one, row in known if not tolerated(row)), key=lambda one: one.key)
+        self._alone.add(run.columns["arm"])
+        merge, task = lost.columns["merge"], lost.columns["task"]
+        overrides = self._overrides(lost.scenario, merge, time_ms, task, has_network=False)
+        return [replace(lost, point=lost.point + _ALONE, overrides=overrides)]
+
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        wanted, of_case = self.definition, rows_by(rows, lambda row: (row["arm"], row["merge"]))
+        alone = [row for row in rows if row["point"].endswith(_ALONE)]
+        wanted, count = self.definition, len(rows)
+        rows = [row for row in rows if row not in alone]
+        of_case = rows_by(rows, lambda row: (row["arm"], row["merge"]))
         return PolicyResult(
-            completed=len(rows) == self.expected, title="inference time", unit="ms",
+            completed=count == self.expected, title="inference time", unit="ms",
             values=sorted({time_ms for case in self.cases for time_ms in case.times_ms}),
             policy=", ".join(self.laws), network=wanted.network, at_ms=wanted.at_ms,
             limit_ms=wanted.limit_ms, tasks=wanted.tasks,
+            without_network=[
+                Alone(arm=each["arm"], merge=each["merge"], held=tolerated(each),
+                      ends=reason_of(each))
+                for each in alone
+            ],
+            torque_arms=[each.scenario.name for each in self.bases if _sends_torques(each)],
             cases=[
                 merge_findings(
                     case.arm, case.merge, of_case.get((case.arm, case.merge), []), case.times_ms,
@@ -196,15 +241,24 @@ class PolicyStudy(StudyOfRuns):
         return load_setup(scenario, self._overrides(scenario, merge, inference_ms, last))
 
     def _overrides(
-        self, scenario: str, merge: str, inference_ms: float, task: int | None
-    ) -> tuple[str, ...]:
+        self, scenario: str, merge: str, inference_ms: float, task: int | None, *,
+        has_network: bool = True,
+    ) -> tuple[str, ...]:  # fmt: skip
         wanted = self.definition
         usual: tuple[str, ...] = ()
         if Path(scenario).suffix and not scenario.endswith(_YAML):
             usual = tuple(override(key, value) for key, value in _OF_ARM_FILES.items())
-        traces = {} if wanted.network is None else dict.fromkeys(study_keys.TRACES, wanted.network)
+        network = wanted.network if has_network else None
+        traces = {} if network is None else dict.fromkeys(study_keys.TRACES, network)
         law = {} if wanted.law is None else {study_keys.LAW: wanted.law}
         tasks = {} if task is None else {TASK: task}
         values = {**traces, **law, MERGE: merge, INFERENCE: inference_ms, **tasks}
         own = (override(key, value) for key, value in values.items())
         return (*usual, *wanted.fixed_overrides, *own)
+
+
+def _sends_torques(setup: Setup) -> bool:
+    """Whether torques go over the link, so that a late one acts in a wrong state."""
+    scenario = setup.scenario
+    is_loop = scenario.controller.drive_feedback.enabled
+    return scenario.plant.interface.takes == TORQUE and not is_loop

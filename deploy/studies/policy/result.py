@@ -73,8 +73,22 @@ class Merge(Part):
     points: list[Point]
 
 
+class Alone(Part):
+    """A run at the shortest inference time without the network, as no merge held with it."""
+
+    arm: str
+    merge: str
+    held: bool
+    ends: str | None
+
+
 class PolicyResult(StudyResult):
-    """A policy: its largest inference time with each merge; in mm and rad/s3, jump and jerk."""
+    """A policy: its largest inference time with each merge; in mm and rad/s3, jump and jerk.
+
+    Attributes:
+        without_network: a run for each arm on which no merge held.
+        torque_arms: arms that get torques over the link, for want of a loop of their own.
+    """
 
     group = "policy"
     other_units = (MM, JERK)
@@ -86,6 +100,8 @@ class PolicyResult(StudyResult):
     at_ms: float
     limit_ms: float
     tasks: int | None
+    without_network: list[Alone] = Field(default=[])
+    torque_arms: list[str] = Field(default=[])
     cases: Annotated[list[Merge], Field(min_length=1)]
 
     def numbers(self) -> Iterator[Gauged]:

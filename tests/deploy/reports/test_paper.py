@@ -355,19 +355,17 @@ def test_wide_table_becomes_tables_of_six_columns_with_short_captions():
     table = Table("Laws", columns, rows, "A long note. " * 20)
     parts = list(narrow_parts(table))
     assert [[column.heading for column in part.columns] for part in parts] == [
-        ["c0", "c1", "c2", "c3", "c4", "c5"],
-        ["c0", "c6", "c7", "c8", "c9", "c10"],
-        ["c0", "c11"],
-    ]
+        ["c0", "c1", "c2", "c3", "c4"], ["c0", "c5", "c6", "c7", "c8"], ["c0", "c9", "c10", "c11"],
+    ]  # fmt: skip
     assert [list(part.rows[0]) for part in parts] == [
-        ["row 0", 0, 1, 2, 3, 4], ["row 0", 5, 6, 7, 8, 9], ["row 0", 10],
+        ["row 0", 0, 1, 2, 3], ["row 0", 4, 5, 6, 7], ["row 0", 8, 9, 10],
     ]  # fmt: skip
     text = as_latex(parts[0], "tab:any")
     assert [part.title for part in parts] == [
-        "Laws: c1, c2, c3, c4, c5", "Laws: c6, c7, c8, c9, c10", "Laws: c11",
+        "Laws: c1, c2, c3, c4", "Laws: c5, c6, c7, c8", "Laws: c9, c10, c11",
     ]  # fmt: skip
-    assert r"\caption{Laws: c1, c2, c3, c4, c5}" in text
-    assert r"\begin{tabular}{lrrrrr}" in text
+    assert r"\caption{Laws: c1, c2, c3, c4}" in text
+    assert r"\begin{tabular}{lrrrr}" in text
 
 
 def test_long_table_becomes_tables_that_fit_on_a_page():
@@ -391,7 +389,7 @@ def test_rows_of_numbers_keep_all_that_tell_them_apart():
     rows = [[1.0, 2.0, *range(6)], [1.0, 3.0, *range(6)]]
     first, second = narrow_parts(Table("Grid", columns, rows))
     assert [row[:2] for row in second.rows] == [[1.0, 2.0], [1.0, 3.0]]
-    assert first.title == "Grid: c2, c3, c4, c5"
+    assert first.title == "Grid: c2, c3, c4"
 
 
 def test_confirmation_of_several_scenarios_names_them():
@@ -448,14 +446,31 @@ def test_tables_for_one_column_stay_within_it(tmp_path):
     assert "Overfull" not in (tmp_path / "t.log").read_text(encoding="latin-1")
 
 
-def test_parts_of_a_wide_table_repeat_all_columns_that_tell_rows_apart():
-    columns = [Column(f"c{number}", is_text=number < 3) for number in range(9)]
-    rows = [["smc", "none", "given", *range(6)], ["smc", "smith", "given", *range(6)]]
+def test_parts_of_a_wide_table_repeat_only_columns_that_tell_rows_apart():
+    """What all rows share is in the title."""
+    columns = [Column(f"c{number}", is_text=number < 4) for number in range(10)]
+    rows = [["smc", each, "given", n, *range(6)] for each in ("none", "smith") for n in "ab"]
     parts = list(narrow_parts(Table("Laws", columns, rows)))
     assert [[column.heading for column in part.columns] for part in parts] == [
-        ["c0", "c1", "c2", "c3", "c4", "c5"], ["c0", "c1", "c6", "c7", "c8"],
+        ["c1", "c3", "c4", "c5", "c6"], ["c1", "c3", "c7", "c8", "c9"],
     ]  # fmt: skip
-    assert parts[1].rows[1] == ["smc", "smith", 3, 4, 5]
+    assert parts[1].rows[1] == ["none", "b", 3, 4, 5]
+    assert parts[1].title == "Laws: smc, given: c7, c8, c9"
+
+
+def test_headings_break_before_names_do_and_names_only_where_that_saves_a_table():
+    columns = [Column("Law", is_text=True), Column("Compensation", "", "Compen-\nsation", True),
+               *(Column("Largest round trip kept", "ms") for _ in range(4))]  # fmt: skip
+    rows = [[name, "without", 1.0, 2.0, 3.0, 4.0] for name in ("smc", "pid")]
+    (part,) = narrow_parts(Table("Laws", columns, rows), 252.0)
+    text = as_latex(part, "tab:any", 252.0)
+    assert r"\begin{tabular}[b]{@{}r@{}}Largest" in text
+    assert r"\begin{tabular}[b]{@{}l@{}}Compen-\\sation" in text
+    assert r"\begin{tabular}{llrrrr}" in text
+    rows = [["fixed_time_adaptive", each, *(123456.0 for _ in range(4))] for each in ("with", "–")]
+    rows.append(["pid", "with", 1.0, 2.0, 3.0, 4.0])
+    (part,) = narrow_parts(Table("Laws", columns, rows), 252.0)
+    assert r"fixed\_\allowbreak time" in as_latex(part, "tab:any", 252.0)
 
 
 def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():

@@ -165,13 +165,13 @@ def test_a_policy_without_a_time_to_quote_says_what_its_runs_did(kept, ends, sai
     result = PolicyResult.model_construct(
         completed=True, policy="m:P", cases=[merge.model_copy(update={"points": points})]
     )
-    assert said in " ".join(advice(result, "arm"))
+    assert said in " ".join(advice(result, "arm", "funnel-hil simulate {}.yaml".format))
 
 
 @pytest.mark.parametrize(("used", "said"), [
     (1.2, "There, the error with replace reaches 1.2 times its bound, 5 mm at the tip (RMS)."),
     (1.2, "If your task allows that error, widen the bound: --set funnel.final_rad="),
-    (9.0, "Run one of the policy alone, with funnel-hil simulate: its report shows the answers."),
+    (9.0, "the policy's answers in the report of one run: funnel-hil simulate 000.yaml"),
 ])  # fmt: skip
 def test_a_policy_lost_at_once_says_by_how_much(used, said):
     merge = case("replace", None, 0.0)
@@ -180,7 +180,34 @@ def test_a_policy_lost_at_once_says_by_how_much(used, said):
     result = PolicyResult.model_construct(
         completed=True, policy="m:P", cases=[merge.model_copy(update={"points": points})]
     )
-    assert said in " ".join(advice(result, "arm"))
+    assert said in " ".join(advice(result, "arm", "funnel-hil simulate {}.yaml".format))
+
+
+def test_a_network_that_is_the_cause_is_named_after_one_more_run(tmp_path, funnel_hil):
+    """Targets that are 0.4 s late are 0.2 rad off at 0.5 rad/s."""
+    policy_setup(tmp_path, CHUNKS, rows=16, spacing_s=0.02, knows_velocity=True, funnel_rad=0.06)
+    (tmp_path / "slow.csv").write_text("time_s,delay_ms\n0,400\n1,400\n2,400\n")
+    words = ("policy", "tests.joint_laws:Policy", tmp_path / "one.yaml", "--out", tmp_path / "out",
+             "--network", tmp_path / "slow.csv", "--merges", "replace", *SHORT, "--limit", "80",
+             "--resolution", "40", "--workers", "1")  # fmt: skip
+    shown = " ".join(funnel_hil.output(*words).split())
+    assert "no merge keeps the bounds, even at an inference time of 0 ms" in shown
+    assert "slow.csv, replace holds: the network is the cause" in shown
+    assert "4 of 4 runs, 4 runs were there from before" in funnel_hil.output(*words)
+
+
+@pytest.mark.parametrize(("arms", "said"), [(["arm"], "try a drive loop"), ([], "answers in")])
+def test_late_commands_are_no_matter_of_the_horizon(arms, said):
+    merge = case("replace", None, 0.0)
+    own = {"inference_ms": 0.0, "runs_kept": 0, "ends": "late command", "bound_used": 9.0}
+    points = [merge.at.model_copy(update=own)]
+    result = PolicyResult.model_construct(
+        completed=True, policy="m:P", cases=[merge.model_copy(update={"points": points})],
+        torque_arms=arms,
+    )  # fmt: skip
+    found = " ".join(advice(result, "arm", "funnel-hil simulate {}.yaml".format))
+    assert said in found
+    assert "horizon" not in found
 
 
 def test_only_runs_at_longer_inference_times_end_at_their_loss(tmp_path):
@@ -194,7 +221,7 @@ def test_a_policy_that_is_lost_at_the_time_of_comparisons_names_the_time_that_it
     best = case("replace", 50.0, 0.0).model_copy(update={"ends": "vibration"})
     cases = [best, case("spline", None, 0.0)]
     result = PolicyResult.model_construct(completed=True, policy="m:P", cases=cases)
-    first, help_ = advice(result, "arm")
+    first, help_ = advice(result, "arm", "funnel-hil simulate {}.yaml".format)
     assert first == (
         "arm: replace holds longest, up to 50 ms of inference. At 100 ms bounds are kept but no"
         " merge holds (vibration)."
@@ -205,7 +232,9 @@ def test_a_policy_that_is_lost_at_the_time_of_comparisons_names_the_time_that_it
         for each in cases
     ]
     result = PolicyResult.model_construct(completed=True, policy="m:P", cases=lost)
-    assert advice(result, "arm")[0].endswith("At 100 ms no merge keeps the bounds (jump).")
+    assert advice(result, "arm", "funnel-hil simulate {}.yaml".format)[0].endswith(
+        "At 100 ms no merge keeps the bounds (jump)."
+    )
 
 
 def test_a_flaw_of_a_kept_run_is_named():
