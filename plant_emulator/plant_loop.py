@@ -228,7 +228,8 @@ class PlantLoop:
                 self._commands.put_into_force(now_ns)
             if watchdog.expires_ns < now_ns and self._arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
-                self._supervisor.stop_safely(f"no valid command for {timeout_ms:g} ms")
+                limit = f"{timeout_ms:g} ms (plant.command_timeout_ms)"
+                self._supervisor.stop_safely(f"no valid command for {limit}")
             # As long as nothing can change in between, one call computes all substeps.
             changes_ns = min(downlink.next_due_ns, watchdog.expires_ns + 1)
             following = end if changes_ns > last_ns else first + 1

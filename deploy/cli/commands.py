@@ -83,6 +83,17 @@ LOOKING = {
 }  # fmt: skip
 """Commands that only read: they run no law, program or process that a scenario names."""
 
+_INSTEAD = {
+    "--quick": ("--offsets", "--duration 6 --offsets 1"),
+    "--network": ("--set", "--set link.uplink.trace.file=LOG --set link.downlink.trace.file=LOG"),
+    "--interface": ("--set", "--set plant.interface.kind=KIND"),
+    "--duration": ("--set", "--set duration_s=S"),
+    "--seed": ("--set", "--set seed=N"),
+    "--law": ("--set", "--set controller.law=NAME"),
+    "--laws": ("--set", "--set controller.law=NAME"),
+}
+"""Options of other commands: what does the same in commands that have another option."""
+
 _NEW_OBJECTS = 200_000
 """The garbage collector runs after this many new objects, more than the imports create. Python's
 default of 700 slows them down by a third, 20 000 by a sixth."""
@@ -139,7 +150,12 @@ class LazyCommand(TyperCommand):
 
         A command in `LOOKING` runs no code from the files it reads. Any other names that code.
         """
-        context = self.load().make_context(info_name, join_arguments(args), *more, **extra)
+        command = self.load()
+        try:
+            context = command.make_context(info_name, join_arguments(args), *more, **extra)
+        except Exception as error:
+            _add_hint(error, {name for each in command.params for name in each.opts})
+            raise
         if self.name in LOOKING:
             from controller.laws.custom import custom_laws_left_out  # as the command itself does
 
@@ -163,6 +179,14 @@ class LazyCommand(TyperCommand):
         alone = typer.Typer(add_completion=False)
         alone.command(self.name)(found)
         return typer.main.get_command(alone)
+
+
+def _add_hint(error: Any, options: set[str]) -> None:
+    """Name the options of a command that do what an unknown one does elsewhere."""
+    asked = getattr(error, "option_name", "")
+    needed, instead = _INSTEAD.get(asked, ("", ""))
+    if needed in options and not {f"{asked}s", asked.removesuffix("s")} & options:
+        error.message, error.possibilities = f"{error.message}; use {instead}", None
 
 
 def summary_of(name: str) -> str:

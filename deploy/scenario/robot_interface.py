@@ -12,7 +12,14 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ABSENCE_STATES, ControlLaw
 from controller.laws import LAWS
-from controller.laws.custom import EXTERNAL, SHIPPED, LeftOut, TargetsAlone, tell_lag
+from controller.laws.custom import (
+    EXTERNAL,
+    SHIPPED,
+    LeftOut,
+    TargetsAlone,
+    is_custom,
+    tell_lag,
+)
 from controller.outer_laws.admittance import Admittance
 from controller.outer_laws.outer_law import OuterLaw
 from controller.policies.configuration import is_address
@@ -201,10 +208,13 @@ def _torque_lacking(robot: RobotDescription) -> str:
 
 
 def _check_no_preview(setup: CheckedScenario) -> None:
-    """Check that no preview is given to a controller that reads no reference ahead."""
+    """Check that no preview is given to a controller that has no use for it."""
     controller = setup.scenario.controller
     if controller.preview_ms != "auto":
-        allowed = f"must be auto with {controller.name}, which reads no reference ahead"
+        reads = "which reads the reference ahead itself (tracking.reference_at), if at all"
+        if not is_custom(controller.law):
+            reads = "which reads no reference ahead"
+        allowed = f"must be auto with {controller.name}, {reads}"
         raise ConfigurationError(_PREVIEW, controller.preview_ms, allowed, [_LAW])
 
 

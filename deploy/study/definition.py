@@ -120,13 +120,20 @@ def study_values(
         ScenarioError: it cannot be read.
     """
     path = find_yaml(name_or_path, SHIPPED, fits=fits)
-    values = {**read_yaml(path), **more}
+    values = {**definition_in(path), **more}
     own = values.get("set") or {}
     if fixed and isinstance(own, dict):  # or the schema refuses it
         values["set"] = {**own, **fixed}
     return values, path
 
 
+def definition_in(file: Path) -> dict[str, Any]:
+    """Return the definition in a study's file, or in the ``study.yaml`` of its results."""
+    values = read_yaml(file)
+    inner = values.get("definition")
+    return inner if isinstance(inner, dict) and "kind" in values else values
+
+
 def is_sweep(file: Path) -> bool:
     """Whether a study's file is for `sweep`; the others are for `margin`."""
-    return "grid" in read_yaml(file)
+    return "grid" in definition_in(file)

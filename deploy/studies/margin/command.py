@@ -19,9 +19,9 @@ from deploy.scenario.interface_choice import (
     laws_for,
 )
 from deploy.scenario.study_keys import LAW
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, option_value, read_yaml
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, option_value
 from deploy.studies.margin.margin_study import margin_study
-from deploy.study.definition import SHIPPED, is_sweep
+from deploy.study.definition import SHIPPED, definition_in, is_sweep
 
 
 @dataclass(kw_only=True)
@@ -105,7 +105,7 @@ class MarginOptions(GateOptions, ConfirmedStudyOptions):
         ),
     ] = None
     study: Annotated[
-        str | None, typer.Option(help="A study file, or the name of a shipped study.")
+        str | None, typer.Option(help="A study file, study.yaml of results, or a shipped study.")
     ] = None
     interface: InterfaceOption = None
 
@@ -171,5 +171,5 @@ def margin(options: MarginOptions) -> None:
     path, values = Path("margin"), dict[str, Any]()
     if options.study is not None:
         path = find_yaml(options.study, SHIPPED, fits=lambda file: not is_sweep(file))
-        values = read_yaml(path)
+        values = definition_in(path)
     run_study(margin_study(definition_with(options, values), path), options)

@@ -91,11 +91,14 @@ def tune_headline(result: TuneResult) -> str:
     """Return the lowest cost, and how many runs the search had not seen kept their bounds."""
     law, found = min(result.laws.items(), key=lambda item: _cost(item[1].cost_found))
     lowest = f"Lowest cost: {number(found.cost_found)} by {law} ({number(found.cost_start)}"
-    judged = found.judged.get("found", ())
-    kept, runs = sum(each.kept for each in judged), sum(each.runs for each in judged)
-    return f"{lowest} with the gains of the start)" + (
-        f"; bounds kept in {kept} of {runs} runs that were not searched" if runs else ""
+    now, before = (
+        f"{sum(each.kept for each in judged)} of {sum(each.runs for each in judged)}"
+        for judged in (found.judged.get(which, ()) for which in ("found", "start"))
     )
+    return f"{lowest} with the gains of the start)" + (
+        f"; bounds kept in {now} runs that were not searched ({before} with those of the start)"
+        if found.judged.get("found") else ""
+    )  # fmt: skip
 
 
 def tune_sentences(result: TuneResult) -> list[str]:

@@ -248,11 +248,13 @@ class Tuning(StudyOfRuns):
             f"gains for {wanted.goal}, {wanted.budget} candidates for each law, search seed"
             f" {wanted.search_seed}, runs of up to {wanted.duration_s:g} s"
         )
+        full_s = self.bases[0].scenario.duration_s
         judged_at = ", ".join(dict.fromkeys(place.name for place in self.places["judge"]))
         axes = [{"keys": ["gains"], "values": [what]}]
         found = super().conditions({**summary, "axes": axes}, manifest)
         return {
             **found,
+            "duration": f"{min(wanted.duration_s, full_s):g} s in the search, {full_s:g} s judged",
             "arm": "encoders of 20 bits, unless given",
             "round trip": f"{', '.join(f'{each:g}' for each in trips_ms)} ms",
             "judged at": f"{judged_at}, over the whole scenario",

@@ -22,8 +22,10 @@ from deploy.scenario.effective import values_in_common
 from deploy.scenario.referenced_files import DATA_FILES
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.comparison.compared_runs import ComparedRuns
+from deploy.study.execution.identity import STUDY_FILE
 
 Rows = NDArray[np.intp]
+_OF_STUDIES = "to compare studies, repeat one with --baseline and the folder of the other"
 
 KIND = "diff"
 _COMPARED = ("position", "velocity", "torque")
@@ -127,7 +129,12 @@ def _read(label: str, path: Path) -> tuple[JudgedRun, dict[str, str]]:
 
     The original files may be gone or changed by now. Copies may have other line ends.
     """
-    data, contents = load_run(path)
+    try:
+        data, contents = load_run(path)
+    except RunFolderError as error:
+        if (path / STUDY_FILE).is_file():
+            raise RunFolderError(f"{error}; {_OF_STUDIES}") from error
+        raise
     texts = {
         key: "\n".join(contents.attachments[name].decode(errors="replace").splitlines())
         for key, name in DATA_FILES.items()

@@ -129,6 +129,8 @@ TOGETHER = [
         (f"{EXTERNAL}=[cat] & controller.external.targets=true & {KIND}=franka_torque",
          "controller.external.targets = True: must be false, unless"),
         (f"{PROCESS} & controller.preview_ms=5", "preview_ms = 5.0: must be auto with process: "),
+        (f"controller.law=tests.joint_laws:Policy & controller.preview_ms=0 & {KIND}=servoj",
+         "must be auto with tests.joint_laws:Policy, which reads the reference ahead itself"),
         ("controller.law=pid & controller.preview_ms=5", "preview_ms = 5.0: must be auto with pid"),
         *[(f"plant.interface.{setting}", f"plant.interface.{words} where {KIND} = torque")
           for setting, words in (("rate_hz=500", "rate_hz = 500.0: must be left out"),

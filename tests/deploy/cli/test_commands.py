@@ -6,7 +6,7 @@ import pytest
 from rich.text import Text
 
 from deploy.cli.commands import COMMANDS, EARLIER, PANELS, LazyCommand, summary_of
-from tests.warm_process import cold_python
+from tests.warm_process import cold_python, output_of
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -88,3 +88,20 @@ def test_help_shows_words_in_brackets(name):
     for each in parameters(LazyCommand(name).load()):
         text = getattr(each, "help", None) or ""
         assert Text.from_markup(text).plain == text.replace("\\[", "["), each.name
+
+
+@pytest.mark.parametrize(
+    ("words", "instead"),
+    [
+        (("margin", "--quick"), "use --duration 6 --offsets 1"),
+        (("simulate", "--interface", "servoj"), "use --set plant.interface.kind=KIND"),
+        (("simulate", "--network", "wifi_campus"), "use --set link.uplink.trace.file=LOG"),
+        (("simulate", "--laws", "pid"), "use --set controller.law=NAME"),
+        (("margin", "--law", "pid"), "--laws"),
+    ],
+)
+def test_option_of_another_command_names_what_does_the_same(words, instead, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    output = output_of(*words, code=2)
+    assert "No such option" in output
+    assert instead in output

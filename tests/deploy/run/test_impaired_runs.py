@@ -129,7 +129,9 @@ def test_long_round_trip_does_not_trip_the_watchdog_at_the_start():
 
 def test_silence_from_the_first_message_on_trips_it():
     run = run_of("link.uplink={delay_ms: 5, loss: 1}", "plant.command_timeout_ms=20")
-    assert run.faults() == ["plant at 0.025 s: no valid command for 20 ms: safe stop (brake)"]
+    assert run.faults() == [
+        "plant at 0.025 s: no valid command for 20 ms (plant.command_timeout_ms): safe stop (brake)"
+    ]
     assert summarise(run)["transport"]["uplink"]["delivered"] == 0
 
 
@@ -168,4 +170,6 @@ def test_outage_longer_than_the_timeout_stops_the_arm():
     outage = "link.uplink.schedule=[{kind: outage, at_s: 0.2, for_s: 0.1}]"
     run = run_of(outage, "plant.command_timeout_ms=60")
     # The last state before it is of 0.199 s; the substep after 0.259 s is the first that is late.
-    assert run.faults() == ["plant at 0.259 s: no valid command for 60 ms: safe stop (brake)"]
+    assert run.faults() == [
+        "plant at 0.259 s: no valid command for 60 ms (plant.command_timeout_ms): safe stop (brake)"
+    ]

@@ -16,7 +16,7 @@ from deploy.studies.margin.margin import Margin, MarginDefinition
 from deploy.studies.margin.result import MarginResult
 from deploy.studies.margin.sentences import margin_sentences
 from deploy.studies.margin.tables import margins_by_law
-from deploy.study.definition import SHIPPED
+from deploy.study.definition import SHIPPED, definition_in
 from deploy.study.execution.folder import create_folder
 from deploy.study.margin_search import MarginSearch, Steps
 from tests.deploy.own_laws import own_law
@@ -37,6 +37,12 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
     # Of the 4 runs at 8 ms, the two from the second start are outside at 1 % of their ticks.
     assert probe["violation_fraction"] == {"mean": 0.005, "lowest": 0.0, "highest": 0.01}
     assert (probe["runs"], probe["runs_kept"]) == (4, 2)
+
+
+def test_study_file_of_results_is_a_definition(tmp_path):
+    file = create_folder(margin_of(laws=["pid"]), tmp_path / "out") / "study.yaml"
+    assert definition_in(file)["laws"] == ["pid"]
+    Margin(definition_in(file), file)
 
 
 @pytest.mark.parametrize(("offset", "starts"), [(0.0, 1), (0.01, 3)])

@@ -259,6 +259,7 @@ def test_a_comparison_is_no_run(folder, tmp_path, funnel_hil):
     funnel_hil("compare", "--laws", "smc,pid", *changes, "--out", tmp_path / "laws")
     output = funnel_hil.output("diff", folder / "first", tmp_path / "laws", code=2)
     assert "is not a run but has results of kind comparison, with runs in" in output
+    assert "to compare studies, repeat one with --baseline" in output
     compared = recorded_runs([tmp_path / "laws" / "smc", tmp_path / "laws" / "pid"])
     assert compared.labels == ["smc", "pid"]
 

@@ -64,6 +64,17 @@ def test_laws_are_judged_where_they_were_not_tuned(grown):
     assert "Not converged: " in output  # 8 candidates are not enough
 
 
+def test_headline_and_conditions_name_the_start_and_both_durations(grown):
+    """The search has runs of 0.3 s, the verdict those of the scenario."""
+    summary = json.loads((grown[0] / "summary.json").read_text())
+    assert summary["conditions"]["duration"] == "0.3 s in the search, 0.4 s judged"
+    law = min(summary["laws"].values(), key=lambda law: law["cost_found"])
+    start = law["judged"]["start"]
+    kept, runs = (sum(each[key] for each in start) for key in ("kept", "runs"))
+    headline = tune_headline(TuneResult.model_validate(summary))
+    assert headline.endswith(f"not searched ({kept} of {runs} with those of the start)")
+
+
 def test_arm_that_starts_on_its_reference_has_no_other_start():
     wanted = TuneDefinition(name="t", scenario="paper_arm", laws=["pid"])
     at_rest = load_setup("paper_arm", ["robot.initial_offset_rad=0"])
