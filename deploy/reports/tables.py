@@ -18,7 +18,7 @@ from bus_schema.foreign_text import markdown_table
 from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
-SOFT_HYPHEN = "\u00ad"
+SOFT_HYPHEN, NO_BREAK = "\u00ad", "\u00a0"
 _FAR_OUTSIDE = -1.0
 """Margin below which an error is shown as a multiple of its bound."""
 _NEARLY_ALL = 0.99
@@ -113,14 +113,14 @@ class Column:
     @property
     def brief_title(self) -> str:
         """Short heading, where it has one, with unit, on one line."""
-        return self.breakable_title.replace(SOFT_HYPHEN, "")
+        return self.breakable_title.replace(SOFT_HYPHEN, "").replace(NO_BREAK, " ")
 
     @property
     def breakable_title(self) -> str:
-        """The same, with soft hyphens where its words can break."""
+        """The same, with soft hyphens where its words can break, and units that cannot."""
         broken = (self.brief or self.heading).replace("-\n", SOFT_HYPHEN).replace(".\n", ".")
         brief = " ".join(broken.split())
-        return f"{brief} ({self.unit})" if self.unit else brief
+        return f"{brief} ({self.unit.replace(' ', NO_BREAK)})" if self.unit else brief
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from deploy.judge.conditions import conditions_line
 from deploy.reports.page import Page
-from deploy.reports.tables import ABSENT, SOFT_HYPHEN, Table, of_columns, without_shared
+from deploy.reports.tables import ABSENT, NO_BREAK, SOFT_HYPHEN, Table, of_columns, without_shared
 
 _ESCAPES = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
@@ -22,7 +22,7 @@ _ESCAPES = {
     "τ": r"$\tau$", "µ": r"$\mu$", "≤": r"$\leq$", "≥": r"$\geq$", "°": r"$^\circ$",
     "α": r"$\alpha$", "ε": r"$\varepsilon$",
     "→": r"$\rightarrow$", "∫": r"$\int$", "√": r"$\surd$", "′": r"$'$", "·": r"$\cdot$",
-    "⁻": "$^{-}$", "±": r"$\pm$",
+    "⁻": "$^{-}$", "±": r"$\pm$", NO_BREAK: "~",
     **{raised: f"$^{{{digit}}}$" for digit, raised in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")},
 }  # fmt: skip
 _COLUMN_PT, _PAGE_PT = 252.0, 516.0
@@ -31,11 +31,12 @@ _GAP_PT, _TEXT_SHARE = 8.0, 0.3
 """Between two columns of a table; share of the width that a text, which can break, is left."""
 _WORDS, _PIECES = re.compile(r"\S+"), re.compile(r"[^\s_/]*[_/]+|[^\s_/]+")
 """Parts of a text after which a line can end; names have several."""
-_SYLLABLES = re.compile(f"[^\\s{SOFT_HYPHEN}]+{SOFT_HYPHEN}?")
+_SYLLABLES = re.compile(f"[^ {SOFT_HYPHEN}]+{SOFT_HYPHEN}?")
 _LETTERS_PT = {2.6: "ijl.,:;'|!()[]·", 3.4: " frtsI/-", 7.1: "mw%@×±→≤≥ΣΔ−…", 8.8: "MW"}
 _CAPITAL_PT, _OTHER_PT = 6.7, 4.7
 """Width of letters of 8 pt in Computer Modern, which is wider than Times."""
 _WIDTH_PT = {letter: width for width, letters in _LETTERS_PT.items() for letter in letters}
+_ROUNDING_PT = 1e-6
 _MOST_COLUMNS, _MOST_ROWS = 6, 40
 """A larger table is split; so many rows fit on a page."""
 
@@ -142,9 +143,9 @@ def as_latex(table: Table, label: str, width_pt: float = _PAGE_PT) -> str:
         label: to refer to it by.
         width_pt: its largest width.
     """
-    whole, broken, least = _layouts(table, width_pt)
-    kind = "table*" if min(sum(whole), width_pt) > _COLUMN_PT else "table"
-    widths = _cut(_cut(whole, broken, width_pt), least, width_pt)
+    whole = sum(_layouts(table, width_pt)[0])
+    kind = "table*" if min(whole, width_pt) > _COLUMN_PT else "table"
+    widths = _fitting(table, width_pt)
     breaks = [
         _GAP_PT + widest > width for widest, width in zip(_widest_pt(table), widths, strict=True)
     ]
@@ -181,7 +182,7 @@ def _heading(text: str, width_pt: float, side: str) -> str:
     for word in _SYLLABLES.findall(text):
         is_inside = lines[-1].endswith(SOFT_HYPHEN)
         longer = (lines[-1].rstrip(SOFT_HYPHEN) + (word if is_inside else f" {word}")).strip()
-        if lines[-1] and _width_pt(longer) > width_pt - _GAP_PT:
+        if lines[-1] and _width_pt(longer) > width_pt - _GAP_PT + _ROUNDING_PT:
             lines.append(word)
         else:
             lines[-1] = longer
@@ -190,20 +191,38 @@ def _heading(text: str, width_pt: float, side: str) -> str:
     return stack if len(lines) > 1 else shown
 
 
-def _layouts(table: Table, width_pt: float) -> tuple[list[float], list[float], list[float]]:
-    """Return widths of all columns with their gaps: whole; headings and texts broken; and least.
+def _fitting(table: Table, width_pt: float) -> list[float]:
+    """Return the widths of a table's columns: first headings break, then texts, then names."""
+    whole, stacked, broken, least = _layouts(table, width_pt)
+    for widths in (whole, stacked):
+        if sum(widths) <= width_pt:
+            return widths
+    texts = [low if column.is_text else high
+             for column, low, high in zip(table.columns, broken, whole, strict=True)]  # fmt: skip
+    if sum(texts) <= width_pt:
+        return _cut(whole, texts, width_pt)
+    return _cut(_cut(stacked, broken, width_pt), least, width_pt)
 
-    Texts break where they are wider than a share of the table. At least, names do after a _ or a /.
+
+def _layouts(table: Table, width_pt: float) -> list[list[float]]:
+    """Return widths of all columns with their gaps, of four kinds, each narrower.
+
+    Nothing breaks; headings do; texts do where they are wider than a share of the table; and names
+    do after a _ or a /.
     """
-    whole, broken, least = list[float](), list[float](), list[float]()
+    found: list[list[float]] = [[], [], [], []]
     for index, (column, widest) in enumerate(zip(table.columns, _widest_pt(table), strict=True)):
         heading = max(map(_width_pt, _SYLLABLES.findall(column.breakable_title)), default=0.0)
-        cells = [row[index].text for row in table.cells]
-        whole.append(_GAP_PT + max(widest, _width_pt(column.brief_title)))
-        for found, parts in ((broken, _WORDS), (least, _PIECES)):
-            texts = [_broken_pt(cell, parts, _TEXT_SHARE * width_pt) for cell in cells]
-            found.append(_GAP_PT + max(heading, *(texts if column.is_text else [widest])))
-    return whole, broken, least
+        cells = [row[index].text for row in table.cells] if column.is_text else []
+        share_pt = _TEXT_SHARE * width_pt
+        words, pieces = (
+            max((_broken_pt(cell, parts, share_pt) for cell in cells), default=widest)
+            for parts in (_WORDS, _PIECES)
+        )
+        contents = (max(widest, _width_pt(column.brief_title)), widest, words, pieces)
+        for widths, content in zip(found, contents, strict=True):
+            widths.append(_GAP_PT + max(heading, content))
+    return found
 
 
 def _broken_pt(text: str, parts: re.Pattern[str], share_pt: float) -> float:

@@ -473,6 +473,16 @@ def test_headings_break_before_names_do_and_names_only_where_that_saves_a_table(
     assert r"fixed\_\allowbreak time" in as_latex(part, "tab:any", 252.0)
 
 
+def test_unit_stays_on_one_line_and_row_names_stay_whole_beside_headings_that_can_break():
+    columns = [Column("Messages", is_text=True), *(Column("Total variation", "N m/s"),) * 4]
+    text = as_latex(Table("Laws", columns, [["lost in a row", 1.0, 2.0, 3.0, 4.0]]), "any", 252.0)
+    assert r"Total\\variation\\(N~m/s)" in text
+    assert r"\begin{tabular}{lrrrr}" in text
+    columns = [Column("Time", is_text=True), *(Column(f"p{n}", "µs") for n in ("50", "99", "99.9"))]
+    text = as_latex(Table("Timing", columns, [["Control step", 5.0, 1.0, 1.0]]), "any", 252.0)
+    assert r"Time & p50 ($\mu$s) & p99" in text
+
+
 def test_papers_have_the_columns_of_a_terminal_in_which_something_is_known():
     point, outside = Column("Point", brief=None), Column("Ticks outside", "%", "Out-\nside")
     columns = [Column("Law", is_text=True), point, Column("Kept"), Column("Held"), outside]
