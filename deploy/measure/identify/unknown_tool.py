@@ -123,6 +123,7 @@ def _reduced(design: Matrix, trials: list[Trial], joint: int) -> Matrix:
     tool = np.concatenate([trial.bodies[:, joint, -10:] for trial in trials])
     current = np.concatenate([trial.torque[:, joint] for trial in trials])
     own = design.shape[1] - 1
-    triangle = np.linalg.qr(np.column_stack([design[:, 1:], tool, design[:, 0], current]), mode="r")
+    columns = np.column_stack([design[:, 1:], tool, design[:, 0], current])
+    triangle = np.asarray(np.linalg.qr(columns, mode="r"))
     noise = abs(float(triangle[-1, -1])) / np.sqrt(len(design))
     return np.asarray(triangle[own:, own:] / max(noise, 1e-6 * float(current.std())))
