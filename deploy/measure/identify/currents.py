@@ -40,6 +40,11 @@ class Constants(NamedTuple):
     tool: Tool | None = None
     fits: bool = True
 
+    @property
+    def shown_half(self) -> Vector:
+        """Half of each interval as `half`; NaN for all where the weight does not fit."""
+        return self.half if self.fits else np.full_like(self.half, np.nan)
+
 
 class Payload(NamedTuple):
     """Payload of a log beyond that of another one.
@@ -66,16 +71,15 @@ def constants_by_weight(trials: list[Trial], model: ManipulatorModel) -> Constan
     joints = range(trials[0].torque.shape[1])
     designs = [_design(trials, parameters, joint) for joint in joints]
     tool, fits = unknown_tool(designs, trials, model)
-    tool_sd = np.zeros(len(joints))
     if tool is not None:
         parameters[-10:] += tool.parameters
         designs = [_design(trials, parameters, joint) for joint in joints]
-        tool_sd = tool.constant_sd
     value, half = np.empty((2, len(joints)))
     for joint, design in enumerate(designs):
         solved, sd = _per_torque(trials, design, joint)
         value[joint] = 1.0 / solved
-        half[joint] = _Z_95 * abs(value[joint]) * np.hypot(sd / solved, tool_sd[joint])
+        share = sd / abs(solved) if tool is None else tool.constant_sd[joint]
+        half[joint] = _Z_95 * abs(value[joint]) * share
     is_sure = (value > 0.0) & (half < _UNSURE * value)
     if not is_sure.any():
         raise InputError(

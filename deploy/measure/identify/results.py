@@ -196,7 +196,7 @@ def summary_of(found: Identified, name: str) -> dict[str, Any]:
             if found.fit.has_term[joint, term] or term == ROTOR:
                 entry[key] = _plain(found.term(joint, term))
         if found.constants is not None:
-            half = float(found.constants.half[joint])
+            half = float(found.constants.shown_half[joint])
             value = float(found.constants.nm_per_a[joint])
             entry["nm_per_a"] = {"value": value, "half_95": None if math.isnan(half) else half}
         joints.append(entry)

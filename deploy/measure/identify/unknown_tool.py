@@ -12,16 +12,18 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from controller.manipulator_model import ManipulatorModel
-from deploy.measure.identify.noise import widening_of
+from deploy.measure.identify.noise import covariance_of_sums, widening_of
 from deploy.measure.identify.problem import scipy_parts
 from deploy.measure.identify.regression import Trial
 
 _SIZES = np.repeat([3.0, 0.3, 0.15], [1, 3, 6])
 """Deviations of a tool's mass, first moments and inertias before the log: kg, kg m, kg m²."""
-_SURELY, _NOTABLE, _FALL = 5.0, 0.02, 1.5
+_SURELY, _NOTABLE, _FALL = 3.0, 0.02, 1.5
 """Deviations of the mass, its share of the arm's, and how far the power of the residuals falls,
 from which a tool is believed."""
-_FITS = 2.0
+_USEFUL = 0.1
+"""Deviation of the best constant as a share of it, up to which a tool is of use."""
+_FITS = 3.0
 """Power of a joint's residuals over that of its noise, below which they fit."""
 _Z_95 = 1.96
 
@@ -74,27 +76,43 @@ def unknown_tool(
 
     none = np.zeros(10)
     tool = least_squares(lambda x: np.concatenate([left(x).ravel(), x]), none).x
-    kg, per_torque_sd = float(_SIZES[0] * tool[0]), _deviations(parts, *explained(tool))
-    half = float(_Z_95 * _SIZES[0] * per_torque_sd[0])
-    is_sure = (
-        abs(kg) > max(_SURELY * half / _Z_95, _NOTABLE * model.moved_kg)
-        and model.body_parameters()[-1, 0] + kg > 0.0
-        and misfit(tool) < min(_FITS, misfit(none) / _FALL)
-    )
-    if not is_sure:
-        return None, misfit(none) < _FITS
-    return Tool((kg, half), _SIZES * tool, per_torque_sd[10:] / explained(tool)[1]), True
+    kg, model_kg = float(_SIZES[0] * tool[0]), float(model.body_parameters()[-1, 0])
+    is_better = misfit(tool) < min(_FITS, misfit(none) / _FALL)
+    is_better = is_better and abs(kg) > _NOTABLE * model.moved_kg and model_kg + kg > 0.0
+    if is_better:
+        sd, constant_sd = _deviations(designs, trials, _SIZES * tool)
+        if abs(kg) > _SURELY * sd and constant_sd.min() < _USEFUL:
+            return Tool((kg, _Z_95 * sd), _SIZES * tool, constant_sd), True
+    return None, not is_better and misfit(none) < _FITS
 
 
-def _deviations(parts: Matrix, arm: Matrix, per_torque: Vector) -> Vector:
-    """Return standard deviations of the tool, in `_SIZES`, and of current per torque."""
-    joints, rows = arm.shape
-    slopes = np.zeros((joints, rows, 10 + joints))
-    slopes[:, :, :10] = parts[:, :, :10] * _SIZES * per_torque[:, None, None]
-    slopes[np.arange(joints), :, 10 + np.arange(joints)] = arm
-    flat = slopes.reshape(joints * rows, -1)
-    prior = np.diag(np.r_[np.ones(10), np.zeros(joints)])
-    return np.asarray(np.sqrt(np.diag(np.linalg.pinv(flat.T @ flat + prior))))
+def _deviations(designs: list[Matrix], trials: list[Trial], tool: Vector) -> tuple[float, Vector]:
+    """Return standard deviations of a tool's mass, and of constants as shares of them.
+
+    Under noise that is correlated in time.
+    """
+    bodies = np.concatenate([trial.bodies[:, :, -10:] for trial in trials])
+    left = np.concatenate([trial.torque for trial in trials])
+    joints, own = len(designs), designs[0].shape[1]
+    slopes, per_torque = np.zeros((len(left), joints, 10 + joints * own)), np.empty(joints)
+    for j, design in enumerate(designs):
+        whole = np.column_stack([design[:, 0] + bodies[:, j] @ tool, design[:, 1:]])
+        solved = np.linalg.lstsq(whole, left[:, j], rcond=None)[0]
+        noise = 1e-6 * float(left[:, j].std())
+        left[:, j] -= whole @ solved
+        noise = max(noise, float(left[:, j].std()))
+        per_torque[j] = solved[0]
+        slopes[:, j, :10] = solved[0] * bodies[:, j] * _SIZES / noise
+        slopes[:, j, 10 + j * own : 10 + (j + 1) * own] = whole / noise
+        left[:, j] /= noise
+    flat = slopes.reshape(-1, slopes.shape[2])
+    prior = np.diag(np.r_[np.ones(10), np.zeros(joints * own)])
+    inverse = np.linalg.pinv(flat.T @ flat + prior)
+    times_s = np.concatenate([trial.times_s for trial in trials])
+    runs = np.repeat(np.arange(len(trials)), [len(trial.times_s) for trial in trials])
+    sums = covariance_of_sums(slopes, left, times_s, runs, trials[0].samples.cutoff_hz)
+    sd = np.sqrt(np.diag(inverse @ (sums + prior) @ inverse))
+    return float(_SIZES[0] * sd[0]), sd[10::own] / np.abs(per_torque)
 
 
 def _reduced(design: Matrix, trials: list[Trial], joint: int) -> Matrix:
@@ -105,6 +123,7 @@ def _reduced(design: Matrix, trials: list[Trial], joint: int) -> Matrix:
     tool = np.concatenate([trial.bodies[:, joint, -10:] for trial in trials])
     current = np.concatenate([trial.torque[:, joint] for trial in trials])
     own = design.shape[1] - 1
-    triangle = np.linalg.qr(np.column_stack([design[:, 1:], tool, design[:, 0], current]), "r")
+    columns = np.column_stack([design[:, 1:], tool, design[:, 0], current])
+    triangle = np.asarray(np.linalg.qr(columns, mode="r"))
     noise = abs(float(triangle[-1, -1])) / np.sqrt(len(design))
     return np.asarray(triangle[own:, own:] / max(noise, 1e-6 * float(current.std())))

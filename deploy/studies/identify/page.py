@@ -115,7 +115,9 @@ def joint_table(found: Identified) -> Table:
             else:
                 row.append(_interval(value.value, value.half) + ("" if value.seen else " *"))
         if found.constants is not None:
-            row.append(_interval(found.constants.nm_per_a[joint], found.constants.half[joint]))
+            row.append(
+                _interval(found.constants.nm_per_a[joint], found.constants.shown_half[joint])
+            )
         if by_payload and found.payload is not None and found.payload.nm_per_a is not None:
             row.append(_interval(found.payload.nm_per_a[joint], math.nan))
         rows.append(row)

@@ -55,6 +55,7 @@ def test_constants_by_weight_are_as_true_as_the_masses_of_the_file(tool_kg, begi
     found = identify([tmp_path / "log.csv"], [], None, robot, Wishes())
     (warning,) = found.warnings
     assert warning.startswith(begins)
+    assert np.isfinite(found.constants.shown_half).any() == (tool_kg == 0.0)
     assert "--current-constants. Intervals (±) have the noise of the log alone" in warning
     given = Wishes(constants=np.full(3, NM_PER_A))
     assert identify([tmp_path / "log.csv"], [], None, robot, given).warnings == []
