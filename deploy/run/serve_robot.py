@@ -138,6 +138,10 @@ class ServedRobot:
         duration_s = max(1, self._rig.ticks) * setup.grid.period_ns * 1e-9
         from_s = self._asked.first_s or 0.0  # what came before it is no error of the client's
         words = [override("duration_s", duration_s), override("metrics.from_s", from_s)]
+        words += [
+            override(f"plant.interface.{self._kind}.{key}", value)
+            for key, value in self._server.client_settings.items()
+        ]
         file = self._folder.path / REFERENCE_FILE
         self._asked.write(file, setup.robot.joint_names)
         reference = {"kind": "csv", "file": str(file), "beyond": "hold"}

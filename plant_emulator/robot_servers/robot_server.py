@@ -94,6 +94,11 @@ class RobotServer(ABC):
         """Position that a client asks for now, shape (joints,); NaN if it asks for none."""
 
     @property
+    def client_settings(self) -> dict[str, float]:
+        """Settings of the interface that the client gave last, by name; empty for none."""
+        return {}
+
+    @property
     @abstractmethod
     def counts(self) -> dict[str, Any]:
         """Counts of what clients asked for, for a summary.

@@ -22,7 +22,7 @@ class ScriptMotion(Stoppable):
     def __init__(self, period_s: float, settings: ServoJSettings) -> None:
         self._period_s, self._settings = period_s, settings
         self._servo: Response | None = None
-        self._servo_key = (0.0, 0.0)
+        self.servo_settings: dict[str, float] = {}
         self.position: Vector = np.zeros(0)
         self.velocity: Vector = np.zeros(0)
         self._wanted: Vector = np.zeros(0)
@@ -42,11 +42,11 @@ class ScriptMotion(Stoppable):
 
     def servo(self, position_rad: Vector, lookahead_s: float, gain: float) -> None:
         """Follow a position, from the next cycle on."""
-        if self._servo is None or self._servo_key != (lookahead_s, gain):
-            update = {"lookahead_time_s": lookahead_s, "gain": gain}
-            self._servo = self._settings.model_copy(update=update).response(self._period_s)
+        given = {"lookahead_time_s": lookahead_s, "gain": gain}
+        if self._servo is None or self.servo_settings != given:
+            self._servo = self._settings.model_copy(update=given).response(self._period_s)
             self._servo.start(self.position)
-            self._servo.velocity, self._servo_key = self.velocity.copy(), (lookahead_s, gain)
+            self._servo.velocity, self.servo_settings = self.velocity.copy(), given
         self._wanted = position_rad
 
     def speed(self, velocity_rad_s: Vector, acceleration_rad_s2: float) -> None:

@@ -59,6 +59,10 @@ class UniversalRobotsServer(TcpRobotServer):
             client.publish(now_s, values)
 
     @property
+    def client_settings(self) -> dict[str, float]:
+        return self._motion.servo_settings
+
+    @property
     def counts(self) -> dict[str, Any]:
         stops = [
             {"time_s": time_s, "reason": reason, "is_fault": not reason.startswith(BY)}

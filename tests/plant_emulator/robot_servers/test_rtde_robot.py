@@ -314,7 +314,7 @@ control = rtde_control.RTDEControlInterface(sys.argv[1])
 wanted = receive.getActualQ()
 wanted[5] += 0.1
 while abs(receive.getActualQ()[5] - wanted[5]) > 1e-3:
-    assert control.servoJ(wanted, 0, 0, 0.002, 0.1, 300)
+    assert control.servoJ(wanted, 0, 0, 0.002, 0.05, 600)
     time.sleep(0.01)
 assert control.servoStop()
 assert control.setWatchdog(5.0)
@@ -340,3 +340,5 @@ def test_ur_rtde_unmodified_servos_a_joint_and_a_watchdog_stops_it():
         assert [stop["reason"] for stop in server.counts["stops"]] == [
             "watchdog: no input for 200 ms"
         ]
+        # by which its lag is judged
+        assert server.client_settings == {"lookahead_time_s": 0.05, "gain": 600.0}
