@@ -99,7 +99,7 @@ def model_text(cases: Sequence[MarginCase]) -> str:
     compensated = (case for case in cases if case.compensation)
     scales = {case.model_scale for case in compensated if case.model_scale is not None}
     if scales <= {1.0}:
-        return ", if the arm is known exactly" * bool(scales)
+        return ", with an exact model" * bool(scales)
     return f", with a model of {' or '.join(f'{each:g}' for each in sorted(scales))} × its masses"
 
 

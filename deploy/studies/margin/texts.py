@@ -94,7 +94,9 @@ def rotors_text(case: MarginCase, result: MarginResult) -> str | None:
 
 def number_text(case: MarginCase, result: MarginResult) -> str:
     """The number to quote, with what the law has it, and why that is smaller than what held."""
-    why = "; ".join(filter(None, [because_text(case), untested_text(case)]))
+    because = because_text(case)
+    held = f"{margin_text(case, result)} as given" if because and case.margin is not None else ""
+    why = "; ".join(filter(None, [because, held, untested_text(case)]))
     parts = (quoted_text(case, result), setting_text(case), why and f"({why})")
     return " ".join(filter(None, parts))
 

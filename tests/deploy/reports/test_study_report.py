@@ -150,8 +150,8 @@ def test_the_headline_of_margins_has_those_of_the_table(margin):
                         {**first, "compensation": False, "margin": None}]  # fmt: skip
     page = margin_page(DrawnStudy(margin, str))
     assert page.verdict.headline == (
-        "Largest round trip kept by smc, the best of 2 laws, on my_arm, if the arm is known"
-        " exactly: ≥ 8 ms with compensation, none without compensation"
+        "Largest round trip kept by smc, the best of 2 laws, on my_arm, with an exact model:"
+        " ≥ 8 ms with compensation, none without compensation"
     )
     column = [each.heading for each in page.tables[0].columns].index("Margin to quote")
     assert {row[column].text for row in page.tables[0].cells} == {"4 ms", "≥ 8 ms", "none"}

@@ -82,6 +82,11 @@ def test_the_headline_has_the_worse_loop_of_the_best_law(tmp_path):
         ": 22 ms without compensation by smc, 79 ms with compensation, running by pid"
     )
     assert "kept by the best of 2 laws, on " in headline
+    of_rotors = {"margin": 90.0, "quoted_because": "smaller rotors"}
+    summary["cases"] = [{**case, **of_rotors} for case in summary["cases"] if not case["running"]]
+    assert margin_headline(MarginResult.model_validate(summary)).endswith(
+        "108 ms with compensation (with a tenth of the estimated rotors; 90 ms as given) by pid"
+    )
 
 
 @pytest.mark.parametrize(
