@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from deploy.studies.sweep.sweep import Sweep
 from deploy.study.settings import COMPENSATION, DRIVE_FEEDBACK
 from deploy.study.statistics import badness
 from deploy.study.study import StudyOfRuns
-from plant_emulator.channel.trace_file import read_trace
+from plant_emulator.channel.trace_file import Trace, read_trace
 
 Test = dict[str, dict[str, Any]]
 _SOURCE = Path("datasheet")
@@ -160,10 +161,8 @@ def window_starts_s(network: str, count: int) -> list[float]:
         network: its file, or the name of a shipped one; what cannot be read is refused later.
         count: how many, at least 2.
     """
-    file = Path(network)
-    try:
-        trace = read_trace(file if file.is_file() else TRACES / f"{network}.parquet")
-    except (OSError, ValueError):
+    trace = _trace_of(network)
+    if trace is None:
         return [0.0]
     delays_ns = np.where(trace.delays_ns < 0, trace.delays_ns.max(), trace.delays_ns)
     sums_ns = np.concatenate([[0.0], np.cumsum(delays_ns, dtype=np.float64)])
@@ -172,3 +171,21 @@ def window_starts_s(network: str, count: int) -> list[float]:
     worst_ns = max(0, int(trace.times_ns[means_ns.argmax()]) - _LEAD_NS)
     spread_ns = np.arange(count - 1) * trace.length_ns / (count - 1)
     return sorted({round(1e-9 * each, 3) for each in (*spread_ns.tolist(), worst_ns)})
+
+
+def smooth_playout_ms(network: str) -> float | None:
+    """Return a play-out in which 99 % of the round trips over a network end, in whole 10 ms."""
+    trace = _trace_of(network)
+    if trace is None:
+        return None
+    arrived_ns = trace.delays_ns[trace.delays_ns >= 0]
+    return 10.0 * math.ceil(0.1e-6 * 2.0 * float(np.quantile(arrived_ns, 0.99)))
+
+
+def _trace_of(network: str) -> Trace | None:
+    """Return a trace by its file, or the name of a shipped one; None for what cannot be read."""
+    file = Path(network)
+    try:
+        return read_trace(file if file.is_file() else TRACES / f"{network}.parquet")
+    except (OSError, ValueError):
+        return None

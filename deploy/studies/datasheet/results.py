@@ -19,7 +19,12 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, override, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.studies.datasheet import robot_page
-from deploy.studies.datasheet.data_sheet import DataSheet, network_files, worst_window
+from deploy.studies.datasheet.data_sheet import (
+    DataSheet,
+    network_files,
+    smooth_playout_ms,
+    worst_window,
+)
 from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline, quote_of
 from deploy.studies.datasheet.result import (
     DataSheetResult,
@@ -175,6 +180,7 @@ def write_robot_sheet(
     result = RobotSheetResult(
         kind=OF_ROBOT, name=arm, arm=arm, interface=sheet.interface, law=sheet.law,
         network=sheet.network, duration_s=sheet.duration_s, completed=True,
+        smooth_playout_ms=None if sheet.network is None else smooth_playout_ms(sheet.network),
         runs=len(runs) + found.runs, runs_failed=found.runs_failed,
         conditions=_conditions(sheet, found), quick=sheet.is_quick,
         tested_with=found.tested_with, runs_of_robot=runs, margin=found, ways=[],

@@ -28,6 +28,7 @@ from deploy.studies.margin.theory_sentences import theory_sentences
 from deploy.study.study import rows_by
 
 _HEIGHT_PX = 380
+_PLAYOUT = "link.playout_ms"
 
 
 def robot_sheet_page(result: RobotSheetResult) -> Page[RobotSheetResult]:
@@ -191,11 +192,18 @@ def _margin_sentences(result: RobotSheetResult) -> list[str]:
     rests_on = "; ".join(filter(None, [known, limiter, caveat_text(result, margin)]))
     conditions = f" ({rests_on})" if rests_on else ""
     quote = f"{_subject(result)} under {law}: quote a round trip of {numbers}, constant"
-    if result.network is not None and any(way.kept < way.runs for way in result.ways):
+    is_lost = result.network is not None and all(way.kept < way.runs for way in result.ways)
+    if is_lost:
         quote = (
             f"Delays that do not vary are easier: {law} keeps them up to a round trip of {numbers}"
         )
     sentences = [f"{quote}{conditions}."]
+    is_set = _PLAYOUT in result.conditions.get("set", "")
+    if is_lost and result.smooth_playout_ms is not None and not is_set:
+        sentences.append(
+            f"What often helps: --set {_PLAYOUT}={result.smooth_playout_ms:g}: targets act so long"
+            " after their states, when 99 % of them have arrived."
+        )
     if is_previewed:
         sentences.append("For a trajectory not known in advance: --set controller.preview_ms=0.")
     return sentences
