@@ -194,17 +194,6 @@ def test_a_run_has_the_lag_and_the_verdict_of_what_its_client_asked_for(tmp_path
     )
 
 
-def test_a_loss_by_the_lag_of_the_robot_is_not_put_down_to_the_network(tmp_path):
-    """At 30°/s, a lag of 50 ms is an error of 26 mrad; the bound is 10 mrad."""
-    summary = served_by(tmp_path, lambda client: ramp(client, 250, speed_deg_s=30.0))
-    assert summary["verdict"] == "lost"
-    assert summary["loss"]["reason"] == "robot's lag"
-    assert summary["loss"]["own_lag_ms"] == pytest.approx(50.0)
-    said = " ".join(output_of("report", tmp_path / "out").split())
-    assert "by the robot's own lag of 50 ms" in said
-    assert "Send each target earlier by that lag" in said
-
-
 def test_a_stop_while_the_client_goes_on_is_a_fault_with_name_and_time(tmp_path):
     """The time-out is 200 ms; the client pauses for longer, then sends again."""
 

@@ -11,6 +11,7 @@ from deploy.judge.findings.loss_reason import LossReason, loss_reason
 from deploy.judge.findings.reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.judge.metrics import summarise
+from deploy.judge.run_data import ROBOT_SERVER
 from deploy.reports.studies.study_texts import reason_sentences
 from deploy.reports.verdict_texts import loss_words
 from deploy.run.simulate import simulate
@@ -65,6 +66,19 @@ def test_a_loss_has_a_reason(overrides, reason):
 def test_a_slow_loss_names_its_delay_where_the_error_arose_within_it(overrides, reason, words):
     found = loss(*overrides)
     assert (found["reason"], loss_words(LossReason(**found))) == (reason, words)
+
+
+def test_nothing_is_known_to_make_up_for_the_lag_of_a_robot_that_a_client_moves():
+    """138 ms. The same motion under a law that reads as far ahead would be the law's fault."""
+    words = (
+        "plant.interface.kind=servoj", "controller.law=streaming", "robot.initial_offset_rad=0",
+        "duration_s=1",
+    )  # fmt: skip
+    late = simulate(load_setup("ur5e_motors", [*words, "controller.preview_ms=0"])).data()
+    ahead = replace(late, setup=load_setup("ur5e_motors", words))
+    assert loss_reason(ahead).reason == "lag"
+    found = loss_reason(replace(ahead, link=ROBOT_SERVER))
+    assert (found.reason, found.own_lag_ms) == ("robot's lag", pytest.approx(138.0, abs=1.0))
 
 
 def test_a_joint_too_weak_for_a_payload_is_saturated_not_slow():
