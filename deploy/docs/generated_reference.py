@@ -153,7 +153,7 @@ def columns() -> str:
 
 def loss_reasons() -> str:
     """Every reason why a run was lost."""
-    from deploy.judge.findings.reason import Reason
+    from deploy.judge.findings.loss_reason import Reason
 
     return table(["reason", "meaning"], [[f"`{each}`", each.meaning] for each in Reason])
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from bus_schema.user_files import open_parquet
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.metrics import RunResult
 from deploy.judge.result.section import figures
 from deploy.judge.verdict import Verdict, decide

@@ -7,8 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from deploy.judge.bounds import plant_count
-from deploy.judge.findings.loss_reason import LossReason
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import LossReason, Reason
 from deploy.judge.metrics import RunResult
 from deploy.judge.motion.chunks import Chunks
 from deploy.judge.recorded_ticks import KnownTicks, known_ticks

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.run_rows import PROVENANCE, Row, held, is_whole, reason_of
 
 NO_EFFECT = "none of its values changed any result of a run"

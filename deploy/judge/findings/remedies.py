@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 from controller.laws import LAWS
 from deploy.judge.findings.gravity import with_gravity
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from plant_emulator.interfaces.settings import TORQUE
 
 FASTER = (

@@ -6,7 +6,7 @@ from shlex import quote
 
 from bus_schema.link.channel_configuration import ChannelConfiguration, Outage
 from deploy.judge.findings.loss import is_mostly
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import FASTER, remedy_of
 from deploy.judge.metrics import RunResult
 from deploy.judge.motion.robot_lag import RobotLag, uncovered_lag_of

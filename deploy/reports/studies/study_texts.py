@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.studies.case_result import Case, CaseResult, CasesResult
 from deploy.reports.studies.study_result import Runs, Share

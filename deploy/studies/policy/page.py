@@ -7,7 +7,7 @@ from collections.abc import Callable
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.remedies import remedy_of
 from deploy.reports.figures import style
 from deploy.reports.figures.study_figures import DrawnStudy

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.judge.findings.loss_reason import loss_reason
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason, loss_reason
 from deploy.reports.verdict_texts import loss_words
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.judge.findings.reason import Reason
+from deploy.judge.findings.loss_reason import Reason
 from deploy.judge.findings.vibration import vibrations
 from deploy.judge.metrics import RunResult, summarise
 from deploy.judge.run_rows import reason_of, row, tolerated
