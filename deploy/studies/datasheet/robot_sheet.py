@@ -139,7 +139,9 @@ class RobotSheet(Sheet):
         own = interface_values(self.interface, self.law)
         for key, varied in itertools.product(self._set(), (KIND, *values)):
             if f"{varied}.".startswith(f"{key}."):
-                raise ScenarioError(f"--set {key}: must be left out: the data sheet sets {varied}")
+                option = " (--law)" if varied == LAW else ""
+                what = f"must be left out: the data sheet sets {varied}{option}"
+                raise ScenarioError(f"--set {key}: {what}")
         given = {**own, **_WHOLE, "duration_s": self.duration_s, **values, **self._set()}
         return load_setup(self.arm, [override(key, each) for key, each in given.items()])
 

@@ -43,8 +43,12 @@ def _kept_sentence(case: RobustCase, summary: RobustnessResult) -> str:
 
 def _next_trial(case: RobustCase, summary: RobustnessResult) -> str:
     """Name a change that may find plants that are kept, where at no value enough are."""
-    if case.values[0].value == 0:
-        return f"the {summary.title} is not the cause: compare other laws"
+    first, *later = case.values
+    if first.value == 0 or any(
+        (at.fraction or 0.0) >= (first.fraction or 0.0) > 0.0 for at in later
+    ):
+        other = "compare other laws, or allow wider bounds (funnel)"
+        return f"the {summary.title} is not what loses the others: {other}"
     helps = summary.quantity == "delay" and not case.compensation
     return "try smaller --values" + (", or --compensation on" if helps else "")
 

@@ -214,7 +214,7 @@ def test_a_delay_that_is_set_is_the_given_link_also_if_it_is_0(fixed):
     [
         ("wired_lan", "link.uplink.trace.start_s", 1, "link.uplink.trace.start_s"),
         ("wired_lan", "link.downlink", {"delay_ms": 5}, "link.downlink.trace.file"),
-        (None, "controller.law", "streaming", "controller.law"),
+        (None, "controller.law", "streaming", "controller.law (--law)"),
         (None, "plant.interface.kind", "speedj", "plant.interface.kind"),
     ],
 )
