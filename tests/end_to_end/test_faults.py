@@ -61,7 +61,7 @@ class DisruptedRun:
         return [
             line.partition("fault")[2].strip()
             for line in self.run.output.splitlines()
-            if "killed" in line or "frozen" in line
+            if "fault" in line and ("killed" in line or "frozen" in line)
         ]
 
     @property
