@@ -133,18 +133,27 @@ def given_values(
     values: Mapping[str, Any], source: Path, overrides: Sequence[str]
 ) -> dict[str, Any]:
     """Return all given values of a scenario, with those it extends and overrides; unchecked."""
-    given = _extended(values, source)
+    given, before = _extended(values, source), list[str]()
     for text in overrides:
-        _override(given, text)
+        before.append(_override(given, text, before))
     return in_base_units(given)
 
 
-def _override(values: dict[str, Any], text: str) -> None:
-    """Set a value; a law replaces a process that was given before it."""
+def _override(values: dict[str, Any], text: str, before: Sequence[str]) -> str:
+    """Set a value; a law replaces a process that was given before it.
+
+    Another kind of reference replaces all of the file's but what was overridden `before`. Returns
+    the key.
+    """
     key, value = parse_override(text)
+    given = values.get("reference")
+    if key == "reference.kind" and isinstance(given, dict) and given.get("kind") != value:
+        own = {each.split(".")[1] for each in before if each.startswith("reference.")}
+        values["reference"] = {name: each for name, each in given.items() if name in own}
     set_value(values, key, value)
     if key == "controller.law" and value != PROCESS and "process" in values["controller"]:
         set_value(values, "controller.process", None)
+    return key
 
 
 def _extended(given: Mapping[str, Any], path: Path) -> dict[str, Any]:

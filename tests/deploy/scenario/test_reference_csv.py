@@ -62,6 +62,15 @@ def test_what_was_exported_gives_the_same_run_to_the_bit(name: str, tmp_path: Pa
     assert read.data().digest == own.data().digest
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_another_kind_of_reference_replaces_that_of_the_scenario(is_first, tmp_path) -> None:
+    """Whose keys it does not know; those that are set beside it stay, in any order."""
+    path = exported(tmp_path)
+    words = ["reference.kind=csv", f"reference.file={path}"]
+    setup = load_setup("paper_arm", [*SHORT, *(words if is_first else words[::-1])])
+    assert setup.scenario.reference.file == str(path)
+
+
 def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
     path = exported(tmp_path)
     out, again = tmp_path / "run", tmp_path / "again"

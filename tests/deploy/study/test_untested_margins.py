@@ -131,7 +131,7 @@ def test_plants_on_which_a_quantity_has_no_effect_are_not_tested_either(tmp_path
     [
         ([2, 4], "at 2 ms, the smallest value tried, 0 of 1 plants kept their bounds (95 % are"
          " wanted); try smaller --values, or --compensation on"),
-        ([0, 4], "the round trip is not what loses the others: compare other laws, or allow wider bounds"),
+        ([0, 4], "the round trip is not what loses the others: compare other laws, or allow"),
     ],
 )  # fmt: skip
 def test_without_a_kept_value_the_next_trial_is_named(values, advice, tmp_path):
