@@ -144,9 +144,19 @@ class DataSheet(Sheet):
 
 
 def worst_window(rows: list[Row]) -> Row:
-    """Return the worst run on a network with compensation alone."""
-    own = [row for row in rows if row[COMPENSATION] and not row.get(DRIVE_FEEDBACK)]
-    return max(own, key=badness)
+    """Return the worst run on a network with compensation alone.
+
+    Of windows that it keeps alike, that which is worst without compensation.
+    """
+    start, _ = START_KEYS.split(", ")
+    alone = [row for row in rows if not row.get(DRIVE_FEEDBACK)]
+    bare = {row.get(start): row for row in alone if not row[COMPENSATION]}
+
+    def of_window(row: Row) -> tuple[Any, ...]:
+        without = bare.get(row.get(start), row)
+        return badness(row), badness(without), -(without.get("margin_min") or 0.0)
+
+    return max((row for row in alone if row[COMPENSATION]), key=of_window)
 
 
 def network_files(network: str | None) -> list[Path]:

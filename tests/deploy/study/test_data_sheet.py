@@ -8,7 +8,7 @@ import re
 import pytest
 
 from deploy.reports.kinds import gauged
-from deploy.studies.datasheet.data_sheet import DataSheet
+from deploy.studies.datasheet.data_sheet import DataSheet, worst_window
 from deploy.studies.datasheet.page import DrawnSheet, data_sheet_page, headline
 from deploy.studies.datasheet.result import DataSheetResult
 from deploy.study.quoted import quoted
@@ -284,3 +284,22 @@ def test_a_law_that_fails_in_every_run_is_an_error(tmp_path, monkeypatch):
     output = output_of("datasheet", "paper_arm", "--law", law, *words, "--out", "out", code=1)
     assert "every run failed: " in output
     assert "no such luck" in output
+
+
+def test_the_worst_window_of_those_that_are_kept_is_the_worst_without_compensation():
+    start = "link.uplink.trace.start_s"
+
+    def row(at_s, outside, *, compensated):
+        return {
+            "controller.delay_compensation.enabled": compensated, start: at_s, "error": None,
+            "violation_fraction": outside, "margin_min": 0.5 if not outside else -outside,
+            "first_violation_s": 0.1 if outside else None, "verdict": "lost" if outside else "kept",
+        }  # fmt: skip
+
+    bare = [
+        row(at_s, outside, compensated=False) for at_s, outside in ((0, 0.1), (15, 0.9), (30, 0.2))
+    ]
+    kept = [row(at_s, 0.0, compensated=True) for at_s in (0, 15, 30)]
+    assert worst_window([*bare, *kept])[start] == 15
+    kept[2] = row(30, 0.01, compensated=True)
+    assert worst_window([*bare, *kept])[start] == 30
