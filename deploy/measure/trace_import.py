@@ -106,7 +106,7 @@ def from_csv(
         file: its first line has the names.
         sent: column of the times of sending.
         received: column of the times of reception; empty cells were lost.
-        delay: column of delays, in place of `received`; of `ACK_ROUND_TRIP`, halves are returned.
+        delay: column of delays, in place of `received`; `ACK_ROUND_TRIP` is of the ACKs alone.
         units: of each of these columns.
     """
     end_name = str(received or delay)
@@ -119,7 +119,7 @@ def from_csv(
     start_ms, end_ms = (columns.values[name] * UNITS_MS[units[name]] for name in (sent, end_name))
     if delay == ACK_ROUND_TRIP:
         found = round_trips.of_acks(start_ms / 1e3, end_ms / 1e3)
-        return MeasuredDelays(found.sent_s, found.round_trips_ms / 2)
+        return MeasuredDelays(found.sent_s, found.round_trips_ms)
     order = np.argsort(start_ms, kind="stable")
     delays_ms = end_ms - start_ms if received else end_ms
     return MeasuredDelays(start_ms[order] / 1e3, delays_ms[order])

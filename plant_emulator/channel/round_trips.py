@@ -44,7 +44,8 @@ _BEGINNING = 4000
 _WRAP = 1 << 16
 _USUAL_INTERVAL_S = 1.0
 _SENT = {"time", "t", "timestamp", "sent", "send", "send_time", "sent_time", "time_sent", "tx"}
-_ROUND_TRIP = {"rtt", "round_trip", "round_trip_time", "ping"}
+ROUND_TRIPS = {"rtt", "round_trip", "round_trip_time", "ping"}
+"""Names of columns, without units."""
 _ONE_WAY = {"delay", "latency", "owd", "one_way_delay", "one_way_latency"}
 _OF_TRACES = {"time_s", "delay_ms", "round_trip_ms"}
 _LONGEST_WITHOUT_UNIT = 1.0
@@ -262,13 +263,13 @@ def _from_table(path: Path, names: Sequence[str]) -> RoundTrips | None:
         return None
     words = {name: split_unit(name) for name in names}
     times = [name for name in names if words[name][0] in _SENT]
-    delays = [name for name in names if words[name][0] in _ONE_WAY | _ROUND_TRIP]
+    delays = [name for name in names if words[name][0] in _ONE_WAY | ROUND_TRIPS]
     if len(times) != 1 or len(delays) != 1:
         if not _OF_TRACES & set(names):
             refuse_foreign(path, read_bytes(path, MOST_BYTES))
             raise ValueError(f"{path}: the columns are {shown(', '.join(names))}: one must be of"
                              f" times ({_listed(_SENT)}) and one of delays"
-                             f" ({_listed(_ONE_WAY | _ROUND_TRIP)}), with units, as time_s and"
+                             f" ({_listed(_ONE_WAY | ROUND_TRIPS)}), with units, as time_s and"
                              " delay_ms or round_trip_ms; or name them: funnel-hil trace import csv"
                              f" {path} --from TIME --delay DELAY")  # fmt: skip
         return None

@@ -12,12 +12,12 @@ import numpy as np
 import typer
 
 from bus_schema.errors import InputError
-from bus_schema.time_units import Unit, check_interval, units_of
+from bus_schema.time_units import Unit, check_interval, split_unit, units_of
 from deploy.judge.findings.link_delays import MeasuredDelays
 from deploy.measure import trace_import
 from deploy.measure.clocks import at_least, drift_ppm, without_drift
 from deploy.measure.trace_output import scenario_lines, write_trace
-from plant_emulator.channel.round_trips import ACK_ROUND_TRIP
+from plant_emulator.channel.round_trips import ACK_ROUND_TRIP, ROUND_TRIPS
 from plant_emulator.channel.trace_file import read_trace
 
 app = typer.Typer(help=__doc__, no_args_is_help=True)
@@ -135,7 +135,7 @@ def import_trace(
         try:
             check_interval(measured.sent_s)
             ppm = drift_ppm(measured) if has_two_clocks and not one_clock else 0.0
-            if is_round_trip and kind is Kind.CSV and delay != ACK_ROUND_TRIP:
+            if is_round_trip and kind is Kind.CSV:
                 measured = MeasuredDelays(measured.sent_s, 0.5 * measured.delays_ms)
             measured = at_least(without_drift(measured, ppm), least_ms)
         except ValueError as error:
@@ -155,9 +155,8 @@ def _has_round_trips(delay: str | None, asked: bool | None) -> bool:
     """Whether a column of delays has round trips: as asked, else by its name."""
     if asked is not None and delay is None:
         raise InputError("trace import csv: --round-trip and --one-way are for --delay")
-    words = re.split(r"[\W_]+", (delay or "").lower())
-    is_named = not {"rtt", "ping", "roundtrip"}.isdisjoint(words) or "round trip" in " ".join(words)
-    return (is_named or delay == ACK_ROUND_TRIP) if asked is None else asked
+    is_named = delay == ACK_ROUND_TRIP or split_unit(delay or "")[0] in ROUND_TRIPS
+    return is_named if asked is None else asked
 
 
 class _Names(NamedTuple):
