@@ -167,7 +167,7 @@ class _ReferenceCounts(AnalysisPass):  # type: ignore[misc]
 
 
 def _load_known(context: Any) -> None:
-    """Only what was registered since: numba imports it all again, a thousand times a kernel."""
+    """Load what was registered since; numba would import everything again for each function."""
     for each in tuple(context._registries):
         context.install_registry(each)
 
@@ -181,7 +181,7 @@ _PLAIN = (types.Number, types.Boolean, types.Array, types.BaseTuple, types.Slice
 
 
 def _known_call_type(function: Any, context: Any, arguments: Any, named: Any) -> Any:
-    """Remember the result of operators: for each use, numba tries all that it could mean."""
+    """Look up the types of an operator: numba would search all of its meanings at each use."""
     is_operator = function.typing_key in _OPERATORS
     if named or not is_operator or not all(isinstance(each, _PLAIN) for each in arguments):
         return _find_call_type(function, context, arguments, named)
@@ -219,7 +219,7 @@ class EntryCompiler(_LinkedCompiler):
 
 
 class _WholeArgument(_DataModel):  # type: ignore[misc]
-    """Passes our tuples whole: numba takes them apart for each call, to hundreds of numbers."""
+    """Passes our tuples whole; numba would pass each of their hundreds of numbers by itself."""
 
     def _is_ours(self) -> bool:
         return self._fe_type.instance_class.__module__.partition(".")[0] in PACKAGES

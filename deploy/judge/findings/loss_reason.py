@@ -150,7 +150,7 @@ class Reason(StrEnum):
 
 
 _OF_TARGETS = (Reason.LAG, Reason.LATE, Reason.SATURATED, Reason.RAN_OUT, Reason.JUMPED)
-"""Reasons of a law without a loop that jitter does not hide."""
+"""Reasons of a law of targets that hold beside jitter."""
 
 
 class LossReason(Section):

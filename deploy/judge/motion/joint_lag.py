@@ -19,8 +19,8 @@ _HALF_S = 0.05
 def lag_ms(run: RunData) -> list[float | None]:
     """Return the lag of each joint's true error, ms, at `follows`.
 
-    Negative for a joint that is ahead. None for one whose reference rests, and for one that does
-    not follow it: whose error is larger than a lag as long as all that time makes it.
+    Negative for a joint that is ahead. None where the reference rests, and where the lag would be
+    longer than the time that is judged: such a joint does not follow its reference.
     """
     times_s, truth = run.times_s(topics.PLANT_TRUTH), run.tables[topics.PLANT_TRUTH.name]
     rows, errors, speeds = follows(run), run.true_errors_rad, run.reference_velocities_rad_s

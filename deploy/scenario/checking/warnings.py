@@ -61,8 +61,8 @@ def scenario_warnings(setup: Setup) -> list[str]:
     in_plant = scenario.plant.model_fields_set
     if not in_plant & {"friction", "actuator"} and robot.path.parent != ROBOTS:
         sentences.append(
-            f"{robot.path.name}: the plant has neither rotors nor friction, so margins are of"
-            " bare links: funnel-hil robot --scenario writes a scenario with estimates of both"
+            f"{robot.path.name}: the plant has neither rotors nor friction, which real arms have:"
+            " funnel-hil robot --scenario writes a scenario with estimates of both"
         )
     sentences += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm

@@ -23,6 +23,7 @@ from deploy.studies.datasheet.result import (
 )
 from deploy.studies.datasheet.robot_sheet import SHOWN_MS
 from deploy.studies.margin import texts
+from deploy.studies.margin.result import MarginCase
 from deploy.studies.margin.tables import margin_table
 from deploy.studies.margin.theory_sentences import theory_sentences
 from deploy.study.study import rows_by
@@ -65,11 +66,15 @@ def headline(result: RobotSheetResult) -> list[str]:
         *_margin_sentences(result),
         *filter(None, tip),
         *_reflex_sentences(result),
-        *(
-            f"{each} Stable is not yet inside the bounds." if "in theory stable" in each else each
-            for each in theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]}))
-        ),
+        *theory_sentences(margin.model_copy(update={"cases": margin.cases[:1]})),
+        *(["A stable loop can still leave its bounds."] if _is_stable(margin.cases[0]) else []),
     ]
+
+
+def _is_stable(case: MarginCase) -> bool:
+    """Whether theory finds the loop stable, without a delay at least."""
+    theory = case.theory
+    return theory is not None and theory.reason is None and theory.unstable_without_delay is None
 
 
 def ways_of(runs: Iterable[RobotRun]) -> list[WayResult]:

@@ -87,7 +87,7 @@ class PolicyResult(StudyResult):
 
     Attributes:
         without_network: a run for each arm on which no merge held.
-        torque_arms: arms that get torques over the link, for want of a loop of their own.
+        torque_arms: arms without a loop of their own, to which torques go over the link.
     """
 
     group = "policy"

@@ -68,7 +68,7 @@ def test_a_slow_loss_names_its_delay_where_the_error_arose_within_it(overrides, 
 
 
 def test_nothing_is_known_to_make_up_for_the_lag_of_a_robot_that_a_client_moves():
-    """138 ms. The same motion under a law that reads as far ahead would be the law's fault."""
+    """A lag of 138 ms. A law that reads the reference 138 ms ahead would make up for it."""
     words = (
         "plant.interface.kind=servoj", "controller.law=streaming", "robot.initial_offset_rad=0",
         "duration_s=1",
